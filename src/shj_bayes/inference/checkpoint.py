@@ -1,0 +1,105 @@
+"""Checkpoints: everything needed to go on to the same bits, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from shj_bayes.errors import CheckpointError
+from shj_bayes.model.parameters import FloatArray
+
+SCHEMA = "shj-bayes/checkpoint/1"
+
+
+@dataclass(frozen=True, eq=False)
+class EnsembleState:
+    """One ensemble as far as it has run.
+
+    Parameters
+    ----------
+    chain : array, shape (n_steps, n_walkers, d)
+        Positions in the unbounded space.
+    log_posterior : array, shape (n_steps, n_walkers)
+        Log posterior density of each.
+    accepted : array, shape (n_walkers,)
+        Accepted moves of each walker.
+    random_state : tuple
+        State of the legacy Mersenne twister that emcee draws from (numpy's ``RandomState.get_state()``).
+    n_failed : int
+        Evaluations with zero or overflowing density.
+    """
+
+    chain: FloatArray
+    log_posterior: FloatArray
+    accepted: FloatArray
+    random_state: tuple[Any, ...]
+    n_failed: int
+
+
+def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]) -> None:
+    """Write a checkpoint beside the old one, then put it in its place."""
+    temporary = path.with_suffix(".part")
+    with h5py.File(temporary, "w") as file:
+        file.attrs["schema"] = SCHEMA
+        for key, value in fingerprint.items():
+            file.attrs[f"fingerprint.{key}"] = value
+        for number, ensemble in enumerate(ensembles):
+            group = file.create_group(f"ensemble_{number}")
+            group["chain"], group["log_posterior"] = ensemble.chain, ensemble.log_posterior
+            group["accepted"] = ensemble.accepted
+            name, keys, position, has_gauss, cached = ensemble.random_state
+            group["random_keys"] = np.asarray(keys)
+            group.attrs["random_name"] = name
+            group.attrs["random_position"], group.attrs["random_has_gauss"] = position, has_gauss
+            group.attrs["random_cached"] = cached
+            group.attrs["n_failed"] = ensemble.n_failed
+    os.replace(temporary, path)
+
+
+def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
+    """Read a checkpoint of this very problem.
+
+    Raises
+    ------
+    CheckpointError
+        If the file is damaged, or belongs to another problem; the message names the field that differs.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("schema") != SCHEMA:
+                raise CheckpointError(
+                    f"{path.name}: schema {file.attrs.get('schema')!r}; this version reads {SCHEMA!r}"
+                )
+            for key, value in fingerprint.items():
+                if file.attrs.get(f"fingerprint.{key}") != value:
+                    raise CheckpointError(
+                        f"{path.name} belongs to another problem: its {key} differ(s) from what is asked now; "
+                        "choose another output folder, or delete the checkpoint to start anew"
+                    )
+            count = sum(name.startswith("ensemble_") for name in file)
+            return [_read(file[f"ensemble_{number}"]) for number in range(count)]
+    except (OSError, KeyError, RuntimeError) as error:
+        raise CheckpointError(f"{path.name} cannot be read ({error}); delete it to start anew") from error
+
+
+def _read(group: h5py.Group) -> EnsembleState:
+    a = group.attrs
+    state = (
+        str(a["random_name"]),
+        np.asarray(group["random_keys"]),
+        int(a["random_position"]),
+        int(a["random_has_gauss"]),
+        float(a["random_cached"]),
+    )
+    return EnsembleState(
+        np.asarray(group["chain"]),
+        np.asarray(group["log_posterior"]),
+        np.asarray(group["accepted"]),
+        state,
+        int(a["n_failed"]),
+    )

@@ -1,0 +1,160 @@
+"""Has it converged: numbers from several independent ensembles, and a verdict in words.
+
+The walkers of one ensemble are not independent chains, so R-hat compares whole ensembles; the effective sample size is
+the smaller of the two estimates that can be made (autocorrelation time of the ensemble, and ArviZ over walkers).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import arviz as az
+import emcee
+import numpy as np
+
+from shj_bayes.model.parameters import FloatArray
+
+RHAT_LIMIT, ESS_LIMIT, TAU_LIMIT = 1.01, 1000.0, 50.0
+ACCEPTANCE_LIMIT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnostics:
+    """Convergence figures of each parameter (arrays of shape (d,)) and of each ensemble.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Parameters.
+    tau : array, shape (d,)
+        Integrated autocorrelation time, steps (mean over ensembles).
+    rhat : array, shape (d,)
+        Rank-normalised split R-hat across ensembles.
+    ess_bulk, ess_tail : array, shape (d,)
+        Effective sample sizes, the smaller of both estimates for the bulk.
+    acceptance : array, shape (n_ensembles, n_walkers)
+        Accepted share of proposals of each walker.
+    n_steps, n_burn : int
+        Steps kept for the posterior, and dropped before them.
+    n_failed : int
+        Evaluations whose density was zero or overflowed.
+    """
+
+    names: tuple[str, ...]
+    tau: FloatArray
+    rhat: FloatArray
+    ess_bulk: FloatArray
+    ess_tail: FloatArray
+    acceptance: FloatArray
+    n_steps: int
+    n_burn: int
+    n_failed: int = 0
+
+    @property
+    def lengths(self) -> float:
+        """Steps kept in units of the longest autocorrelation time."""
+        return float(self.n_steps / self.tau.max())
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``reliable``, ``tentative`` or ``unusable``, with reasons and advice in words."""
+
+    word: str
+    reasons: tuple[str, ...]
+
+
+def burn_in(tau: float, n_total: int) -> int:
+    """Steps to drop: ten autocorrelation times, at most half of what there is."""
+    return min(int(np.ceil(10 * tau)), n_total // 2)
+
+
+def autocorrelation_time(chains: Sequence[FloatArray]) -> FloatArray:
+    """Integrated autocorrelation time of each parameter, mean over ensembles, shape (d,), in steps."""
+    taus = [emcee.autocorr.integrated_time(chain, tol=0, quiet=True) for chain in chains]
+    mean = np.mean(np.asarray(taus), axis=0)
+    return np.where(np.isfinite(mean), np.maximum(mean, 1.0), np.inf)
+
+
+def diagnose_chains(
+    names: tuple[str, ...], chains: Sequence[FloatArray], acceptance: FloatArray, n_failed: int = 0
+) -> Diagnostics:
+    """Convergence figures.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Parameters.
+    chains : sequence of array, shape (n_steps, n_walkers, d)
+        One per ensemble, all steps from the start.
+    acceptance : array, shape (n_ensembles, n_walkers)
+        Accepted shares.
+    n_failed : int
+        Failed evaluations, passed through.
+
+    Returns
+    -------
+    Diagnostics
+    """
+    n_total = chains[0].shape[0]
+    # The walkers start from a wide ball: the first fifth would lengthen the time that decides how much to drop.
+    rough = autocorrelation_time([chain[n_total // 5 :] for chain in chains])
+    burn = burn_in(float(rough.max()), n_total) if np.isfinite(rough).all() else n_total // 2
+    kept = np.stack([chain[burn:] for chain in chains])
+    tau = autocorrelation_time(list(kept))
+    n_ensembles, n_steps, n_walkers, d = kept.shape
+    by_ensemble = kept.reshape(n_ensembles, n_steps * n_walkers, d)
+    by_walker = kept.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, d)
+    rhat, bulk, tail = (np.empty(d) for _ in range(3))
+    for i in range(d):
+        rhat[i] = az.rhat(by_ensemble[:, :, i])
+        bulk[i] = min(az.ess(by_walker[:, :, i], method="bulk"), n_ensembles * n_walkers * n_steps / tau[i])
+        tail[i] = az.ess(by_walker[:, :, i], method="tail")
+    # A parameter on which all walkers stand still has no variance: its R-hat is not a number, and that is not good.
+    rhat = np.where(np.isfinite(rhat), rhat, np.inf)
+    bulk, tail = (np.where(np.isfinite(values), values, 0.0) for values in (bulk, tail))
+    return Diagnostics(names, tau, rhat, bulk, tail, np.asarray(acceptance), n_steps, burn, n_failed)
+
+
+def converged(d: Diagnostics) -> bool:
+    """True when every criterion of the verdict ``reliable`` holds."""
+    return judge(d).word == "reliable"
+
+
+def judge(d: Diagnostics) -> Verdict:
+    """Verdict with reasons that say what to do.
+
+    ``reliable``: R-hat < 1.01 across ensembles, ESS >= 1000 and more than 50 autocorrelation times for every parameter,
+    and no stuck walker. ``unusable``: R-hat > 1.1, ESS < 100 or half of the walkers stuck. Else ``tentative``.
+    """
+    problems: list[str] = []
+    worst = int(np.argmax(d.rhat))
+    if d.rhat[worst] >= RHAT_LIMIT:
+        problems.append(
+            f"R-hat of {d.names[worst]} is {d.rhat[worst]:.3f} across the ensembles (below {RHAT_LIMIT} is wanted): "
+            "they have not agreed yet; run longer (--max-steps), and look for two peaks in the corner plot"
+        )
+    least = int(np.argmin(d.ess_bulk))
+    if d.ess_bulk[least] < ESS_LIMIT:
+        problems.append(
+            f"effective sample size of {d.names[least]} is {d.ess_bulk[least]:.0f} ({ESS_LIMIT:.0f} is wanted); run longer"
+        )
+    if d.lengths < TAU_LIMIT:
+        problems.append(
+            f"the chain is {d.lengths:.0f} autocorrelation times long ({TAU_LIMIT:.0f} is wanted); run longer"
+        )
+    stuck = float(np.mean(d.acceptance < ACCEPTANCE_LIMIT))
+    if stuck > 0:
+        problems.append(
+            f"{100 * stuck:.0f} % of the walkers accept fewer than {100 * ACCEPTANCE_LIMIT:.0f} % of their moves: "
+            "the start or the priors do not suit the data"
+        )
+    if not problems:
+        text = (
+            f"the {d.acceptance.shape[0]} independent ensembles agree (R-hat at most {d.rhat.max():.3f}), effective sample "
+            f"size at least {d.ess_bulk.min():.0f}, {d.lengths:.0f} autocorrelation times, acceptance {d.acceptance.mean():.2f}"
+        )
+        return Verdict("reliable", (text,))
+    bad = d.rhat[worst] > 1.1 or d.ess_bulk[least] < 100 or stuck >= 0.5
+    return Verdict("unusable" if bad else "tentative", tuple(problems))

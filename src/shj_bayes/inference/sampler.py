@@ -1,0 +1,190 @@
+"""Independent emcee ensembles, run in rounds until they agree."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import emcee
+import numpy as np
+from tqdm import tqdm
+
+from shj_bayes.errors import InferenceError
+from shj_bayes.inference import checkpoint
+from shj_bayes.inference.checkpoint import EnsembleState
+from shj_bayes.inference.convergence import Diagnostics, converged, diagnose_chains
+from shj_bayes.inference.start import Start
+from shj_bayes.model.parameters import FloatArray
+
+
+class Density(Protocol):
+    """What the sampler needs: a log density of many points at once."""
+
+    def log_posterior_free(self, z: FloatArray) -> FloatArray:
+        """Log density of points of shape (m, d), shape (m,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How to sample.
+
+    Parameters
+    ----------
+    seed : int
+        Same seed and inputs, same numbers.
+    n_ensembles : int
+        Independent ensembles, at least 4.
+    n_walkers : int
+        Walkers of each; 0 for four per parameter (at least 24).
+    round_steps : int
+        Steps between two looks at convergence (and two checkpoints).
+    max_steps : int
+        Steps after which to stop even if not converged.
+    """
+
+    seed: int = 1
+    n_ensembles: int = 4
+    n_walkers: int = 0
+    round_steps: int = 200
+    max_steps: int = 10_000
+
+    def __post_init__(self) -> None:
+        """Refuse plans from which no verdict can come."""
+        if not 0 <= self.seed < 2**32:
+            raise InferenceError(f"seed = {self.seed}: allowed are whole numbers from 0 to {2**32 - 1}")
+        if self.n_ensembles < 4:
+            raise InferenceError(f"{self.n_ensembles} ensembles: at least 4 independent ones are needed for a verdict")
+        if not 1 <= self.round_steps <= self.max_steps:
+            raise InferenceError(
+                f"max_steps = {self.max_steps}: at least one round of {self.round_steps} steps is needed"
+            )
+
+    def walkers(self, d: int) -> int:
+        """Walkers of each ensemble for d parameters."""
+        return self.n_walkers or max(24, 4 * d)
+
+
+def moves() -> list[tuple[emcee.moves.Move, float]]:
+    """Proposals and their shares.
+
+    Differential evolution has about a third of the stretch move's autocorrelation time here (``benchmarks/moves.py``);
+    a tenth of the moves jump the whole difference, which lets walkers change between peaks.
+    emcee 3.1.6's ``DESnookerMove`` is not used: it gives posteriors that are too narrow (``tests/statistical``).
+    """
+    return [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+
+
+def run_ensembles(
+    density: Density,
+    names: tuple[str, ...],
+    start: Start,
+    plan: Plan,
+    *,
+    fingerprint: dict[str, str] | None = None,
+    path: Path | None = None,
+    progress: bool = False,
+    threads: int = 0,
+) -> tuple[list[EnsembleState], Diagnostics]:
+    """Sample until converged or out of steps, with a checkpoint after each round.
+
+    Parameters
+    ----------
+    density : Density
+        Log density in the unbounded space.
+    names : tuple of str
+        Parameters, in the order of the vectors.
+    start : Start
+        MAP and covariance around which the walkers start, 1.5 times as wide.
+    plan : Plan
+        How to sample.
+    fingerprint : dict of str to str, optional
+        Identity of the problem; a checkpoint of another one is refused.
+    path : Path, optional
+        Checkpoint file; sampling goes on from it if it exists.
+    progress : bool
+        Show a progress bar on standard error (only on a terminal).
+    threads : int
+        Ensembles that run at the same time, 0 for as many as there are processors; the numbers do not depend on it.
+
+    Returns
+    -------
+    list of EnsembleState, Diagnostics
+    """
+    d = len(names)
+    identity = dict(fingerprint or {}) | {"plan": f"seed {plan.seed}, {plan.n_ensembles} x {plan.walkers(d)} walkers"}
+    if path is not None and path.exists():
+        states = checkpoint.load(path, identity)
+    else:
+        streams = np.random.SeedSequence(plan.seed).spawn(plan.n_ensembles)
+        states = [_begin(density, start, plan.walkers(d), stream) for stream in streams]
+    bar = tqdm(total=plan.max_steps, unit="step", desc="sampling", disable=None if progress else True, leave=False)
+    with bar, ThreadPoolExecutor(max_workers=threads or min(plan.n_ensembles, os.cpu_count() or 1)) as pool:
+        bar.update(states[0].chain.shape[0])
+        while True:
+            figures = _figures(names, states)
+            if figures is not None:
+                bar.set_postfix_str(f"R-hat {figures.rhat.max():.3f}, ESS {figures.ess_bulk.min():.0f}")
+                if converged(figures) or states[0].chain.shape[0] >= plan.max_steps:
+                    return states, figures
+            steps = min(plan.round_steps, plan.max_steps - states[0].chain.shape[0])
+            states = list(pool.map(partial(_advance, density, n_steps=steps), states))
+            if path is not None:
+                checkpoint.save(path, identity, states)
+            bar.update(steps)
+
+
+def _figures(names: tuple[str, ...], states: list[EnsembleState]) -> Diagnostics | None:
+    """Convergence so far; None while there is too little to judge."""
+    n = states[0].chain.shape[0]
+    if n < 50:
+        return None
+    acceptance = np.stack([state.accepted / (n - 1) for state in states])
+    return diagnose_chains(names, [state.chain for state in states], acceptance, sum(s.n_failed for s in states))
+
+
+def _begin(density: Density, start: Start, n_walkers: int, stream: np.random.SeedSequence) -> EnsembleState:
+    """Scatter the walkers of one ensemble; points without density are drawn again, nearer to the MAP."""
+    rng = np.random.default_rng(stream)
+    root = np.linalg.cholesky(start.covariance + 1e-14 * np.eye(start.free.size))
+    points = np.empty((n_walkers, start.free.size))
+    density_at = np.full(n_walkers, -np.inf)
+    width = 1.5
+    for _ in range(20):
+        bad = ~np.isfinite(density_at)
+        points[bad] = start.free + width * rng.standard_normal((int(bad.sum()), start.free.size)) @ root.T
+        density_at[bad] = density.log_posterior_free(points[bad])
+        if np.isfinite(density_at).all():
+            break
+        width *= 0.7
+    else:
+        raise InferenceError("no finite starting points around the most probable parameters; look at `shj-bayes check`")
+    legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0])).get_state()
+    return EnsembleState(points[None], density_at[None], np.zeros(n_walkers), tuple(legacy), 0)
+
+
+def _advance(density: Density, state: EnsembleState, n_steps: int) -> EnsembleState:
+    """Run one ensemble for some steps."""
+    failed = 0
+
+    def evaluate(z: FloatArray) -> FloatArray:
+        nonlocal failed
+        value = density.log_posterior_free(z)
+        failed += int(np.count_nonzero(~np.isfinite(value)))
+        return value
+
+    _, n_walkers, d = state.chain.shape
+    sampler = emcee.EnsembleSampler(n_walkers, d, evaluate, moves=moves(), vectorize=True)
+    begin = emcee.State(state.chain[-1], log_prob=state.log_posterior[-1], random_state=state.random_state)
+    end = sampler.run_mcmc(begin, n_steps, skip_initial_state_check=True)
+    return EnsembleState(
+        np.concatenate([state.chain, sampler.get_chain()]),
+        np.concatenate([state.log_posterior, sampler.get_log_prob()]),
+        state.accepted + sampler.backend.accepted,
+        tuple(end.random_state),
+        state.n_failed + failed,
+    )

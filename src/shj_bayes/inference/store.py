@@ -1,0 +1,275 @@
+"""Posteriors as ArviZ InferenceData and the files of a fit; the only module that writes them."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import arviz as az
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+import shj_bayes
+from shj_bayes.errors import InferenceError
+from shj_bayes.inference.checkpoint import EnsembleState
+from shj_bayes.inference.convergence import Diagnostics, Verdict
+from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles, modelled_force
+from shj_bayes.inference.problem import Problem
+from shj_bayes.model.parameters import FloatArray, describe
+
+SCHEMA = "shj-bayes/fit/1"
+SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
+N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 1000, 25, 4000, 60
+PACKAGES = ("arviz", "emcee", "h5py", "numba", "numpy", "pandas", "scipy", "xarray")
+
+
+def natural_chains(problem: Problem, states: Sequence[EnsembleState], n_burn: int) -> FloatArray:
+    """Kept steps in natural units, shape (n_ensembles, n_steps, n_walkers, d)."""
+    kept = np.stack([state.chain[n_burn:] for state in states])
+    return problem.natural(kept.reshape(-1, kept.shape[-1])).reshape(kept.shape)
+
+
+def inference_data(
+    problem: Problem, states: Sequence[EnsembleState], figures: Diagnostics, seed: int
+) -> az.InferenceData:
+    """Everything a reader of the fit needs, as one ArviZ object.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was asked.
+    states : sequence of EnsembleState
+        Ensembles as sampled.
+    figures : Diagnostics
+        Convergence; says how many steps to drop.
+    seed : int
+        Seed of the fit; the predictive draws have a stream of their own.
+
+    Returns
+    -------
+    arviz.InferenceData
+        ``chain`` is the ensemble; ``draw`` goes through steps and walkers, thinned to nearly independent draws.
+        Groups: posterior, prior, posterior_predictive, prior_predictive, log_likelihood, sample_stats,
+        observed_data, constant_data.
+    """
+    names = problem.layout.names
+    chains = natural_chains(problem, states, figures.n_burn)
+    n_ensembles, n_steps, n_walkers, d = chains.shape
+    step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED / n_walkers)))
+    flat = chains[:, ::step].reshape(n_ensembles, -1, d)
+    lp = np.stack([s.log_posterior[figures.n_burn :] for s in states])[:, ::step].reshape(n_ensembles, -1)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
+
+    loops = flat[:, np.linspace(0, flat.shape[1] - 1, N_LOOPS).astype(int)].reshape(-1, d)
+    clean = modelled_force(problem, loops)
+    noisy = add_noise(problem, loops, clean, rng)
+    shape = (n_ensembles, N_LOOPS, -1)
+    prior = np.stack([problem.priors.of(n).distribution.rvs(N_PRIOR, random_state=rng) for n in names], axis=1)
+    prior_loops = _prior_loops(problem, prior)
+
+    sample = np.arange(clean.shape[1])
+    data = az.from_dict(
+        posterior={n: flat[:, :, i] for i, n in enumerate(names)},
+        prior={n: prior[None, :, i] for i, n in enumerate(names)},
+        posterior_predictive={
+            "force": noisy.reshape(shape).astype(np.float32),
+            "force_model": clean.reshape(shape).astype(np.float32),
+        },
+        prior_predictive={"force_model": prior_loops[None].astype(np.float32)},
+        log_likelihood={"force": log_likelihood_of_half_cycles(problem, loops).reshape(shape)},
+        sample_stats={"lp": lp},
+        observed_data={"force": np.concatenate([r.recording.force_kN for r in problem.runs])},
+        constant_data=_constant(problem),
+        coords={"sample": sample, "half_cycle": np.arange(sum(r.motion.n_half for r in problem.runs))},
+        dims={
+            "force": ["sample"],
+            "force_model": ["sample"],
+            **{
+                n: ["sample"]
+                for n in ("time_s", "displacement_mm", "speed_mm_s", "run", "half_cycle_of_sample", "used")
+            },
+        },
+    )
+    # from_dict takes one set of dims for all groups; the likelihood is per half-cycle, not per sample
+    half = xr.Dataset({"force": (("chain", "draw", "half_cycle"), data.log_likelihood["force"].to_numpy())})
+    del data.log_likelihood
+    data.add_groups({"log_likelihood": half})
+    for group in ("posterior", "prior"):
+        for name in names:
+            data[group][name].attrs.update(unit=describe(name).unit, meaning=describe(name).meaning)
+    return data
+
+
+def summary(figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
+    """Table of the parameters.
+
+    Parameters
+    ----------
+    figures : Diagnostics
+        Convergence figures.
+    chains : array, shape (..., d)
+        Kept draws in natural units.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns of INTERFACE: name, unit, mean, sd, q05, q50, q95, ess_bulk, ess_tail, rhat.
+    """
+    flat = chains.reshape(-1, chains.shape[-1])
+    q05, q50, q95 = np.quantile(flat, [0.05, 0.5, 0.95], axis=0)
+    columns = (
+        list(figures.names),
+        [describe(n).unit for n in figures.names],
+        flat.mean(axis=0),
+        flat.std(axis=0, ddof=1),
+        q05,
+        q50,
+        q95,
+        figures.ess_bulk,
+        figures.ess_tail,
+        figures.rhat,
+    )
+    return pd.DataFrame(dict(zip(SUMMARY_COLUMNS, columns, strict=True)))
+
+
+def fit_record(
+    problem: Problem, figures: Diagnostics, verdict: Verdict, table: pd.DataFrame, *, name: str, seed: int, key: str
+) -> dict[str, Any]:
+    """Content of ``fit.json``: verdict, reasons, seeds, versions, digests, data quality and convergence."""
+    return {
+        "schema": SCHEMA,
+        "device": name,
+        "verdict": verdict.word,
+        "reasons": list(verdict.reasons),
+        "seed": seed,
+        "key": key,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "model": {
+            "variant": problem.variant,
+            "noise": problem.layout.noise,
+            "free_between_runs": list(problem.layout.free),
+            "priors": problem.priors.family,
+            "priors_statement": problem.priors.statement,
+            "priors_sha256": problem.priors.sha256,
+        },
+        "prior_laws": [
+            {"name": n, "unit": describe(n).unit, "law": p.law, "a": p.a, "b": p.b, "source": p.source}
+            for n in problem.layout.names
+            for p in [problem.priors.of(n)]
+        ],
+        "inputs": [
+            {
+                "name": run.recording.source.name,
+                "sha256": run.recording.source.sha256,
+                "format": run.recording.source.format,
+                "columns": run.recording.source.columns,
+                "units": run.recording.source.units,
+                "n_samples": run.recording.n_samples,
+                "rate_Hz": run.recording.rate_Hz,
+                "duration_s": run.recording.duration_s,
+                "n_half_cycles": run.motion.n_half,
+                "start_force_kN": run.start_force_kN,
+                "motion_method": run.motion.method,
+                "displacement_noise_mm": run.motion.noise_mm,
+                "findings": [vars(finding) for finding in run.recording.findings],
+            }
+            for run in problem.runs
+        ],
+        "sampling": {
+            "n_ensembles": int(figures.acceptance.shape[0]),
+            "n_walkers": int(figures.acceptance.shape[1]),
+            "n_steps_kept": figures.n_steps,
+            "n_steps_dropped": figures.n_burn,
+            "tau_steps": dict(zip(figures.names, figures.tau.tolist(), strict=True)),
+            "acceptance": figures.acceptance.mean(axis=1).tolist(),
+            "n_failed_evaluations": figures.n_failed,
+        },
+        "parameters": json.loads(table.to_json(orient="records", double_precision=15)),
+    }
+
+
+def write_fit(folder: Path, data: az.InferenceData, table: pd.DataFrame, record: dict[str, Any]) -> None:
+    """Write ``posterior.nc``, ``summary.csv``, ``summary.json`` and, last, ``fit.json`` (whole or not at all)."""
+    data.attrs.update(schema=SCHEMA, device=record["device"], provenance=json.dumps(record))
+    part = folder / "posterior.part"
+    data.to_netcdf(str(part), engine="h5netcdf", compress=True)
+    os.replace(part, folder / "posterior.nc")
+    write_text(folder / "summary.csv", table.assign(schema=SCHEMA).to_csv(index=False))
+    write_text(folder / "summary.json", json.dumps({"schema": SCHEMA, "parameters": record["parameters"]}, indent=1))
+    write_text(folder / "fit.json", json.dumps(record, indent=1))
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """Read ``fit.json`` of a results folder.
+
+    Raises
+    ------
+    InferenceError
+        If there is none, or it is not one of ours.
+    """
+    path = folder / "fit.json"
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InferenceError(
+            f"{folder.name} holds no finished fit ({path.name}: {error.strerror}); run shj-bayes fit"
+        ) from error
+    except ValueError as error:
+        raise InferenceError(f"{path.name} in {folder.name} is damaged ({error}); run the fit again") from error
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise InferenceError(f"{path.name} in {folder.name} has not the schema {SCHEMA!r}; run the fit again")
+    return record
+
+
+def read_posterior(folder: Path) -> az.InferenceData:
+    """Read ``posterior.nc`` of a results folder."""
+    try:
+        return az.from_netcdf(str(folder / "posterior.nc"), engine="h5netcdf")
+    except (OSError, ValueError, KeyError) as error:
+        raise InferenceError(f"posterior.nc in {folder.name} cannot be read ({error}); run the fit again") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file beside the old one, then put it in its place."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8", newline="")
+    os.replace(part, path)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    out = {"shj-bayes": shj_bayes.__version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:
+            out[package] = "not installed"
+    return out
+
+
+def _prior_loops(problem: Problem, prior: FloatArray) -> FloatArray:
+    """Loops under the prior, without noise; sets whose law overflows are left out."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        loops = modelled_force(problem, prior[: 2 * N_PRIOR_LOOPS])
+    return loops[np.all(np.isfinite(loops), axis=1)][:N_PRIOR_LOOPS]
+
+
+def _constant(problem: Problem) -> dict[str, Any]:
+    """Channels that the law and the pages need, runs one after the other."""
+    runs = problem.runs
+    return {
+        "time_s": np.concatenate([r.recording.time_s for r in runs]),
+        "displacement_mm": np.concatenate([r.motion.displacement_mm for r in runs]),
+        "speed_mm_s": np.concatenate([r.motion.speed_mm_s for r in runs]),
+        "run": np.concatenate([np.full(r.recording.n_samples, i) for i, r in enumerate(runs, start=1)]),
+        "half_cycle_of_sample": np.concatenate([r.motion.half_cycle for r in runs]),
+        "used": np.concatenate([np.asarray(r.recording.used) for r in runs]).astype(np.int8),
+    }

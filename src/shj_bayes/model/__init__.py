@@ -1,0 +1,1 @@
+"""What is believed: the law, the noise, the priors, and recordings simulated from them."""

@@ -1,0 +1,1 @@
+"""Physical effects beyond the base law, one small file each."""

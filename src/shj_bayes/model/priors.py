@@ -1,0 +1,213 @@
+"""Priors: one TOML file per device family, each parameter with unit, law and source.
+
+A prior owns the way from its parameter to an unbounded one (log, logit or identity) and the Jacobian of that way;
+the likelihood never sees either.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+from scipy.special import expit, log_expit, logit
+
+from shj_bayes.errors import PriorError
+from shj_bayes.model.parameters import BASE, FloatArray, describe
+from shj_bayes.resources import shipped
+
+SCHEMA = "shj-bayes/priors/1"
+LAWS = {
+    "normal": ("mean", "sd"),
+    "lognormal": ("median", "spread"),
+    "uniform": ("low", "high"),
+    "loguniform": ("low", "high"),
+}
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior law of one parameter.
+
+    Parameters
+    ----------
+    name, unit : str
+        Parameter and its unit.
+    law : {"normal", "lognormal", "uniform", "loguniform"}
+        ``normal`` (mean, sd), ``lognormal`` (median, spread = standard deviation of the natural logarithm),
+        ``uniform`` and ``loguniform`` (low, high).
+    a, b : float
+        The two numbers of the law, in that order.
+    source : str
+        Why this law.
+    """
+
+    name: str
+    unit: str
+    law: str
+    a: float
+    b: float
+    source: str
+
+    def __post_init__(self) -> None:
+        """Refuse laws that are no probability laws."""
+        if self.law not in LAWS:
+            raise PriorError(f"prior of {self.name}: law '{self.law}' is not known; choose one of {', '.join(LAWS)}")
+        if not (np.isfinite(self.a) and np.isfinite(self.b)):
+            raise PriorError(
+                f"prior of {self.name}: {LAWS[self.law]} = {self.a}, {self.b}; both must be finite numbers"
+            )
+        if self.law in ("normal", "lognormal") and not self.b > 0:
+            raise PriorError(f"prior of {self.name}: {LAWS[self.law][1]} = {self.b:g}; it must be above 0")
+        if self.law in ("lognormal", "loguniform") and not self.a > 0:
+            raise PriorError(f"prior of {self.name}: {LAWS[self.law][0]} = {self.a:g}; it must be above 0")
+        if self.law in ("uniform", "loguniform") and not self.b > self.a:
+            raise PriorError(f"prior of {self.name}: high = {self.b:g} must be above low = {self.a:g}")
+
+    @property
+    def distribution(self) -> Any:
+        """The law as a frozen scipy distribution (for quantiles, draws and checks)."""
+        if self.law == "normal":
+            return stats.norm(self.a, self.b)
+        if self.law == "lognormal":
+            return stats.lognorm(self.b, scale=self.a)
+        if self.law == "uniform":
+            return stats.uniform(self.a, self.b - self.a)
+        return stats.loguniform(self.a, self.b)
+
+    def to_free(self, value: FloatArray) -> FloatArray:
+        """Parameter to unbounded parameter, standardised so that its prior is of unit size."""
+        if self.law == "normal":
+            return np.asarray((value - self.a) / self.b)
+        if self.law == "lognormal":
+            return np.asarray(np.log(value / self.a) / self.b)
+        low, high = self._bounds()
+        inner = np.log(value) if self.law == "loguniform" else np.asarray(value)
+        return np.asarray(logit((inner - low) / (high - low)))
+
+    def from_free(self, z: FloatArray) -> FloatArray:
+        """Unbounded parameter to parameter."""
+        if self.law == "normal":
+            return np.asarray(self.a + self.b * z)
+        if self.law == "lognormal":
+            return np.asarray(self.a * np.exp(self.b * z))
+        low, high = self._bounds()
+        inner = low + (high - low) * expit(z)
+        return np.asarray(np.exp(inner) if self.law == "loguniform" else inner)
+
+    def log_density_free(self, z: FloatArray) -> FloatArray:
+        """Log density of the unbounded parameter (the Jacobian is in it)."""
+        if self.law in ("normal", "lognormal"):
+            return np.asarray(-0.5 * z**2 - 0.5 * np.log(2 * np.pi))
+        # uniform and loguniform are both the standard logistic law in the free space
+        return np.asarray(log_expit(z) + log_expit(-z))
+
+    def _bounds(self) -> tuple[float, float]:
+        return (np.log(self.a), np.log(self.b)) if self.law == "loguniform" else (self.a, self.b)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Priors of one device family.
+
+    Parameters
+    ----------
+    family : str
+        Name of the family.
+    statement : str
+        What devices it is meant for.
+    priors : dict of str to Prior
+        By parameter name.
+    sha256 : str
+        Digest of the file.
+    """
+
+    family: str
+    statement: str
+    priors: dict[str, Prior]
+    sha256: str
+
+    def of(self, name: str) -> Prior:
+        """Prior of a sampled parameter; ``K_2`` and ``ratio_3`` use the law of ``K`` and ``ratio``."""
+        base = name.partition("_")[0]
+        if base not in self.priors:
+            raise PriorError(f"priors '{self.family}' hold no law for {name}; add a table [{base}] to the file")
+        return self.priors[base]
+
+
+def read_priors(which: str | Path = "afc") -> Priors:
+    """Read a prior file.
+
+    Parameters
+    ----------
+    which : str or Path
+        Name of a shipped family (``afc``, ``general``) or path of a TOML file.
+
+    Returns
+    -------
+    Priors
+
+    Raises
+    ------
+    PriorError
+        If the file cannot be read, with the table and value at fault.
+    """
+    path = Path(which)
+    if path.suffix != ".toml":
+        names = shipped_families()
+        if str(which) not in names:
+            raise PriorError(
+                f"priors '{which}' do not ship with shj-bayes; choose one of {', '.join(names)}, or name a .toml file"
+            )
+        path = shipped("priors", f"{which}.toml")
+    try:
+        raw = path.read_bytes()
+        if len(raw) > 1_000_000:
+            raise PriorError(f"{path.name} has {len(raw)} bytes; a prior file has a few kilobytes (1 MB at most)")
+        table = tomllib.loads(raw.decode("utf-8"))
+    except OSError as error:
+        raise PriorError(f"cannot read priors {path.name}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PriorError(f"{path.name} is not valid TOML: {error}") from error
+    if table.get("schema") != SCHEMA:
+        raise PriorError(f"{path.name}: schema is {table.get('schema')!r}; this version reads {SCHEMA!r}")
+    laws = {name: _prior(path.name, name, entry) for name, entry in table.items() if isinstance(entry, dict)}
+    return Priors(
+        str(table.get("family", path.stem)), str(table.get("statement", "")), laws, hashlib.sha256(raw).hexdigest()
+    )
+
+
+def shipped_families() -> list[str]:
+    """Names of the prior families that ship with the tool."""
+    return sorted(path.stem for path in shipped("priors").glob("*.toml"))
+
+
+def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
+    """One table of a prior file."""
+    if name not in BASE:
+        raise PriorError(f"{file}: [{name}] is not a parameter; known are {', '.join(BASE)}")
+    law = str(entry.get("law"))
+    if law not in LAWS:
+        raise PriorError(f"{file}: [{name}] law = {entry.get('law')!r}; choose one of {', '.join(LAWS)}")
+    unit = describe(name).unit
+    if entry.get("unit") != unit:
+        raise PriorError(f"{file}: [{name}] unit = {entry.get('unit')!r}; it must be '{unit}'")
+    numbers = []
+    for key in LAWS[law]:
+        value = entry.get(key)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise PriorError(f"{file}: [{name}] {key} = {value!r}; a {law} law needs a number there")
+        numbers.append(float(value))
+    if not str(entry.get("source", "")).strip():
+        raise PriorError(f"{file}: [{name}] has no source; say in one line where the law comes from")
+    if name == "gamma" and not (
+        (law == "normal" and numbers[0] == 0) or (law == "uniform" and numbers[0] == -numbers[1])
+    ):
+        raise PriorError(
+            f"{file}: [gamma] must be symmetric about 0, so that neither sign of speed dependence is favoured"
+        )
+    return Prior(name, unit, law, numbers[0], numbers[1], str(entry["source"]))

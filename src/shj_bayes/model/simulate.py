@@ -1,0 +1,129 @@
+"""Recordings from stated parameters: the law, then noise on force and on displacement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from shj_bayes.errors import ModelError
+from shj_bayes.model.law import force
+from shj_bayes.model.noise import Stretches, simulate_noise
+from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.recording import Finding, Recording, Source
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Parameters of a simulated device.
+
+    Parameters
+    ----------
+    K : float
+        Stiffness, kN/mm.
+    Fy : float
+        Sliding force of the first run, kN.
+    beta : float
+        Sharpness.
+    gamma : float
+        Speed coefficient, s/mm.
+    ratio : float
+        Sliding force of the second run / first.
+    sigma : float
+        Force noise scale, kN.
+    phi : float
+        Lag-one correlation of the force noise at the sampling rate.
+    displacement_noise_mm : float
+        Standard deviation of independent displacement noise, mm.
+    """
+
+    K: float = 18.0
+    Fy: float = 80.0
+    beta: float = 10.0
+    gamma: float = 0.0
+    ratio: float = 0.875
+    sigma: float = 1.0
+    phi: float = 0.8
+    displacement_noise_mm: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Refuse values outside what the law and the noise allow."""
+        for name, value in asdict(self).items():
+            if not math.isfinite(value):
+                raise ModelError(f"{name} = {value}: it must be a finite number")
+        for name in ("K", "Fy", "ratio"):
+            if getattr(self, name) <= 0:
+                raise ModelError(f"{name} = {getattr(self, name):g}: allowed is above 0")
+        if self.sigma < 0 or self.displacement_noise_mm < 0:
+            raise ModelError(
+                f"noise scales must be 0 or more; got {self.sigma:g} kN and {self.displacement_noise_mm:g} mm"
+            )
+        if not -1 < self.phi < 1:
+            raise ModelError(f"phi = {self.phi:g}: allowed is above -1 and below 1")
+
+    @property
+    def dep_mm_s(self) -> float | None:
+        """Dep = 1/gamma, mm/s; None where there is no speed dependence."""
+        return 1 / self.gamma if self.gamma else None
+
+
+def simulate_device(
+    truth: Truth,
+    *,
+    seed: int,
+    rate_Hz: float = 20.0,
+    n_runs: int = 2,
+    blocks: tuple[Block, ...] | None = None,
+    variant: str = "seed",
+    name: str = "simulated",
+) -> tuple[Recording, ...]:
+    """Simulate the consecutive runs of one device.
+
+    Parameters
+    ----------
+    truth : Truth
+        Parameters; the second run slides at ratio Fy.
+    seed : int
+        Same seed, same recordings.
+    rate_Hz : float
+        Sampling rate, Hz.
+    n_runs : {1, 2}
+        Number of runs.
+    blocks : tuple of Block, optional
+        Displacement regime; Table 1 by default.
+    variant : {"seed", "continuous"}
+        Reversal rule.
+    name : str
+        Stem for the recordings' names.
+
+    Returns
+    -------
+    tuple of Recording
+    """
+    if n_runs not in (1, 2):
+        raise ModelError(f"{n_runs} runs asked for; simulate makes 1 or 2")
+    time, motion = exact_motion(blocks or table_1(), rate_Hz)
+    stretches = Stretches(np.ones(time.size, dtype=np.bool_), np.zeros(1, dtype=np.int64))
+    recordings = []
+    for run, stream in enumerate(np.random.SeedSequence(seed).spawn(n_runs), start=1):
+        rng = np.random.default_rng(stream)
+        capacity = truth.Fy * (truth.ratio if run == 2 else 1.0)
+        clean = force(motion, K=truth.K, Fy=capacity, beta=truth.beta, gamma=truth.gamma, variant=variant)
+        noise = (
+            simulate_noise("ar1", stretches, rng, sigma=truth.sigma, phi=truth.phi)
+            if truth.sigma
+            else np.zeros(time.size)
+        )
+        wobble = truth.displacement_noise_mm * rng.standard_normal(time.size)
+        finding = Finding("simulated", "note", f"Simulated with seed {seed}; not a measurement.")
+        recordings.append(
+            Recording(
+                time,
+                motion.displacement_mm + wobble,
+                clean + noise,
+                source=Source(f"{name}-run{run}", units={"time": "s", "displacement": "mm", "force": "kN"}),
+                findings=(finding,),
+            )
+        )
+    return tuple(recordings)

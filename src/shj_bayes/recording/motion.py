@@ -1,0 +1,83 @@
+"""What the law needs to know of the displacement: half-cycles, turning points and speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.errors import RecordingError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The displacement history that drives the law.
+
+    Parameters
+    ----------
+    displacement_mm : array, shape (n_samples,)
+        Displacement, smoothed with the stated method where it was measured.
+    speed_mm_s : array, shape (n_samples,)
+        Speed, the absolute value of v, never negative.
+    start : array of int, shape (n_half + 1,)
+        Half-cycle k holds the samples ``start[k]:start[k+1]``; ``start[0] = 0``, ``start[-1] = n_samples``.
+    turning_mm : array, shape (n_half,)
+        Displacement at which half-cycle k starts: the first sample's for k = 0, else the reversal's (x_reset).
+    direction : array of int, shape (n_half,)
+        +1 where displacement grows in the half-cycle, -1 where it falls.
+    method : str
+        How reversals and speed were found, with the bandwidth in Hz; ``"exact"`` for simulated motion.
+    noise_mm : float
+        Estimated displacement noise (standard deviation), mm.
+    """
+
+    displacement_mm: FloatArray
+    speed_mm_s: FloatArray
+    start: IntArray
+    turning_mm: FloatArray
+    direction: IntArray
+    method: str = "exact"
+    noise_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Copy, check and freeze the arrays."""
+        for name, kind in (
+            ("displacement_mm", np.float64),
+            ("speed_mm_s", np.float64),
+            ("start", np.int64),
+            ("turning_mm", np.float64),
+            ("direction", np.int64),
+        ):
+            values = np.array(getattr(self, name), dtype=kind)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        n, n_half = self.displacement_mm.size, self.turning_mm.size
+        if self.speed_mm_s.shape != (n,) or np.any(self.speed_mm_s < 0):
+            raise RecordingError("speed_mm_s needs one value, zero or more, for each sample")
+        if self.start.shape != (n_half + 1,) or self.start[0] != 0 or self.start[-1] != n:
+            raise RecordingError(f"start needs {n_half + 1} indices from 0 to {n}; got {self.start.tolist()[:5]}...")
+        if np.any(np.diff(self.start) <= 0) or self.direction.shape != (n_half,):
+            raise RecordingError("every half-cycle needs at least one sample and one direction")
+        if np.any(np.abs(self.direction) != 1) or np.any(self.direction[1:] == self.direction[:-1]):
+            raise RecordingError("directions are +1 or -1 and alternate from one half-cycle to the next")
+
+    @property
+    def n_half(self) -> int:
+        """Number of half-cycles."""
+        return int(self.turning_mm.size)
+
+    @property
+    def half_cycle(self) -> IntArray:
+        """Index of the half-cycle of each sample, shape (n_samples,)."""
+        return np.repeat(np.arange(self.n_half), np.diff(self.start))
+
+    @property
+    def travel_mm(self) -> FloatArray:
+        """Cumulative distance moved, from turning point to turning point, shape (n_samples,), mm."""
+        within = np.abs(self.displacement_mm - self.turning_mm[self.half_cycle])
+        legs = np.abs(np.diff(self.turning_mm))
+        return within + np.concatenate([[0.0], np.cumsum(legs)])[self.half_cycle]

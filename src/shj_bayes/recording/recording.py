@@ -1,0 +1,136 @@
+"""A recording: one test run of one device, in the units the rest of the tool works in (s, mm, kN)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.errors import RecordingError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Severity = Literal["note", "assumed", "repaired", "warning", "unusable"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a check found, assumed or repaired, in words a laboratory engineer can act on.
+
+    Parameters
+    ----------
+    code : str
+        Short stable name, for example ``"time-repeats"``.
+    severity : {"note", "assumed", "repaired", "warning", "unusable"}
+        What was done about it.
+    message : str
+        One sentence with values and units.
+    count : int
+        Number of samples concerned, 0 when it is not about samples.
+    """
+
+    code: str
+    severity: Severity
+    message: str
+    count: int = 0
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a recording came from.
+
+    Parameters
+    ----------
+    name : str
+        File name without folders.
+    sha256 : str
+        Digest of the file as read; empty for recordings made in memory.
+    format : str
+        ``csv``, ``xlsx``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``.
+    columns : dict of str to str
+        Role (time, displacement, force) to the column or expression it was read from.
+    units : dict of str to str
+        Role to the unit it was read in.
+    """
+
+    name: str
+    sha256: str = ""
+    format: str = "simulated"
+    columns: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One test run of one device.
+
+    Parameters
+    ----------
+    time_s, displacement_mm, force_kN : array_like, shape (n_samples,)
+        The channels; copied and made read-only. Time increases strictly.
+    used : array_like of bool, shape (n_samples,), optional
+        False where a sample was filled in or is clipped: it drives the motion but is no evidence.
+    source : Source, optional
+        Where it came from.
+    findings : tuple of Finding
+        What was found, assumed and repaired on the way in.
+    """
+
+    time_s: FloatArray
+    displacement_mm: FloatArray
+    force_kN: FloatArray
+    used: BoolArray | None = None
+    source: Source = field(default_factory=lambda: Source("in memory"))
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Copy, check and freeze the arrays."""
+        n = np.size(self.time_s)
+        for name in ("time_s", "displacement_mm", "force_kN"):
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.shape != (n,):
+                raise RecordingError(f"{name} has shape {values.shape}; all channels need shape ({n},)")
+            if not np.all(np.isfinite(values)):
+                bad = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise RecordingError(
+                    f"{name} is {values[bad]} at sample {bad}; fill or drop such samples before making a Recording"
+                )
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        if n < 2 or np.any(np.diff(self.time_s) <= 0):
+            raise RecordingError(f"time_s needs at least 2 strictly increasing values; got {n} samples")
+        used = np.ones(n, dtype=np.bool_) if self.used is None else np.array(self.used, dtype=np.bool_)
+        if used.shape != (n,):
+            raise RecordingError(f"used has shape {used.shape}; it needs shape ({n},)")
+        used.setflags(write=False)
+        object.__setattr__(self, "used", used)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return int(self.time_s.size)
+
+    @property
+    def rate_Hz(self) -> float:
+        """Sampling rate between the gaps, Hz."""
+        steps = np.diff(self.time_s)
+        # The mean of the ordinary steps: the median alone carries the rounding of printed times.
+        return float(1.0 / np.mean(steps[steps < 3.5 * np.median(steps)]))
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last sample, s."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def restarts(self) -> BoolArray:
+        """True where a sample follows a gap in time (and at the first): correlated noise starts afresh there."""
+        steps = np.diff(self.time_s)
+        return np.concatenate([[True], steps > 3.5 * np.median(steps)])
+
+    @property
+    def usable(self) -> bool:
+        """False when a finding says that the recording must not be fitted."""
+        return all(finding.severity != "unusable" for finding in self.findings)

@@ -1,0 +1,1 @@
+"""Numbers to pages: figures that only draw, words, templates."""
