@@ -80,4 +80,4 @@ class Motion:
         """Cumulative distance moved, from turning point to turning point, shape (n_samples,), mm."""
         within = np.abs(self.displacement_mm - self.turning_mm[self.half_cycle])
         legs = np.abs(np.diff(self.turning_mm))
-        return within + np.concatenate([[0.0], np.cumsum(legs)])[self.half_cycle]
+        return np.asarray(within + np.concatenate([[0.0], np.cumsum(legs)])[self.half_cycle], dtype=np.float64)

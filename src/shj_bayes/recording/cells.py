@@ -1,0 +1,159 @@
+"""Single samples of a channel: empty cells, dropouts of the displacement transducer, clipping."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.recording.limits import (
+    BAD_CELL_SHARE,
+    CLIP_MOTION,
+    CLIP_RUN,
+    CLIP_SHARE,
+    FILL_RUN,
+    SPIKE_NOISE,
+    SPIKE_RANGE,
+    SPIKE_SHARE,
+    SPIKE_USUAL,
+)
+from shj_bayes.recording.noise import noise_of
+from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
+
+
+def runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """Half-open index ranges over which a mask is True.
+
+    Parameters
+    ----------
+    mask : array of bool
+
+    Returns
+    -------
+    list of (int, int)
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, list[Finding]]:
+    """Rows to keep: without the empty ends, and without holes too long to be filled.
+
+    Parameters
+    ----------
+    channels : tuple of array
+        Displacement and force, NaN where empty.
+
+    Returns
+    -------
+    keep : array of bool, shape (n_rows,)
+    findings : list of Finding
+    """
+    empty = np.isnan(channels[0]) | np.isnan(channels[1])
+    keep = np.ones(empty.size, dtype=np.bool_)
+    ends = holes = 0
+    for a, b in runs(empty):
+        if a == 0 or b == empty.size:
+            keep[a:b], ends = False, ends + b - a
+        elif b - a > FILL_RUN:
+            keep[a:b], holes = False, holes + b - a
+    findings = []
+    if ends:
+        findings.append(Finding("empty-ends", "repaired", f"{ends} rows without numbers at the ends left out", ends))
+    if holes:
+        message = f"{holes} rows in holes of more than {FILL_RUN} empty rows left out; each hole is now a gap in time"
+        findings.append(Finding("holes", "warning", message, holes))
+    return keep, findings
+
+
+def fill(time_s: FloatArray, values: FloatArray, name: str) -> tuple[FloatArray, BoolArray, list[Finding]]:
+    """Bridge short runs of empty cells by a straight line.
+
+    Parameters
+    ----------
+    time_s, values : array, shape (n_samples,)
+        NaN where empty.
+    name : str
+        Channel, for messages.
+
+    Returns
+    -------
+    values : array
+        Without NaN.
+    filled : array of bool
+        Samples that are no evidence.
+    findings : list of Finding
+    """
+    filled = np.isnan(values)
+    count = int(np.count_nonzero(filled))
+    if count in (0, values.size):
+        return values, filled, []
+    bridged = np.where(filled, np.interp(time_s, time_s[~filled], values[~filled]), values)
+    share = count / values.size
+    message = f"{name}: {count} empty cells ({share:.2%}) bridged by straight lines and not used as evidence"
+    if share > BAD_CELL_SHARE:
+        return (
+            bridged,
+            filled,
+            [Finding("empty-cells", "unusable", f"{message}; allowed are {BAD_CELL_SHARE:.0%}", count)],
+        )
+    return bridged, filled, [Finding("empty-cells", "repaired", message, count)]
+
+
+def spikes(displacement_mm: FloatArray) -> BoolArray:
+    """Single displacement samples far off both neighbours: a device cannot jump and return within one sample.
+
+    Parameters
+    ----------
+    displacement_mm : array, shape (n_samples,)
+
+    Returns
+    -------
+    array of bool
+    """
+    x = displacement_mm
+    found = np.zeros(x.size, dtype=np.bool_)
+    if x.size < 32:
+        return found
+    here = x[2:-2]
+    between = np.abs(here - 0.5 * (x[1:-3] + x[3:-1]))
+    onward = np.abs(here - (2 * x[1:-3] - x[:-4]))
+    backward = np.abs(here - (2 * x[3:-1] - x[4:]))
+    # A corner or a jolt continues the line on one of its sides; a dropout continues neither.
+    off = np.minimum(between, np.minimum(onward, backward))
+    core = float(np.diff(np.percentile(x, [1, 99]))[0])
+    limit = max(SPIKE_NOISE * noise_of(x), SPIKE_RANGE * core, SPIKE_USUAL * float(np.percentile(off, 95)))
+    found[2:-2] = off > limit
+    return found if np.count_nonzero(found) <= max(2, SPIKE_SHARE * found.size) else np.zeros_like(found)
+
+
+def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
+    """Find samples at which a channel stands still at its own extreme because it cannot go further.
+
+    Parameters
+    ----------
+    values : array, shape (n_samples,)
+        Channel.
+    other : array, shape (n_samples,)
+        The other channel, which must go on moving meanwhile.
+
+    Returns
+    -------
+    array of bool
+        Exactly equal runs at the extreme only: a plateau of friction carries noise, a rounded channel has equal runs
+        at every level, and a noise-free plateau is approached gradually.
+    """
+    found = np.zeros(values.size, dtype=np.bool_)
+    extent, motion = float(np.ptp(values)), float(np.ptp(other))
+    if extent <= 0.0 or motion <= 0.0:
+        return found
+    equal = [(a, b + 1) for a, b in runs(np.diff(values) == 0.0) if b + 1 - a >= CLIP_RUN]
+    for level in (float(values.min()), float(values.max())):
+        at = [(a, b) for a, b in equal if values[a] == level]
+        there, elsewhere = sum(b - a for a, b in at), sum(b - a for a, b in equal) - sum(b - a for a, b in at)
+        opposite = sum(b - a for a, b in equal if values[a] in (values.min(), values.max()) and values[a] != level)
+        if there < max(2 * CLIP_RUN, CLIP_SHARE * values.size) or elsewhere - opposite > 0.2 * there:
+            continue
+        entry = [abs(values[a] - values[a - 1]) / extent for a, _ in at if a > 0]
+        moved = sum(float(np.ptp(other[a:b])) for a, b in at) / len(at)
+        if entry and float(np.median(entry)) > 1e-4 and moved > CLIP_MOTION * motion:
+            found |= values == level
+    return found

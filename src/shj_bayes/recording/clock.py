@@ -1,0 +1,152 @@
+"""The clock of a recording: rows without time, repeats and backward jumps, jitter, gaps."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+
+import numpy as np
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording.limits import BAD_TIME_SHARE, GAP_STEPS, JITTER_SHARE, MANY_GAPS_SHARE, MAX_DURATION_S
+from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
+
+
+def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding]]:
+    """Rows whose times increase, as many as can be kept.
+
+    Parameters
+    ----------
+    time_s : array, shape (n_rows,)
+        NaN where there is no time.
+    name : str
+        File name for messages.
+
+    Returns
+    -------
+    keep : array of bool, shape (n_rows,)
+    findings : list of Finding
+
+    Raises
+    ------
+    RecordingError
+        If more rows than a small share are out of order: then the clock is broken, not a few rows.
+    """
+    findings: list[Finding] = []
+    keep = np.isfinite(time_s)
+    missing = int(np.count_nonzero(~keep))
+    if missing:
+        findings.append(Finding("time-missing", "repaired", f"{missing} rows without a time left out", missing))
+    index = np.flatnonzero(keep)
+    times = time_s[index]
+    if times.size < 2:
+        raise RecordingError(f"{name}: {times.size} rows have a time; at least 2 are needed; check the time column")
+    steps = np.diff(times)
+    if np.all(steps > 0):
+        return keep, findings
+    repeats, back = int(np.count_nonzero(steps == 0)), int(np.count_nonzero(steps < 0))
+    kept = longest_increasing(times)
+    dropped = times.size - kept.size
+    if dropped > max(3, BAD_TIME_SHARE * times.size):
+        raise RecordingError(_broken_clock(name, times, steps, repeats, back, dropped))
+    keep[:] = False
+    keep[index[kept]] = True
+    what = " and ".join(
+        text for text, n in ((f"repeats {repeats} times", repeats), (f"jumps back {back} times", back)) if n
+    )
+    first = times[int(np.flatnonzero(steps <= 0)[0])]
+    code = "time-jumps-back" if back else "time-repeats"
+    message = f"time {what}, first after {first:.6g} s; {dropped} rows left out, the fewest that make it increase"
+    findings.append(Finding(code, "repaired", message, dropped))
+    return keep, findings
+
+
+def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int, back: int, dropped: int) -> str:
+    """Say which kind of broken clock it is and what to do."""
+    allowed = f"allowed are {BAD_TIME_SHARE:.0%}"
+    if repeats >= back * 5:
+        return (
+            f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few digits; "
+            f"export more digits, or give the sampling rate with --rate HZ"
+        )
+    row = int(np.flatnonzero(steps < 0)[0])
+    return (
+        f"{name}: time jumps back {back} times, first from {times[row]:.6g} s to {times[row + 1]:.6g} s "
+        f"at row {row + 2}; "
+        f"{dropped} of {times.size} rows would be lost ({allowed}); if the file holds several runs, split it"
+    )
+
+
+def longest_increasing(values: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Find a longest strictly increasing subsequence.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        Without NaN.
+
+    Returns
+    -------
+    array of int
+        A single time that is far too large costs one row, not all that follow it.
+    """
+    tails: list[float] = []
+    at: list[int] = []
+    previous = np.full(values.size, -1, dtype=np.int64)
+    for i, value in enumerate(values.tolist()):
+        k = bisect_left(tails, value)
+        if k == len(tails):
+            tails.append(value)
+            at.append(i)
+        else:
+            tails[k], at[k] = value, i
+        previous[i] = at[k - 1] if k else -1
+    chain = [at[-1]]
+    while previous[chain[-1]] >= 0:
+        chain.append(int(previous[chain[-1]]))
+    return np.array(chain[::-1], dtype=np.int64)
+
+
+def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Finding]:
+    """Jitter, gaps and an unlikely duration; nothing is changed.
+
+    Parameters
+    ----------
+    time_s : array, shape (n_samples,)
+        Strictly increasing.
+    displacement_mm : array, shape (n_samples,)
+        To say how far the device moved in a gap.
+
+    Returns
+    -------
+    list of Finding
+    """
+    steps = np.diff(time_s)
+    median = float(np.median(steps))
+    findings: list[Finding] = []
+    spread = float(np.diff(np.percentile(steps, [5, 95]))[0]) / median
+    if spread > JITTER_SHARE:
+        findings.append(
+            Finding(
+                "jitter",
+                "note",
+                f"time steps vary by {spread:.0%} of their median "
+                f"{1e3 * median:.4g} ms; each sample keeps its own time",
+            )
+        )
+    gaps = np.flatnonzero(steps > GAP_STEPS * median)
+    if gaps.size:
+        worst = int(gaps[np.argmax(steps[gaps])])
+        moved = float(np.max(np.abs(np.diff(displacement_mm)[gaps])))
+        share = moved / max(float(np.ptp(displacement_mm)), 1e-300)
+        loud = gaps.size > max(1, MANY_GAPS_SHARE * steps.size) or share > 0.1
+        plural = "s" if gaps.size > 1 else ""
+        message = (
+            f"{gaps.size} gap{plural} in time, the longest {steps[worst]:.4g} s at {time_s[worst]:.6g} s "
+            f"(step {median:.4g} s), with up to {moved:.3g} mm moved; noise and smoothing restart after each"
+        )
+        findings.append(Finding("gaps", "warning" if loud else "note", message, int(gaps.size)))
+    if time_s[-1] - time_s[0] > MAX_DURATION_S:
+        duration = time_s[-1] - time_s[0]
+        message = f"the recording lasts {duration:.4g} s, over a week; is the time in ms? Then use --units time=ms"
+        findings.append(Finding("time-unit", "warning", message))
+    return findings

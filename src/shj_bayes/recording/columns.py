@@ -1,0 +1,287 @@
+"""Which column is time, displacement and force, and in which unit: by option, else by header, never by guess."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording.formula import Value, evaluate
+from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.tables import Column, Table
+from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units
+
+# Headers that mean the channel and nothing else; a header that merely contains one of the words is a weaker claim.
+_EXACT: dict[Role, set[str]] = {
+    "time": {"time", "t", "elapsed time", "running time", "test time", "total time", "timestamp", "zeit", "temps"},
+    "displacement": {"displacement", "disp", "displ", "stroke", "slip", "u", "x", "d", "deformation", "weg"},
+    "force": {"force", "load", "f", "p", "axial force", "shear force", "axial load", "kraft"},
+}
+_CONTAINS: dict[Role, tuple[str, ...]] = {
+    "time": ("time",),
+    "displacement": ("displacement", "disp", "stroke", "slip", "lvdt", "deflection", "deformation"),
+    "force": ("force", "load"),
+}
+_OPTION = re.compile(r"\s*(?P<role>\w+)\s*=(?P<what>.*)$", re.DOTALL)
+_HOW = "--columns time=...,displacement=...,force=... (column name, number, or a formula such as #7 - 490.87*#6)"
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """The three channels in s, mm and kN, before any check.
+
+    Parameters
+    ----------
+    time_s, displacement_mm, force_kN : array, shape (n_rows,)
+        NaN where the file has no number.
+    columns, units : dict of str to str
+        What was read for each role.
+    findings : tuple of Finding
+        What was assumed.
+    """
+
+    time_s: FloatArray
+    displacement_mm: FloatArray
+    force_kN: FloatArray
+    columns: dict[str, str]
+    units: dict[str, str]
+    findings: tuple[Finding, ...]
+
+
+def choose(
+    table: Table, columns: str | None = None, units: str | None = None, rate_Hz: float | None = None
+) -> Channels:
+    """Pick and convert the three channels of a table.
+
+    Parameters
+    ----------
+    table : Table
+        The file's columns.
+    columns : str or None
+        ``--columns``; roles that it does not name are looked for in the header.
+    units : str or None
+        ``--units``; roles that it does not name take the header's unit.
+    rate_Hz : float or None
+        Constant sampling rate of a file without a time column, Hz.
+
+    Returns
+    -------
+    Channels
+
+    Raises
+    ------
+    RecordingError
+        If a channel is missing, ambiguous or in a unit that is not its own.
+    """
+    asked = parse_columns(columns)
+    given = parse_units(units)
+    findings: list[Finding] = []
+    values: dict[Role, Value] = {}
+    chosen: dict[str, str] = {}
+    if rate_Hz is not None:
+        _check_rate(rate_Hz, asked)
+    for role in ROLES:
+        if role == "time" and rate_Hz is not None:
+            continue
+        text = asked.get(role)
+        column = None if text is not None else by_header(table, role, findings)
+        values[role] = (
+            evaluate(text, table)
+            if text is not None
+            else Value(column.values, (column,), True)
+            if column
+            else _no(table, role)
+        )
+        chosen[role] = text if text is not None else (column.header or column.name if column else "")
+    n = _length(values, table)
+    used: dict[str, str] = {}
+    arrays: dict[Role, FloatArray] = {}
+    for role in ROLES:
+        if role == "time" and rate_Hz is not None:
+            arrays["time"], used["time"], chosen["time"] = (
+                np.arange(n) / rate_Hz,
+                "s",
+                f"sample number / {rate_Hz:g} Hz",
+            )
+            findings.append(
+                Finding(
+                    "rate-given",
+                    "assumed",
+                    f"no time column is read: a constant rate of {rate_Hz:g} Hz is assumed, as given",
+                )
+            )
+            continue
+        unit = _unit(role, values[role], given, findings, table)
+        used[role] = unit
+        scaled = np.asarray(values[role].values * factor(unit, role), dtype=np.float64)
+        arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
+    _note_ignored(table, values, findings)
+    return Channels(arrays["time"], arrays["displacement"], arrays["force"], chosen, used, tuple(findings))
+
+
+def parse_columns(option: str | None) -> dict[Role, str]:
+    """Read the ``--columns`` option.
+
+    Parameters
+    ----------
+    option : str or None
+        ``time=...,displacement=...,force=...``; commas inside a name are allowed.
+
+    Returns
+    -------
+    dict
+        Role to column name, number or formula.
+    """
+    found: dict[Role, str] = {}
+    for part in re.split(r",(?=\s*\w+\s*=)", option or ""):
+        if not part.strip():
+            continue
+        match = _OPTION.match(part)
+        role = next((r for r in ROLES if match and match["role"].lower() == r), None)
+        if match is None or role is None or not match["what"].strip():
+            raise RecordingError(f"--columns: cannot read {part.strip()!r}; write {_HOW}")
+        if role in found:
+            raise RecordingError(
+                f"--columns names {role} twice: {found[role]!r} and {match['what'].strip()!r}; name it once"
+            )
+        found[role] = match["what"].strip()
+    return found
+
+
+def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | None:
+    """Find a channel by its header.
+
+    Parameters
+    ----------
+    table : Table
+        The file's columns.
+    role : {"time", "displacement", "force"}
+        Channel.
+    findings : list of Finding
+        Extended when the match is by a word in a longer header.
+
+    Returns
+    -------
+    Column or None
+        None when no header fits.
+
+    Raises
+    ------
+    RecordingError
+        If several fit equally well.
+    """
+    if not table.has_header:
+        return None
+    exact = [c for c in table.columns if _words(c.name) in _EXACT[role]]
+    loose = [c for c in table.columns if any(word in _words(c.name).split() for word in _CONTAINS[role])]
+    found = exact or loose
+    if len(found) > 1:
+        raise RecordingError(
+            f"{table.name}: {len(found)} columns could be {role}: {', '.join(c.header or c.name for c in found)}; "
+            f"say which with --columns {role}=..."
+        )
+    if not found:
+        return None
+    if not exact:
+        findings.append(Finding("column-by-word", "assumed", f"column {found[0].header!r} is taken for the {role}"))
+    return found[0]
+
+
+def _words(name: str) -> str:
+    """Header in lower case with blanks between the words."""
+    return " ".join(re.split(r"[\s_\-./]+", name.strip().lower())).strip()
+
+
+def _no(table: Table, role: Role) -> Value:
+    """Refuse a file in which a channel cannot be found."""
+    if role == "time" and "wf_increment" in table.scalars:
+        return Value(np.asarray(table.scalars["wf_increment"]))
+    what = "no time column" if role == "time" else f"no {role} column"
+    header = "" if table.has_header else " and no header"
+    rate = "; if it was sampled at a constant rate, give it with --rate HZ" if role == "time" else ""
+    raise RecordingError(f"{table.name}: {what}{header} found; {table.summary}; name it with {_HOW}{rate}")
+
+
+def _check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:
+    if not (np.isfinite(rate_Hz) and 1e-6 <= rate_Hz <= 1e7):
+        raise RecordingError(f"--rate {rate_Hz:g} Hz: allowed is 1e-6 to 1e7 Hz")
+    if "time" in asked:
+        raise RecordingError(f"both --rate {rate_Hz:g} and --columns time={asked['time']} are given; give one of them")
+
+
+def _length(values: dict[Role, Value], table: Table) -> int:
+    """Give the common number of rows; only time may be a single number (the sampling interval)."""
+    sizes = {role: value.values.size for role, value in values.items() if value.values.ndim}
+    for role in ("displacement", "force"):
+        if role not in sizes:
+            raise RecordingError(f"{table.name}: {role} is a single number; it must be a column; {table.summary}")
+    if len(set(sizes.values())) > 1:
+        shown = ", ".join(f"{role} {size}" for role, size in sizes.items())
+        raise RecordingError(
+            f"{table.name}: the columns have different lengths ({shown}); choose columns of equal length"
+        )
+    return sizes["displacement"]
+
+
+def _steps(scaled: FloatArray, n: int, name: str, findings: list[Finding]) -> FloatArray:
+    """Time from a sampling interval when a single number was named."""
+    if scaled.ndim:
+        return scaled
+    step = float(scaled)
+    if not (np.isfinite(step) and step > 0):
+        raise RecordingError(
+            f"time: the sampling interval {name or 'wf_increment'} is {step:g} s; it must be above zero"
+        )
+    findings.append(
+        Finding(
+            "time-from-step",
+            "assumed",
+            f"time is made from the constant interval {name or 'wf_increment'} = {step:g} s",
+        )
+    )
+    return np.asarray(np.arange(n) * step, dtype=np.float64)
+
+
+def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Finding], table: Table) -> str:
+    """Take the unit by option, else by header, else the tool's own, which is said aloud."""
+    header = value.columns[0].unit if value.plain else None
+    if role in given:
+        if header is not None and header != given[role] and not _same(header, given[role], role):
+            findings.append(
+                Finding(
+                    "unit-overruled",
+                    "warning",
+                    f"{role}: the header says {header}, --units says {given[role]}; {given[role]} is used",
+                )
+            )
+        return given[role]
+    if header is not None:
+        return header
+    name = value.columns[0].name if value.columns else role
+    findings.append(
+        Finding(
+            "unit-assumed",
+            "assumed",
+            f"{role}: {table.name} gives no unit for {name!r}; {TARGET[role]} is assumed; if not, use --units",
+        )
+    )
+    return TARGET[role]
+
+
+def _same(left: str, right: str, role: Role) -> bool:
+    """Whether two spellings are the same unit."""
+    try:
+        return bool(np.isclose(factor(left, role), factor(right, role), rtol=1e-9))
+    except RecordingError:
+        return False
+
+
+def _note_ignored(table: Table, values: dict[Role, Value], findings: list[Finding]) -> None:
+    """List the columns that were not used."""
+    used = {id(column) for value in values.values() for column in value.columns}
+    rest = [c.header or c.name for c in table.columns if id(c) not in used]
+    if rest:
+        more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
+        findings.append(Finding("columns-ignored", "note", f"columns not used: {', '.join(rest[:8])}{more}"))

@@ -1,0 +1,88 @@
+"""From measured displacement to what the law needs: half-cycles, turning points and speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording.limits import MIN_STROKE_MM, REVERSAL_COUNTS, REVERSAL_NOISE, REVERSAL_RANGE
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.noise import noise_of, resolution_of
+from shj_bayes.recording.recording import FloatArray, Recording
+from shj_bayes.recording.reversals import first_direction, hysteresis, place
+from shj_bayes.recording.smoothing import smooth
+
+
+def motion_of(recording: Recording) -> Motion:
+    """Half-cycles, turning points, smoothed displacement and speed of a measured recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its displacement may be noisy, rounded by an encoder, unevenly sampled, and may rest or have corners.
+
+    Returns
+    -------
+    Motion
+        ``method`` states the window and the bandwidth of the speed.
+
+    Raises
+    ------
+    RecordingError
+        If the displacement does not move beyond its own noise.
+    """
+    time, raw = recording.time_s, recording.displacement_mm
+    count = resolution_of(raw)
+    noise = noise_of(raw, count)
+    extent = float(np.ptp(raw))
+    if raw.size < 8 or extent < max(MIN_STROKE_MM, 2 * REVERSAL_NOISE * noise):
+        raise RecordingError(
+            f"{recording.source.name}: the displacement moves {extent:.3g} mm in {raw.size} samples "
+            f"with {noise:.2g} mm noise; "
+            f"needed are 8 samples and {max(MIN_STROKE_MM, 2 * REVERSAL_NOISE * noise):.3g} mm; check column and unit"
+        )
+    floor = max(REVERSAL_COUNTS * count, REVERSAL_RANGE * extent)
+    # The first search only has to find the large half-cycles; what it takes for one narrows the window.
+    curve = smooth(time, raw, noise, count, max(REVERSAL_NOISE * noise, 2 * floor))
+    # The second search works on the smoothed curve, so that its threshold may be as low as the noise that is left.
+    threshold = max(REVERSAL_NOISE * curve.noise, floor)
+    turns = hysteresis(curve.values, threshold)
+    turn_s, turn_mm = place(time, raw, curve.values, turns, noise, curve.kinks_s)
+    start = _boundaries(time, turn_s)
+    sign = first_direction(curve.values, turns)
+    direction = sign * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
+    turning = np.concatenate([[curve.values[0]], turn_mm])
+    displacement = _between(curve.values, turning, start)
+    along = np.repeat(direction, np.diff(start))
+    # Speed against the half-cycle is noise at rest; cut at zero it biases |v| half as much as the absolute value.
+    speed = np.maximum(along * curve.velocity, 0.0)
+    method = (
+        f"local cubic over {2 * curve.half_width_s:.3g} s, not across {curve.kinks_s.size} corners; "
+        f"speed -3 dB at {curve.bandwidth_Hz:.3g} Hz; reversals by {threshold:.3g} mm hysteresis, placed by a quartic"
+    )
+    return Motion(displacement, speed, start, turning, direction, method=method, noise_mm=noise)
+
+
+def _boundaries(time: FloatArray, turn_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """First sample at or after each turning time; every half-cycle keeps at least one sample."""
+    start = np.concatenate([[0], np.searchsorted(time, turn_s, side="left"), [time.size]]).astype(np.int64)
+    for k in range(1, start.size - 1):
+        start[k] = min(max(start[k], start[k - 1] + 1), time.size - (start.size - 1 - k))
+    return start
+
+
+def _between(values: FloatArray, turning: FloatArray, start: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
+    """Keep each half-cycle between its turning points: slip against its direction is noise."""
+    begin = np.repeat(turning, np.diff(start))
+    end = np.repeat(np.append(turning[1:], np.nan), np.diff(start))
+    low, high = np.fmin(begin, end), np.fmax(begin, end)
+    # The first half-cycle may start with a rest and the last ends nowhere in particular: only their reversal binds.
+    low[: start[1]] = -np.inf if turning.size > 1 and turning[1] > turning[0] else low[: start[1]]
+    high[: start[1]] = np.inf if turning.size > 1 and turning[1] < turning[0] else high[: start[1]]
+    last = slice(int(start[-2]), int(start[-1]))
+    if turning.size > 1:
+        downward = turning[-1] > turning[-2]
+        low[last], high[last] = (-np.inf, turning[-1]) if downward else (turning[-1], np.inf)
+    else:
+        low[last], high[last] = -np.inf, np.inf
+    return np.clip(values, low, high)

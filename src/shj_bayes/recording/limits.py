@@ -1,0 +1,57 @@
+"""Every threshold of the readers and checks in one place, with the reason for its value."""
+
+from __future__ import annotations
+
+# --- what may be read: a laboratory recording is at most some hundred megabytes; more is a mistake or an attack ---
+MAX_ROWS = 10_000_000
+MAX_COLUMNS = 512
+MAX_BYTES = 512 * 1024**2  # after decompression; holds 10 million rows of four numbers as text
+CHUNK_BYTES = 4 * 1024**2  # a compressed file is unpacked in pieces of this size, so that it can be stopped
+
+# --- time ---
+GAP_STEPS = 3.5  # a step this many medians long is a gap: jitter and one or two lost samples stay below
+JITTER_SHARE = 0.02  # 5-95 % spread of the steps over the median; clocks that print rounded times stay below
+BAD_TIME_SHARE = 0.02  # more repeated or backward times than this is a broken clock, not a few broken rows
+MANY_GAPS_SHARE = 0.01  # more gaps than this and the median step itself means little
+
+# --- cells that hold no number ---
+FILL_RUN = 10  # longest run of empty cells that a straight line may bridge, samples
+BAD_CELL_SHARE = 0.05  # above this share of filled cells the recording is not usable
+
+# --- dropouts: one displacement sample that continues the line on neither side ---
+SPIKE_NOISE = 10.0  # standard deviations; noise has none of these
+SPIKE_RANGE = 0.003  # of the range; smaller ones harm neither reversals nor speed
+SPIKE_USUAL = 8.0  # times the 95 % point of the same measure, so that coarse sampling makes none
+SPIKE_SHARE = 0.01  # more than this is a property of the channel, not a dropout
+
+# --- clipping: a run of exactly equal values AT the extreme, longer than chance and far longer than elsewhere ---
+CLIP_RUN = 5
+CLIP_SHARE = 0.001  # fewer clipped samples than this change nothing
+CLIP_MOTION = 0.01  # displacement must go on over this share of the range while the force stays put
+
+# --- magnitude: real devices of this kind, and laboratory models of them, with room on both sides ---
+MAX_FORCE_KN = 20_000.0  # the largest testing machines stop near 20 MN
+MAX_STROKE_MM = 3_000.0  # the longest damper strokes are about 2 m
+MIN_STROKE_MM = 0.02  # below this there is only noise
+MIN_FORCE_KN = 1e-5  # 0.01 N
+MAX_DURATION_S = 7 * 86_400.0  # a week
+
+# --- sign, order of columns, offset, lag, cycles ---
+SIGN_SHARE = 0.2  # friction dissipates: the loop area must be at least this share of (range x range), of either sign
+REST_SAMPLES = 10  # a rest at the start shorter than this is chance
+OFFSET_SHARE = 0.10  # mean of push and pull over half their difference, from which an offset is mentioned
+CENTRE_SHARE = 0.05  # middle of the stroke over the amplitude, from which it is mentioned
+LAG_STEPS = 2.0  # lags below two samples cannot be told from the filter of the amplifier
+MIN_HALF_CYCLES = 2  # fewer cannot show both directions
+FEW_HALF_CYCLES = 4  # fewer cannot show whether anything changes from cycle to cycle
+MIN_SAMPLES = 32  # fewer hold less information than the law has parameters, several times over
+MIN_SAMPLES_PER_HALF_CYCLE = 8  # fewer leave the elastic branch without a sample
+
+# --- kinematics ---
+REVERSAL_NOISE = 10.0  # white noise of a million samples spans 10 standard deviations peak to peak
+REVERSAL_RANGE = 0.005  # share of the displacement range: rests and control hunting stay below
+REVERSAL_COUNTS = 3.0  # encoder counts: a resting encoder toggles between two
+BIAS_RANGE = 1e-4  # share of the range that no loop shows; a bias below it (and four times the noise) is accepted
+BIAS_SHARE = 0.25  # a window is too wide when smoothing moves the curve by this share of the noise
+SHORTEST_SHARE = 0.2  # half-window over the shortest half-cycle: a sine keeps its peak to 0.06 % and its speed to 0.1 %
+KINK_Z = 6.0  # one false alarm in 5e8 samples for white noise

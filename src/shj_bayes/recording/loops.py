@@ -1,0 +1,296 @@
+"""Checks on the whole loop: magnitude, sign, swapped columns, offset, lag, number of cycles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.recording.limits import (
+    CENTRE_SHARE,
+    FEW_HALF_CYCLES,
+    LAG_STEPS,
+    MAX_FORCE_KN,
+    MAX_STROKE_MM,
+    MIN_FORCE_KN,
+    MIN_HALF_CYCLES,
+    MIN_SAMPLES,
+    MIN_SAMPLES_PER_HALF_CYCLE,
+    MIN_STROKE_MM,
+    OFFSET_SHARE,
+    REST_SAMPLES,
+    SIGN_SHARE,
+)
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.recording import Finding, FloatArray, Recording
+
+
+def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
+    """Ranges that no device of this kind has, which means a wrong unit or column.
+
+    Parameters
+    ----------
+    displacement_mm, force_kN : array, shape (n_samples,)
+
+    Returns
+    -------
+    list of Finding
+    """
+    findings = []
+    force, stroke = float(np.max(np.abs(force_kN))), float(np.ptp(displacement_mm))
+    if force > MAX_FORCE_KN:
+        message = (
+            f"force up to {force:.6g} kN; the largest machines reach {MAX_FORCE_KN:g} kN; "
+            f"if it is in N, use --units force=N"
+        )
+        findings.append(Finding("force-unit", "unusable", message))
+    if np.ptp(force_kN) < MIN_FORCE_KN:
+        message = (
+            f"force varies by {np.ptp(force_kN):.3g} kN only; at least {MIN_FORCE_KN:g} kN is needed; "
+            f"check its column and unit"
+        )
+        findings.append(Finding("force-flat", "unusable", message))
+    if stroke > MAX_STROKE_MM:
+        message = (
+            f"displacement spans {stroke:.6g} mm; at most {MAX_STROKE_MM:g} mm is plausible; check its column and unit"
+        )
+        findings.append(Finding("displacement-unit", "unusable", message))
+    if stroke < MIN_STROKE_MM:
+        message = (
+            f"displacement spans {stroke:.3g} mm; at least {MIN_STROKE_MM:g} mm is needed; "
+            f"is it in m or in? Use --units"
+        )
+        findings.append(Finding("displacement-flat", "unusable", message))
+    return findings
+
+
+def dissipation(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
+    """Work done on the device over the work of a rigid friction loop with the same force range and travel.
+
+    Parameters
+    ----------
+    displacement_mm, force_kN : array, shape (n_samples,)
+
+    Returns
+    -------
+    float
+        About 0.8 for friction, 0 for elastic, negative when one of the signs is wrong.
+    """
+    step = np.diff(displacement_mm)
+    mean = 0.5 * (force_kN[1:] + force_kN[:-1])
+    centre = 0.5 * (np.percentile(force_kN, 2) + np.percentile(force_kN, 98))
+    half = 0.5 * (np.percentile(force_kN, 98) - np.percentile(force_kN, 2))
+    # Travel of a noisy signal grows with the sampling rate: sum it over steps of a thousandth of the record.
+    stride = max(1, displacement_mm.size // 1000)
+    travel = float(np.sum(np.abs(np.diff(displacement_mm[::stride]))))
+    return float(np.sum((mean - centre) * step) / (half * travel)) if half > 0 and travel > 0 else 0.0
+
+
+def burstiness(values: FloatArray) -> float:
+    """Root mean square over mean of the changes: near 1.1 for a driven displacement, more for a force that reverses.
+
+    Parameters
+    ----------
+    values : array, shape (n_samples,)
+
+    Returns
+    -------
+    float
+    """
+    stride = max(1, values.size // 1000)
+    change = np.abs(np.diff(values[::stride]))
+    mean = float(np.mean(change))
+    return float(np.sqrt(np.mean(change**2))) / mean if mean > 0 else 0.0
+
+
+def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[FloatArray, list[Finding]]:
+    """Turn a force of the wrong sign round; name columns that seem swapped.
+
+    A passive device takes up energy. A loop that gives energy back has one channel with the wrong sign, or the two
+    channels swapped. Turning the force round is safe: it only exchanges the names push and pull. Swapping is not:
+    it is for the user to say which column is which.
+
+    Parameters
+    ----------
+    displacement_mm, force_kN : array, shape (n_samples,)
+
+    Returns
+    -------
+    force_kN : array
+    findings : list of Finding
+    """
+    area = dissipation(displacement_mm, force_kN)
+    bursts = burstiness(displacement_mm), burstiness(force_kN)
+    if area > -SIGN_SHARE:
+        return force_kN, []
+    if bursts[0] > 1.3 * bursts[1]:
+        message = (
+            f"displacement and force seem swapped: the loop gives energy back (area {area:+.2f} of a friction loop; "
+            f"above {-SIGN_SHARE:g} is allowed) and the displacement jumps like a force; exchange them with --columns"
+        )
+        return force_kN, [Finding("swapped-columns", "unusable", message)]
+    message = (
+        f"the loop gave energy back (area {area:+.2f} of a friction loop; "
+        f"above {-SIGN_SHARE:g} is allowed), so one channel "
+        f"has the wrong sign; the force is turned round, which exchanges the names push and pull"
+    )
+    return -force_kN, [Finding("force-sign", "repaired", message)]
+
+
+def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
+    """Too few samples or half-cycles, offsets and lag.
+
+    Parameters
+    ----------
+    recording : Recording
+    motion : Motion
+
+    Returns
+    -------
+    list of Finding
+    """
+    findings = []
+    if recording.n_samples < MIN_SAMPLES:
+        message = f"{recording.n_samples} samples; at least {MIN_SAMPLES} are needed"
+        findings.append(Finding("few-samples", "unusable", message))
+    if motion.n_half < FEW_HALF_CYCLES:
+        severe = motion.n_half < MIN_HALF_CYCLES
+        message = (
+            f"{motion.n_half} half-cycles; at least {MIN_HALF_CYCLES} are needed, "
+            f"{FEW_HALF_CYCLES} to see a change from cycle to cycle"
+        )
+        findings.append(Finding("few-cycles", "unusable" if severe else "warning", message))
+    per_half = recording.n_samples / motion.n_half
+    if per_half < MIN_SAMPLES_PER_HALF_CYCLE:
+        message = (
+            f"{per_half:.1f} samples in a half-cycle; at least {MIN_SAMPLES_PER_HALF_CYCLE} are needed "
+            f"to see the stiffness"
+        )
+        findings.append(Finding("coarse-sampling", "warning", message))
+    return [*findings, *_offsets(recording, motion), *_lag(recording, motion)]
+
+
+def _offsets(recording: Recording, motion: Motion) -> list[Finding]:
+    """Force offset between the two plateaus, and displacement offset of the middle of the stroke."""
+    findings = []
+    low, high = float(np.min(motion.turning_mm)), float(np.max(motion.turning_mm))
+    centre, half_stroke = 0.5 * (high + low), 0.5 * (high - low)
+    if half_stroke <= 0:
+        return []
+    # Strokes that start from one end are no offset.
+    if CENTRE_SHARE * half_stroke < abs(centre) < 0.5 * half_stroke:
+        message = (
+            f"the middle of the stroke is at {centre:+.3g} mm, {abs(centre) / half_stroke:.0%} of the amplitude; "
+            f"kept as it is"
+        )
+        findings.append(Finding("displacement-offset", "note", message))
+    push, pull = _plateau(recording, motion, 1), _plateau(recording, motion, -1)
+    if push is None or pull is None:
+        return findings
+    offset, half = 0.5 * (push + pull), 0.5 * abs(push - pull)
+    if abs(offset) > OFFSET_SHARE * half:
+        message = (
+            f"the force is {push:.4g} kN pushing and {pull:.4g} kN pulling, {offset:+.3g} kN off centre; kept as it "
+            f"is: a load cell that was not zeroed, or a device that differs in push and pull"
+        )
+        findings.append(Finding("force-offset", "note", message))
+    return findings + _rest(recording, motion, half)
+
+
+def _plateau(recording: Recording, motion: Motion, direction: int) -> float | None:
+    """Median force over the second half of the strokes in one direction; the first half may be slack or elastic."""
+    late = []
+    for k in np.flatnonzero(motion.direction == direction):
+        rows = slice(int(motion.start[k]), int(motion.start[k + 1]))
+        x = motion.displacement_mm[rows]
+        late.append(recording.force_kN[rows][np.abs(x - x[0]) > 0.5 * float(np.ptp(x))])
+    values = np.concatenate(late) if late else np.zeros(0)
+    return float(np.median(values)) if values.size else None
+
+
+def _rest(recording: Recording, motion: Motion, half: float) -> list[Finding]:
+    """Force before the first movement, when the recording begins at rest."""
+    x = motion.displacement_mm
+    still = np.abs(x - x[0]) < max(5 * motion.noise_mm, 1e-3 * float(np.ptp(x)))
+    n = int(np.argmin(still)) if not still.all() else 0
+    # Coarse sampling makes motion look like noise, and then everything seems to be at rest.
+    if n < REST_SAMPLES or motion.noise_mm > 0.01 * float(np.ptp(x)):
+        return []
+    force = float(np.median(recording.force_kN[:n]))
+    if abs(force) <= OFFSET_SHARE * half:
+        return []
+    message = f"force at rest before the first movement is {force:+.3g} kN ({n} samples), not zero; kept as it is"
+    return [Finding("rest-offset", "note", message, n)]
+
+
+def _lag(recording: Recording, motion: Motion) -> list[Finding]:
+    """Delay of the force after the displacement, where the unloading branches show one."""
+    lag = lag_of(recording, motion)
+    step = 1.0 / recording.rate_Hz
+    if lag is None or abs(lag) < LAG_STEPS * step:
+        return []
+    size = f"by about {1e3 * abs(lag):.3g} ms ({abs(lag) / step:.1f} samples)"
+    if lag > 0:
+        message = f"the force lags the displacement {size}, judged from the unloading; nothing is shifted"
+        return [Finding("lag", "warning", message)]
+    message = (
+        f"the force falls {size} before the displacement turns, as with a filtered displacement or a viscous device; "
+        f"nothing is shifted"
+    )
+    return [Finding("lag", "note", message)]
+
+
+def lag_of(recording: Recording, motion: Motion) -> float | None:
+    """Delay for which the force drop after reversals is proportional to the travel.
+
+    Parameters
+    ----------
+    recording : Recording
+    motion : Motion
+
+    Returns
+    -------
+    float or None
+        Seconds, positive when the force is late; None when the recording does not tell.
+    """
+    pieces = _unloading(recording, motion)
+    if len(pieces) < 4:
+        return None
+    shortest = float(np.min(np.diff(recording.time_s[np.minimum(motion.start, recording.n_samples - 1)])[1:-1]))
+    lags = np.linspace(-0.1, 0.3, 81) * shortest
+    misfit = np.array([_misfit(pieces, recording.time_s, motion, lag) for lag in lags])
+    best = int(np.argmin(misfit))
+    none = int(np.argmin(np.abs(lags)))
+    # Where the force falls before the turn there are other reasons than a late sensor, so more is asked for.
+    better = 0.5 if lags[best] > 0 else 0.15
+    if best in (0, lags.size - 1) or misfit[best] > 0.02 or misfit[best] > better * misfit[none]:
+        return None
+    return float(lags[best])
+
+
+def _unloading(recording: Recording, motion: Motion) -> list[tuple[int, FloatArray, FloatArray]]:
+    """For each reversal: its half-cycle, and times and relative force drops between 5 and 60 % of the plateau."""
+    pieces = []
+    for k in range(1, motion.n_half):
+        a, b, before = int(motion.start[k]), int(motion.start[k + 1]), int(motion.start[k - 1])
+        tail = recording.force_kN[max(before, a - max(3, (a - before) // 20)) : a]
+        top = float(np.median(tail)) * -motion.direction[k]
+        if top <= 0:
+            continue
+        drop = 1.0 - recording.force_kN[a:b] * -motion.direction[k] / top
+        end = int(np.argmax(drop > 0.6)) if np.any(drop > 0.6) else 0
+        rows = np.flatnonzero(drop[:end] > 0.05) + a
+        rows = rows[:: max(1, rows.size // 100)]
+        if rows.size >= 3:
+            pieces.append((k, recording.time_s[rows], drop[rows - a]))
+    return pieces
+
+
+def _misfit(pieces: list[tuple[int, FloatArray, FloatArray]], time_s: FloatArray, motion: Motion, lag: float) -> float:
+    """Share of the drops that is not proportional to the travel a lag earlier, with one stiffness per reversal."""
+    wrong = total = 0.0
+    for k, times, drop in pieces:
+        travel = motion.direction[k] * (np.interp(times - lag, time_s, motion.displacement_mm) - motion.turning_mm[k])
+        travel = np.maximum(travel, 0.0)
+        slope = float(travel @ drop) / max(float(travel @ travel), 1e-300)
+        wrong += float(np.sum((drop - slope * travel) ** 2))
+        total += float(np.sum(drop**2))
+    return wrong / total if total > 0 else 1.0

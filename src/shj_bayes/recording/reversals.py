@@ -1,0 +1,176 @@
+"""Reversals of a noisy displacement: found by hysteresis, placed by a local fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.recording.recording import FloatArray
+
+_NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans: a sine within 0.71 rad of its peak
+_MIN_POINTS = 9
+_MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
+_POOR = 1.5  # a fit whose residual is this many times the noise is no smooth peak (a corner or a rest)
+
+
+def hysteresis(values: FloatArray, threshold: float) -> list[int]:
+    """Find reversals: extremes from which the signal came back by more than a threshold.
+
+    Parameters
+    ----------
+    values : array, shape (n_samples,)
+        Displacement.
+    threshold : float
+        Same unit; smaller movements back and forth are no reversal.
+
+    Returns
+    -------
+    list of int
+        Increasing; neither the first nor the last sample.
+    """
+    step = np.sign(np.diff(values))
+    moving = np.flatnonzero(step)
+    if moving.size == 0:
+        return []
+    change = np.flatnonzero(np.diff(step[moving]))
+    candidates = np.concatenate([[0], moving[change] + 1, [values.size - 1]])
+    found: list[int] = []
+    low = high = int(candidates[0])
+    direction = 0
+    for index, value in zip(candidates.tolist(), values[candidates].tolist(), strict=True):
+        if value > values[high]:
+            high = index
+        if value < values[low]:
+            low = index
+        if direction >= 0 and values[high] - value > threshold:
+            if direction > 0:
+                found.append(high)
+            direction, low = -1, index
+            high = index
+        elif direction <= 0 and value - values[low] > threshold:
+            if direction < 0:
+                found.append(low)
+            direction, high = 1, index
+            low = index
+    return found
+
+
+def first_direction(values: FloatArray, turns: list[int]) -> int:
+    """Direction of the first half-cycle: +1 when displacement grows.
+
+    Parameters
+    ----------
+    values : array, shape (n_samples,)
+        Displacement.
+    turns : list of int
+        Reversals.
+
+    Returns
+    -------
+    int
+    """
+    end = turns[0] if turns else values.size - 1
+    return 1 if values[end] >= values[0] else -1
+
+
+def place(
+    time_s: FloatArray, raw: FloatArray, smoothed: FloatArray, turns: list[int], noise: float, kinks_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Give every reversal its turning time and turning displacement.
+
+    A quartic in time is fitted around each extreme, over an eighth of the shorter neighbouring stroke. Where it does
+    not fit (a corner, a rest), the smoothed curve, which stops at corners, gives the displacement, and the time is
+    that at which the motion back begins.
+
+    Parameters
+    ----------
+    time_s, raw, smoothed : array, shape (n_samples,)
+        Time, displacement as measured and as smoothed.
+    turns : list of int
+        Indices of the reversals in the smoothed displacement.
+    noise : float
+        Standard deviation of one raw sample.
+    kinks_s : array
+        Times of corners, starts and stops, s.
+
+    Returns
+    -------
+    turn_s, turn_mm : array, shape (len(turns),)
+    """
+    times, places = np.empty(len(turns)), np.empty(len(turns))
+    edges = [0, *turns, raw.size - 1]
+    for k, index in enumerate(turns):
+        before, after = edges[k], edges[k + 2]
+        lo, hi = _neighbourhood(smoothed, before, index, after)
+        times[k], places[k] = _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
+        if not np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
+            fitted = _quartic(time_s, raw, lo, hi, noise, peak=smoothed[index] > smoothed[before])
+            times[k], places[k] = fitted or (times[k], places[k])
+    return times, places
+
+
+def _neighbourhood(smoothed: FloatArray, before: int, index: int, after: int) -> tuple[int, int]:
+    """Find the samples on both sides of an extreme that lie within a share of the shorter stroke of it."""
+    reach = _NEAR * min(abs(smoothed[index] - smoothed[before]), abs(smoothed[index] - smoothed[after]))
+    left = np.flatnonzero(np.abs(smoothed[before : index + 1] - smoothed[index]) > reach)
+    right = np.flatnonzero(np.abs(smoothed[index : after + 1] - smoothed[index]) > reach)
+    lo = before + int(left[-1]) + 1 if left.size else before
+    hi = index + int(right[0]) - 1 if right.size else after
+    return lo, max(hi, index)
+
+
+def _quartic(
+    time_s: FloatArray, raw: FloatArray, lo: int, hi: int, noise: float, peak: bool
+) -> tuple[float, float] | None:
+    """Extreme of a quartic through the samples lo..hi; None when it does not describe them."""
+    if hi - lo + 1 < _MIN_POINTS:
+        return None
+    stride = max(1, (hi - lo + 1) // _MAX_POINTS)
+    t, x = time_s[lo : hi + 1 : stride], raw[lo : hi + 1 : stride]
+    middle, span = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
+    u = (t - middle) / span
+    matrix = np.vander(u, 5)
+    coefficients = np.linalg.lstsq(matrix, x, rcond=None)[0]
+    residual = float(np.sqrt(np.sum((x - matrix @ coefficients) ** 2) / (x.size - 5)))
+    if residual > _POOR * noise + 1e-3 * float(np.ptp(x)):
+        return None
+    fine = np.linspace(-1.0, 1.0, 401)
+    curve = np.polyval(coefficients, fine)
+    best = int(np.argmax(curve) if peak else np.argmin(curve))
+    if best in (0, fine.size - 1):
+        return None
+    return float(middle + span * fine[best]), float(curve[best])
+
+
+def _corner(
+    time_s: FloatArray,
+    raw: FloatArray,
+    smoothed: FloatArray,
+    around: tuple[int, int, int],
+    noise: float,
+    kinks_s: FloatArray,
+) -> tuple[float, float]:
+    """Place the turning point at a corner or after a rest: the last corner nearby, else the extreme itself."""
+    lo, index, hi = around
+    near = kinks_s[(kinks_s >= time_s[lo]) & (kinks_s <= time_s[hi])]
+    level = np.interp(near, time_s, smoothed)
+    close = near[np.abs(level - smoothed[index]) <= max(5 * noise, 1e-3 * float(np.ptp(raw)))]
+    if close.size == 0:
+        return float(time_s[index]), float(smoothed[index])
+    rest = (time_s >= close[0]) & (time_s <= close[-1])
+    if np.count_nonzero(rest) >= _MIN_POINTS:
+        return float(close[-1]), float(np.median(raw[rest]))
+    return _meeting(time_s, raw, lo, hi, float(close[-1])) or (float(close[-1]), float(smoothed[index]))
+
+
+def _meeting(time_s: FloatArray, raw: FloatArray, lo: int, hi: int, corner: float) -> tuple[float, float] | None:
+    """Where the straight lines before and after a corner meet; None when they do not meet there."""
+    split = int(np.searchsorted(time_s, corner))
+    gap = float(time_s[min(split + 1, time_s.size - 1)] - time_s[split - 1])
+    if split - lo < 4 or hi - split < 4:
+        return None
+    left = np.polyfit(time_s[lo : split - 1] - corner, raw[lo : split - 1], 1)
+    right = np.polyfit(time_s[split + 2 : hi + 1] - corner, raw[split + 2 : hi + 1], 1)
+    if np.sign(left[0]) == np.sign(right[0]) or left[0] == right[0]:
+        return None
+    after = float((right[1] - left[1]) / (left[0] - right[0]))
+    return (corner + after, float(np.polyval(left, after))) if abs(after) <= 2 * gap else None

@@ -1,0 +1,314 @@
+"""Displacement and velocity by a local cubic whose window follows from the noise and that stops at corners."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from shj_bayes.recording.limits import BIAS_RANGE, BIAS_SHARE, GAP_STEPS, KINK_Z, SHORTEST_SHARE
+from shj_bayes.recording.recording import FloatArray
+from shj_bayes.recording.reversals import hysteresis
+
+MAX_HALF_WIDTH = 100  # grid points on each side: wider windows are reached by averaging samples first
+_CUBIC = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Evenly spaced version of the samples, on which the filters work.
+
+    Parameters
+    ----------
+    time : array, shape (n_grid,)
+        s.
+    values : array, shape (n_grid,)
+        Mean of the samples of each cell, moved to the cell's centre.
+    step : float
+        s.
+    noise : float
+        Standard deviation of the noise of ``values``.
+    """
+
+    time: FloatArray
+    values: FloatArray
+    step: float
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """Smoothed displacement and its velocity at the samples.
+
+    Parameters
+    ----------
+    values, velocity : array, shape (n_samples,)
+        mm and mm/s.
+    noise : float
+        Standard deviation of what noise is left in ``values``, mm.
+    half_width_s : float
+        Half of the window, s.
+    bandwidth_Hz : float
+        Frequency at which the velocity has lost 3 dB.
+    kinks_s : array
+        Times of corners, starts and stops at which the windows end, s.
+    """
+
+    values: FloatArray
+    velocity: FloatArray
+    noise: float
+    half_width_s: float
+    bandwidth_Hz: float
+    kinks_s: FloatArray
+
+
+def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -> Grid:
+    """Average samples in cells of the given width and place the means on an even grid.
+
+    Parameters
+    ----------
+    time_s, values : array, shape (n_samples,)
+        Samples, evenly spaced or not.
+    noise : float
+        Standard deviation of one sample.
+    step : float
+        Width of a cell, s; at least the sampling interval.
+
+    Returns
+    -------
+    Grid
+    """
+    n = int(np.floor((time_s[-1] - time_s[0]) / step + 1e-6)) + 1
+    centres = time_s[0] + step * np.arange(n)
+    if n == time_s.size and np.allclose(time_s, centres, rtol=0.0, atol=0.02 * step):
+        return Grid(centres, values, step, noise)
+    cell = np.clip(np.rint((time_s - time_s[0]) / step).astype(np.int64), 0, n - 1)
+    count = np.bincount(cell, minlength=n)
+    filled = count > 0
+    mean_time = np.bincount(cell, time_s - time_s[0], n)[filled] / count[filled] + time_s[0]
+    mean_value = np.bincount(cell, values, n)[filled] / count[filled]
+    # Times first, values second: interpolating between means keeps a straight line straight whatever the jitter.
+    return Grid(centres, np.interp(centres, mean_time, mean_value), step, noise / np.sqrt(max(1.0, time_s.size / n)))
+
+
+def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, threshold: float) -> Smooth:
+    """Smooth a measured displacement and differentiate it.
+
+    Parameters
+    ----------
+    time_s, values : array, shape (n_samples,)
+        Samples with strictly increasing times.
+    noise : float
+        Standard deviation of one sample.
+    count : float
+        Step of the encoder, 0 when there is none.
+    threshold : float
+        Hysteresis of the first search for half-cycles.
+
+    Returns
+    -------
+    Smooth
+    """
+    step = float(np.median(np.diff(time_s)))
+    turns = hysteresis(values, threshold)
+    # Neighbouring windows differ by the rounding error of a slow staircase without any bias, and noise that is not
+    # white is larger than its third differences tell; a ten-thousandth of the range is no bias that a loop shows.
+    coloured = min(BIAS_RANGE * float(np.ptp(values)), 4.0 * noise)
+    allowed = max(BIAS_SHARE * noise, coloured, count / float(np.sqrt(12.0)))
+    half_s = choose_half_width(time_s, values, noise, allowed, turns)
+    grid = grid_of(time_s, values, noise, max(step, half_s / MAX_HALF_WIDTH))
+    half = max(2, round(half_s / grid.step))
+    # Two counts of an encoder close together look like a corner of their own height.
+    kinks = find_kinks(grid, half, max(allowed, count))
+    long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * step, grid.step))
+    gap_edges = np.rint((time_s[np.concatenate([long, long + 1])] - grid.time[0]) / grid.step).astype(np.int64)
+    breaks = np.unique(np.clip(np.concatenate([[0], kinks, gap_edges, [grid.time.size - 1]]), 0, grid.time.size - 1))
+    position, velocity = _by_segment(time_s, grid, half, breaks)
+    kernel = savgol_coeffs(2 * half + 1, _CUBIC)
+    return Smooth(
+        values=position,
+        velocity=velocity,
+        noise=float(grid.noise * np.sqrt(np.sum(kernel**2))),
+        half_width_s=half * grid.step,
+        bandwidth_Hz=bandwidth(half, grid.step),
+        kinks_s=grid.time[kinks],
+    )
+
+
+def choose_half_width(time_s: FloatArray, values: FloatArray, noise: float, allowed: float, turns: list[int]) -> float:
+    """Widest window that moves the curve of no half-cycle by more than a share of the noise.
+
+    Windows are widened by a factor 1.5. In each half-cycle (without its ends, where a corner may be) the difference
+    between neighbouring windows is compared with what noise alone would give; its median is used, so that a stop
+    within the half-cycle does not count as curvature. A fifth of the shortest half-cycle is never exceeded.
+
+    Parameters
+    ----------
+    time_s, values : array, shape (n_samples,)
+        Samples.
+    noise : float
+        Standard deviation of one sample.
+    allowed : float
+        Change of the curve that does not matter, whether or not it is noise.
+    turns : list of int
+        Indices of the first, rough reversals.
+
+    Returns
+    -------
+    float
+        Half of the window, s.
+    """
+    step = float(np.median(np.diff(time_s)))
+    edges = np.concatenate([[time_s[0]], time_s[turns], [time_s[-1]]])
+    # The first and the last half-cycle may be cut short or hold a rest, so only whole ones tell the shortest duration.
+    whole = np.diff(edges)[1:-1] if edges.size > 3 else np.diff(edges)
+    limit = SHORTEST_SHARE * float(np.min(whole))
+    accepted = 2.0 * step
+    before = np.full(edges.size - 1, np.inf)
+    while accepted * 1.5 <= limit:
+        trial = accepted * 1.5
+        grid = grid_of(time_s, values, noise, max(step, trial / MAX_HALF_WIDTH))
+        change, expected = _changes(grid, edges, (accepted, trial))
+        # Noise that is not white changes the curve more than expected, but less and less as the window grows; a bias
+        # grows with its fourth power.
+        if np.any(change > np.maximum(np.maximum(allowed, expected), before)):
+            break
+        accepted, before = trial, np.where(np.isfinite(change), change, before)
+    return accepted
+
+
+def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Typical change of each half-cycle from the narrower to the wider window, and what white noise would give."""
+    m_narrow, m_wide = (max(2, round(width / grid.step)) for width in widths)
+    change, expected = np.full(edges.size - 1, np.nan), np.zeros(edges.size - 1)
+    if m_narrow == m_wide or grid.time.size <= 2 * m_wide + 1:
+        return change, expected
+    kernel = savgol_coeffs(2 * m_wide + 1, _CUBIC)
+    kernel[m_wide - m_narrow : m_wide + m_narrow + 1] -= savgol_coeffs(2 * m_narrow + 1, _CUBIC)
+    moved = np.abs(np.convolve(grid.values, kernel, mode="same"))
+    noise = grid.noise * float(np.sqrt(np.sum(kernel**2)))
+    margin = max(1.5 * widths[1], 2 * grid.step)
+    for k, (begin, end) in enumerate(pairwise(edges)):
+        lo, hi = np.searchsorted(grid.time, [max(begin, grid.time[0]) + margin, min(end, grid.time[-1]) - margin])
+        if hi - lo >= 3:
+            independent = max(1.0, (hi - lo) / m_wide)
+            change[k] = float(np.median(moved[lo:hi])) / 0.6745
+            expected[k] = noise * (1.0 + 3.0 / np.sqrt(independent))
+    return change, expected
+
+
+def find_kinks(grid: Grid, half: int, allowed: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Places where the slope jumps: corners of a triangle, starts and stops.
+
+    The coefficient of abs(t) beside a local quintic is a linear filter of the samples; where it stands far out of
+    its noise there is a corner.
+
+    Parameters
+    ----------
+    grid : Grid
+        Samples on an even grid.
+    half : int
+        Half-width of the window, grid points.
+    allowed : float
+        Corners that smoothing would round by less than this are left to it.
+
+    Returns
+    -------
+    array of int
+        Grid indices.
+    """
+    if half < 4 or grid.time.size < 4 * half:
+        return np.zeros(0, dtype=np.int64)
+    u = np.arange(-half, half + 1) / half
+    # A quintic beside |u|, so that a smooth peak is no corner; odd powers are orthogonal to |u| already.
+    basis = np.column_stack([np.ones_like(u), u**2, u**4])
+    hinge = np.abs(u) - basis @ np.linalg.lstsq(basis, np.abs(u), rcond=None)[0]
+    kernel = hinge / np.sum(hinge**2)
+    inside = np.convolve(grid.values, kernel[::-1], mode="valid")
+    scale = grid.noise * float(np.sqrt(np.sum(kernel**2)))
+    # Correlated noise (filters, encoder counts, rig ringing) spreads the coefficient more than white noise would.
+    scale = max(scale, float(np.median(np.abs(inside))) / 0.6745, 1e-9 * float(np.ptp(grid.values)) + 1e-300)
+    # A local cubic rounds |u| by 3/16 at its tip.
+    z = np.where(0.1875 * np.abs(inside) > allowed, np.abs(inside) / scale, 0.0)
+    found: list[int] = []
+    for index in np.argsort(-z)[: max(1, 40 * z.size // half)]:
+        if z[index] < KINK_Z:
+            break
+        if all(abs(index - other) > half for other in found):
+            found.append(int(index))
+    return np.array(sorted(found), dtype=np.int64) + half
+
+
+def _by_segment(time_s: FloatArray, grid: Grid, half: int, breaks: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    """Fit every stretch between two breaks by itself and read position and velocity at the samples."""
+    position, velocity = np.empty_like(time_s), np.empty_like(time_s)
+    edges = np.searchsorted(time_s, grid.time[breaks], side="left")
+    edges[0], edges[-1] = 0, time_s.size
+    for k, (lo, hi) in enumerate(pairwise(breaks.tolist())):
+        rows = slice(int(edges[k]), int(edges[k + 1]))
+        if rows.stop <= rows.start:
+            continue
+        x, v = local_cubic(grid.values[lo : hi + 1], half, grid.step)
+        if rows.stop - rows.start == x.size and np.allclose(
+            time_s[rows], grid.time[lo : hi + 1], atol=1e-3 * grid.step
+        ):
+            position[rows], velocity[rows] = x, v
+            continue
+        curve = CubicHermiteSpline(grid.time[lo : hi + 1], x, v)
+        position[rows], velocity[rows] = curve(time_s[rows]), curve(time_s[rows], 1)
+    return position, velocity
+
+
+def local_cubic(values: FloatArray, half: int, step: float) -> tuple[FloatArray, FloatArray]:
+    """Local cubic through one stretch; its ends use the last whole window.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        Evenly spaced samples.
+    half : int
+        Half-width of the window, samples.
+    step : float
+        Spacing, s.
+
+    Returns
+    -------
+    position, velocity : array, shape (n,)
+    """
+    n = values.size
+    if n < 2:
+        return values, np.zeros(n)
+    window = min(2 * half + 1, n if n % 2 else n - 1)
+    if window <= _CUBIC + 1:
+        slope = float(values[-1] - values[0]) / ((n - 1) * step)
+        return values, np.full(n, slope)
+    position = savgol_filter(values, window, _CUBIC, mode="interp")
+    velocity = savgol_filter(values, window, _CUBIC, deriv=1, delta=step, mode="interp")
+    return position, velocity
+
+
+def bandwidth(half: int, step: float) -> float:
+    """Frequency at which the velocity from the local cubic has lost 3 dB.
+
+    Parameters
+    ----------
+    half : int
+        Half-width of the window, samples.
+    step : float
+        Spacing, s.
+
+    Returns
+    -------
+    float
+        Hz.
+    """
+    kernel = savgol_coeffs(2 * half + 1, _CUBIC, deriv=1, delta=step, use="dot")
+    offsets = np.arange(-half, half + 1) * step
+    frequency = np.linspace(1e-3, 0.5, 2000) / step
+    omega = 2 * np.pi * frequency
+    gain = np.abs(np.sin(np.outer(omega, offsets)) @ kernel) / omega
+    below = np.flatnonzero(gain < np.sqrt(0.5))
+    return float(frequency[below[0]] if below.size else frequency[-1])

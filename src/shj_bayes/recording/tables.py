@@ -1,0 +1,191 @@
+"""A file from the laboratory as named columns of numbers, whatever its format."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_ROWS
+from shj_bayes.recording.recording import Finding, FloatArray
+
+FORMATS = {
+    ".csv": "csv",
+    ".tsv": "csv",
+    ".txt": "csv",
+    ".dat": "csv",
+    ".asc": "csv",
+    ".xlsx": "xlsx",
+    ".mat": "mat",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+    ".tdms": "tdms",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column of a file.
+
+    Parameters
+    ----------
+    name : str
+        Name in the file, without the unit where the unit could be told apart; ``"#3"`` without a header.
+    values : array, shape (n_rows,)
+        Numbers; NaN where the cell was empty or held no number.
+    unit : str or None
+        Unit as written in the file.
+    header : str
+        Header as written, name and unit together.
+    """
+
+    name: str
+    values: FloatArray
+    unit: str | None = None
+    header: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """What a file holds, before anything is chosen or converted.
+
+    Parameters
+    ----------
+    name : str
+        File name without folders.
+    format : str
+        ``csv``, ``xlsx``, ``mat``, ``hdf5`` or ``tdms``.
+    sha256 : str
+        Digest of the file as it lies on the disk.
+    columns : tuple of Column
+        In the order of the file.
+    has_header : bool
+        Whether the columns have names of their own.
+    scalars : dict of str to float
+        Single numbers stored beside the columns (MAT variables, HDF5 and TDMS attributes).
+    findings : tuple of Finding
+        What was met while reading.
+    """
+
+    name: str
+    format: str
+    sha256: str
+    columns: tuple[Column, ...]
+    has_header: bool = True
+    scalars: dict[str, float] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """Columns in words, for error messages."""
+        shown = [f"{i}: {c.header or c.name}" for i, c in enumerate(self.columns[:12], start=1)]
+        more = f" and {len(self.columns) - 12} more" if len(self.columns) > 12 else ""
+        extra = f"; single numbers: {', '.join(list(self.scalars)[:12])}" if self.scalars else ""
+        return f"columns are {', '.join(shown)}{more}{extra}"
+
+
+def read_table(path: str | Path) -> Table:
+    """Read any supported file into columns of numbers.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV, TSV, TXT, DAT (also .gz), XLSX, MAT (v4 to v7.3), HDF5 or TDMS; the ending tells which.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    RecordingError
+        If there is no such file, or it is empty, too large, or not what its ending says.
+    """
+    path = Path(path)
+    kind = _kind(path)
+    try:
+        table = _parse(path, kind)
+    except RecordingError:
+        raise
+    except MemoryError as error:
+        raise RecordingError(f"{path.name}: not enough memory to read it; export fewer channels or rows") from error
+    except Exception as error:
+        # The parsers of six formats raise dozens of kinds of errors for damaged files; all mean the same to the user.
+        reason = (str(error).splitlines() or [""])[0].replace(str(path), path.name)
+        raise RecordingError(
+            f"{path.name}: cannot be read as {kind} ({type(error).__name__}: {reason[:160]}); "
+            f"check that the file is complete and that its ending is right"
+        ) from error
+    return _checked(table)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, read in pieces."""
+    sha = hashlib.sha256()
+    with path.open("rb") as stream:
+        while piece := stream.read(CHUNK_BYTES):
+            sha.update(piece)
+    return sha.hexdigest()
+
+
+def _kind(path: Path) -> str:
+    """Format by the ending, after the checks that need no reading."""
+    if path.is_dir():
+        raise RecordingError(f"{path.name or path} is a folder; name one recording in it")
+    if not path.exists():
+        raise RecordingError(f"{path}: there is no such file; check the name and the folder")
+    if not path.is_file():
+        raise RecordingError(f"{path.name} is not an ordinary file; a recording must be a file on the disk")
+    size = path.stat().st_size
+    if size == 0:
+        raise RecordingError(f"{path.name} is empty (0 bytes); export it again")
+    if size > MAX_BYTES:
+        raise RecordingError(
+            f"{path.name} has {size / 1024**2:.0f} MiB; allowed are {MAX_BYTES // 1024**2} MiB; export fewer channels"
+        )
+    ending = Path(path.stem).suffix if path.suffix.lower() == ".gz" else path.suffix
+    kind = FORMATS.get(ending.lower())
+    if kind is None or (path.suffix.lower() == ".gz" and kind != "csv"):
+        raise RecordingError(
+            f"{path.name}: ending {''.join(path.suffixes[-2:]) or '(none)'!r} is not supported; allowed are "
+            f"{', '.join(FORMATS)}, and .gz after the text formats"
+        )
+    return kind
+
+
+def _parse(path: Path, kind: str) -> Table:
+    """Hand over to the reader of the format; each imports its library only when it is needed."""
+    if kind == "csv":
+        from shj_bayes.recording.text import read_text as reader  # noqa: PLC0415
+    elif kind == "xlsx":
+        from shj_bayes.recording.excel import read_excel as reader  # noqa: PLC0415
+    elif kind == "tdms":
+        from shj_bayes.recording.tdms import read_tdms as reader  # noqa: PLC0415
+    else:
+        from shj_bayes.recording.binary import read_binary as reader  # noqa: PLC0415
+    return reader(path, digest(path))
+
+
+def _checked(table: Table) -> Table:
+    """Refuse tables without numbers or beyond the bounds."""
+    n_rows = max((c.values.size for c in table.columns), default=0)
+    if n_rows < 2:
+        raise RecordingError(f"{table.name}: no column of numbers found; it must hold at least 2 rows of numbers")
+    if n_rows > MAX_ROWS or len(table.columns) > MAX_COLUMNS:
+        raise RecordingError(
+            f"{table.name}: {n_rows} rows and {len(table.columns)} columns; allowed are {MAX_ROWS} rows and "
+            f"{MAX_COLUMNS} columns; export fewer"
+        )
+    for column in table.columns:
+        column.values.setflags(write=False)
+    return table
+
+
+def as_floats(values: object) -> FloatArray:
+    """Copy to float64; infinities become NaN, since no sensor measures them."""
+    array = np.array(values, dtype=np.float64)
+    array[~np.isfinite(array)] = np.nan
+    return array

@@ -1,0 +1,56 @@
+"""TDMS files as LabVIEW writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording.headers import split_header
+from shj_bayes.recording.limits import MAX_BYTES
+from shj_bayes.recording.tables import Column, Table, as_floats
+
+
+def read_tdms(path: Path, sha256: str) -> Table:
+    """Read the numeric channels of a TDMS file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    sha256 : str
+        Its digest.
+
+    Returns
+    -------
+    Table
+        A waveform's sampling interval is kept as the single number ``wf_increment`` (s).
+    """
+    with path.open("rb") as stream:
+        if stream.read(4) != b"TDSm":
+            raise RecordingError(f"{path.name} is not a TDMS file although its ending says so; export it again")
+    from nptdms import TdmsFile  # noqa: PLC0415
+
+    with TdmsFile.open(path) as file:
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        channels = [c for c in channels if c.dtype is not None and c.dtype.kind in "fiu" and len(c)]
+        total = sum(8 * len(channel) for channel in channels)
+        if total > MAX_BYTES:
+            raise RecordingError(
+                f"{path.name} holds {total / 1024**2:.0f} MiB of numbers; "
+                f"allowed are {MAX_BYTES // 1024**2} MiB; export fewer"
+            )
+        names = [str(channel.name) for channel in channels]
+        unique = len(set(names)) == len(names)
+        columns = tuple(_column(channel, unique) for channel in channels)
+        steps = {float(c.properties["wf_increment"]) for c in channels if "wf_increment" in c.properties}
+    scalars = {"wf_increment": steps.pop()} if len(steps) == 1 else {}
+    return Table(path.name, "tdms", sha256, columns, scalars=scalars)
+
+
+def _column(channel: Any, unique: bool) -> Column:
+    """One channel; its group is part of the name only where names repeat."""
+    name, own = split_header(str(channel.name))
+    name = name if unique else f"{channel.group_name}/{name}"
+    unit = str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "").strip()
+    return Column(name, as_floats(channel[:]), unit or own, str(channel.name))

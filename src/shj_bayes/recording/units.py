@@ -1,0 +1,212 @@
+"""Units as laboratories write them, turned into seconds, millimetres and kilonewtons."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+from shj_bayes.errors import RecordingError
+
+if TYPE_CHECKING:
+    import pint
+
+Role = Literal["time", "displacement", "force"]
+ROLES: tuple[Role, ...] = ("time", "displacement", "force")
+TARGET: dict[Role, str] = {"time": "s", "displacement": "mm", "force": "kN"}
+_DIMENSION: dict[Role, str] = {"time": "[time]", "displacement": "[length]", "force": "[force]"}
+_EXAMPLES: dict[Role, tuple[str, ...]] = {
+    "time": ("s", "ms", "us", "min", "h"),
+    "displacement": ("mm", "cm", "m", "um", "in", "ft"),
+    "force": ("N", "kN", "MN", "lbf", "kip", "kgf", "tonf"),
+}
+# What laboratories write -> what pint understands. lb on a force channel is a pound-force.
+_ALIASES = {
+    '"': "inch",
+    "''": "inch",
+    "in": "inch",
+    "in.": "inch",
+    "ins": "inch",
+    "inches": "inch",
+    "lb": "lbf",
+    "lbs": "lbf",
+    "lb.": "lbf",
+    "lb-f": "lbf",
+    "pound": "lbf",
+    "pounds": "lbf",
+    "kips": "kip",
+    "klbf": "kip",
+    "sec": "s",
+    "secs": "s",
+    "sec.": "s",
+    "msec": "ms",
+    "usec": "us",
+    "mins": "min",
+    "hr": "hour",
+    "h": "hour",
+    "micron": "um",
+    "microns": "um",
+    "\u00b5m": "um",  # micro sign
+    "\u03bcm": "um",  # Greek mu
+    "\u00b5s": "us",
+    "\u03bcs": "us",
+    "kgf": "kgf",
+    "tonf": "metric_ton * standard_gravity",
+    "tf": "metric_ton * standard_gravity",
+    "kp": "kgf",
+}
+# Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
+_ANY_CASE = {
+    "kn": "kN",
+    "n": "N",
+    "mm": "mm",
+    "cm": "cm",
+    "s": "s",
+    "ms": "ms",
+    "in": "inch",
+    "kip": "kip",
+    "lbf": "lbf",
+}
+
+
+@cache
+def _registry() -> pint.UnitRegistry[float]:
+    """Make the one unit registry, on first use: importing pint takes longer than printing a help page."""
+    import pint  # noqa: PLC0415
+
+    return pint.UnitRegistry()
+
+
+@cache
+def _parse(text: str) -> pint.Unit | None:
+    """Pint unit of a laboratory's spelling, None when there is none."""
+    if not re.fullmatch(r"""[\w."'*/ ^\u00b5\u03bc%-]{1,24}""", text):
+        return None
+    registry = _registry()
+    candidates = [_ALIASES.get(text, text), _ALIASES.get(text.lower(), text), _ANY_CASE.get(text.lower(), text)]
+    for name in candidates:
+        try:
+            unit = registry.Unit(name)
+        except Exception:  # pint raises tokenizer, attribute and value errors for bad spellings
+            continue
+        if role_of_dimension(unit) is not None:
+            return unit
+    try:
+        return registry.Unit(candidates[0])
+    except Exception:
+        return None
+
+
+def role_of_dimension(unit: pint.Unit) -> Role | None:
+    """Channel that a unit's dimension can only belong to."""
+    for role in ROLES:
+        if unit.is_compatible_with(_EXAMPLES[role][0]):
+            return role
+    return None
+
+
+def role_of(text: str) -> Role | None:
+    """Channel (time, displacement or force) that a unit belongs to.
+
+    Parameters
+    ----------
+    text : str
+        Unit as written, for example ``"kip"``.
+
+    Returns
+    -------
+    {"time", "displacement", "force"} or None
+        None when it is not a unit of one of them.
+    """
+    unit = _parse(text.strip())
+    return None if unit is None else role_of_dimension(unit)
+
+
+def factor(text: str, role: Role) -> float:
+    """Multiplier from a unit to the tool's unit of a channel.
+
+    Parameters
+    ----------
+    text : str
+        Unit as written; ``lb`` is a pound-force.
+    role : {"time", "displacement", "force"}
+        Channel; the targets are s, mm and kN.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    RecordingError
+        If it is not a unit of that channel.
+    """
+    text = text.strip()
+    unit = _parse(text)
+    if unit is None or role_of_dimension(unit) != role:
+        raise RecordingError(_refusal(text, role, known=unit is not None))
+    return float(_registry().Quantity(1.0, unit).to(TARGET[role]).magnitude)
+
+
+def _refusal(text: str, role: Role, known: bool) -> str:
+    """One line: what came, what is allowed, what to do."""
+    allowed = _EXAMPLES[role]
+    near = difflib.get_close_matches(text, [*allowed, *_ALIASES], n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near and near[0] != text else ""
+    what = "is a unit, but not of" if known else "is no known unit of"
+    electrical = text.lower() in {"v", "mv", "volt", "volts"}
+    advice = (
+        "; multiply by the sensor's calibration first, or choose the calibrated column with --columns"
+        if electrical
+        else hint or f"; state the unit with --units, for example --units {','.join(TARGET.values())}"
+    )
+    return f"unit {text!r} {what} {role}; allowed are {', '.join(allowed)}{advice}"
+
+
+def parse_units(option: str | None) -> dict[Role, str]:
+    """Read the ``--units`` option: units in any order, or ``role=unit`` pairs.
+
+    Parameters
+    ----------
+    option : str or None
+        For example ``"mm,kN,s"`` or ``"time=ms,force=lb"``.
+
+    Returns
+    -------
+    dict
+        Role to unit as written; only what was given.
+
+    Raises
+    ------
+    RecordingError
+        For something that is no unit of a channel, or two units of the same one.
+    """
+    found: dict[Role, str] = {}
+    for part in (piece.strip() for piece in (option or "").split(",")):
+        if not part:
+            continue
+        name, _, unit = (piece.strip() for piece in part.rpartition("="))
+        role = _role_named(name, part) if name else role_of(unit)
+        if role is None:
+            near = difflib.get_close_matches(unit, [u for units in _EXAMPLES.values() for u in units], n=1, cutoff=0.4)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise RecordingError(
+                f"--units: {unit!r} is no unit of time, length or force{hint} "
+                f"Write for example --units mm,kN,s or --units time=ms,displacement=in,force=kip"
+            )
+        factor(unit, role)
+        if role in found:
+            raise RecordingError(
+                f"--units gives {role} twice: {found[role]!r} and {unit!r}; give one unit for each channel"
+            )
+        found[role] = unit
+    return found
+
+
+def _role_named(name: str, part: str) -> Role:
+    """Role spelled out before the equals sign."""
+    for role in ROLES:
+        if name.lower() == role:
+            return role
+    raise RecordingError(f"--units: {part!r} names {name!r}; allowed are {', '.join(ROLES)}")

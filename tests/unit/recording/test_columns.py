@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording.columns import choose, parse_columns
+from shj_bayes.recording.formula import evaluate
+from shj_bayes.recording.headers import split_header
+from shj_bayes.recording.tables import Column, Table
+
+N = 6
+
+
+def table(*headers, scalars=None, has_header=True):
+    columns = []
+    for i, header in enumerate(headers):
+        name, unit = split_header(header)
+        columns.append(Column(name if has_header else f"#{i + 1}", np.arange(N) * (i + 1.0), unit, header))
+    return Table("run.csv", "csv", "", tuple(columns), has_header, scalars or {})
+
+
+def test_header_names_and_units_are_found():
+    found = choose(table("Time (ms)", "Displacement (in)", "Force (kip)", "Band force 1 (lb)"))
+    np.testing.assert_allclose(found.time_s, np.arange(N) * 1e-3)
+    np.testing.assert_allclose(found.displacement_mm, np.arange(N) * 2 * 25.4)
+    np.testing.assert_allclose(found.force_kN, np.arange(N) * 3 * 4.4482216152605)
+    assert found.units == {"time": "ms", "displacement": "in", "force": "kip"}
+    assert [f.code for f in found.findings] == ["columns-ignored"]
+
+
+def test_a_unit_that_nobody_gave_is_assumed_aloud():
+    found = choose(table("time", "displacement", "force"))
+    assert [(f.code, f.severity) for f in found.findings] == [("unit-assumed", "assumed")] * 3
+    assert not choose(table("time", "displacement", "force"), units="s,mm,kN").findings
+
+
+def test_an_option_that_contradicts_the_header_wins_with_a_warning():
+    found = choose(table("time_s", "displacement_mm", "force_kN"), units="force=N")
+    np.testing.assert_allclose(found.force_kN, np.arange(N) * 3e-3)
+    assert [(f.code, f.severity) for f in found.findings] == [("unit-overruled", "warning")]
+    assert not choose(table("time_s", "disp_in", "force_kN"), units='displacement="').findings
+
+
+def test_a_header_that_contains_the_word_is_taken_and_said():
+    found = choose(table("Test time (s)", "LVDT 1 (mm)", "Actuator load (kN)"))
+    assert [f.code for f in found.findings] == ["column-by-word"] * 2
+
+
+@pytest.mark.parametrize(
+    ("headers", "words"),
+    [
+        (
+            ("Time (s)", "LVDT 1 (mm)", "LVDT 2 (mm)", "Force (kN)"),
+            ["2 columns", "LVDT 1", "LVDT 2", "--columns displ"],
+        ),
+        (("time", "Force (kN)", "Load (kN)", "disp"), ["2 columns could be force"]),
+        (("e_true", "Sigma_true"), ["no time column", "e_true", "--columns", "--rate"]),
+        (("time", "force"), ["no displacement column"]),
+        (("time", "displacement (V)", "force"), ["'V'", "displacement", "calibration"]),
+        (("time", "displacement", "force (MPa)"), ["'MPa'", "not of force"]),
+    ],
+)
+def test_missing_and_ambiguous_columns(headers, words):
+    with pytest.raises(RecordingError) as caught:
+        choose(table(*headers))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_numbers_formulas_and_steps():
+    plain = table(*"abcdefg", has_header=False)
+    found = choose(plain, "time=1,displacement=5,force=#7 - 49.087*#6", "ms,mm,N")
+    np.testing.assert_allclose(found.force_kN, np.arange(N) * (7 - 49.087 * 6) * 1e-3)
+    assert found.columns["force"] == "#7 - 49.087*#6"
+    mat = table("vir", "qm", scalars={"gtau": 35.0, "Ts": 10.0})
+    found = choose(mat, "time=Ts,displacement=qm,force=gtau*vir", "ms,m,N")
+    np.testing.assert_allclose(found.time_s, np.arange(N) * 0.01)
+    np.testing.assert_allclose(found.force_kN, np.arange(N) * 35e-3)
+    assert [f.code for f in found.findings] == ["time-from-step"]
+
+
+def test_names_with_blanks_commas_and_brackets():
+    columns = table("Time, elapsed (s)", "Displacement (in)", "Axial force, total (kip)")
+    found = choose(columns, "time=Time, elapsed (s),displacement=displacement,force=Axial force, total")
+    np.testing.assert_allclose(found.force_kN, np.arange(N) * 3 * 4.4482216152605)
+    np.testing.assert_array_equal(evaluate("2*'Displacement (in)' + 1/4", columns).values, np.arange(N) * 4 + 0.25)
+    np.testing.assert_array_equal(evaluate("- #1 + -#2", columns).values, np.arange(N) * -3.0)
+
+
+@pytest.mark.parametrize(
+    ("formula", "words"),
+    [
+        ("#1*#2", "multiplies or divides two columns"),
+        ("2/#1", "multiplies or divides two columns"),
+        ("#1/0", "divides by zero"),
+        ("#9", "no column 9; allowed are 1 to 3"),
+        ("#1 +", "ends too early"),
+        ("#1 * * 2", "wrong place"),
+        ("#1 2", "expected"),
+        ("nothing", "no column named 'nothing'"),
+        ("__import__('os').system('x')", "cannot read|no column named"),
+        ("a" * 500, "no column|500 characters"),
+        ("#1 ** 2", "wrong place"),
+    ],
+)
+def test_formulas_that_are_refused(formula, words):
+    with pytest.raises(RecordingError, match=words):
+        evaluate(formula, table("time", "displacement", "force"))
+
+
+def test_rate_makes_the_time_and_says_so():
+    found = choose(table("a", "b", has_header=False), "displacement=1,force=2", "mm,kN", 4.0)
+    np.testing.assert_array_equal(found.time_s, np.arange(N) / 4)
+    assert [(f.code, f.severity) for f in found.findings] == [("rate-given", "assumed")]
+    with pytest.raises(RecordingError, match="both --rate 4 and --columns time=1"):
+        choose(table("a", "b"), "time=1,displacement=1,force=2", None, 4.0)
+    with pytest.raises(RecordingError, match="allowed is 1e-6 to 1e7 Hz"):
+        choose(table("a", "b"), "displacement=1,force=2", None, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("speed=3", "'speed=3'"),
+        ("time", "cannot read 'time'"),
+        ("time=1,time=2", "time twice"),
+        ("force=", "cannot read"),
+    ],
+)
+def test_bad_columns_option(option, words):
+    with pytest.raises(RecordingError, match=words):
+        parse_columns(option)
+
+
+def test_columns_of_different_lengths_and_single_numbers():
+    short = Column("x", np.arange(3.0), "mm", "x")
+    uneven = Table("a.mat", "mat", "", (*table("t (s)", "f (kN)").columns, short), scalars={"k": 2.0})
+    with pytest.raises(RecordingError, match="different lengths"):
+        choose(uneven)
+    with pytest.raises(RecordingError, match="single number"):
+        choose(uneven, "force=k")
+    with pytest.raises(RecordingError, match="adds columns of"):
+        evaluate("t + x", uneven)

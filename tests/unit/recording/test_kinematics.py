@@ -1,0 +1,197 @@
+"""Half-cycles, turning points and speed from noisy displacement."""
+
+import time
+
+import numpy as np
+import pytest
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording import Block, Recording, exact_motion, motion_of, table_1
+from shj_bayes.recording.noise import noise_of, resolution_of
+from shj_bayes.recording.reversals import hysteresis
+from shj_bayes.recording.smoothing import bandwidth, local_cubic
+
+COUNT = 200.0 / 1024
+
+
+def measured(rate, noise, encoder, seed):
+    t, exact = exact_motion(table_1(), rate)
+    x = exact.displacement_mm + noise * np.random.default_rng(seed).standard_normal(t.size)
+    x = np.round(x / COUNT) * COUNT if encoder else x
+    return exact, motion_of(Recording(t, x, np.zeros(t.size)))
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0])
+@pytest.mark.parametrize(("noise", "encoder"), [(0.0, False), (0.02, False), (0.1, False), (0.0, True), (0.05, True)])
+def test_table_1_has_41_half_cycles_whatever_the_noise(rate, noise, encoder):
+    exact, motion = measured(rate, noise, encoder, 1)
+    assert motion.n_half == exact.n_half == 41
+    np.testing.assert_array_equal(motion.direction, exact.direction)
+    assert np.abs(motion.start - exact.start).max() <= max(2, 0.02 * rate)
+    scale = max(noise, COUNT / 2 if encoder else 0.0)
+    np.testing.assert_allclose(motion.turning_mm, exact.turning_mm, atol=max(2e-3, scale))
+    error = motion.displacement_mm - exact.displacement_mm
+    assert np.sqrt(np.mean(error**2)) < max(1e-3, 0.5 * scale)
+    assert np.all(motion.speed_mm_s >= 0)
+    assert "-3 dB" in motion.method
+
+
+@pytest.mark.parametrize(("noise", "encoder"), [(0.02, False), (0.1, False), (0.0, True)])
+def test_turning_points_and_mid_stroke_speed_are_unbiased(noise, encoder):
+    turn, speed = [], []
+    for seed in range(1 if encoder else 12):
+        exact, motion = measured(20.0, noise, encoder, seed)
+        turn.append((motion.turning_mm - exact.turning_mm)[1:] * -exact.direction[1:])
+        fast = exact.speed_mm_s > 0.95 * np.repeat(
+            np.maximum.reduceat(exact.speed_mm_s, exact.start[:-1]), np.diff(exact.start)
+        )
+        # Relative error of the mean speed at mid-stroke, by block, so that no block hides another.
+        for block in range(6):
+            rows = fast & (exact.half_cycle // 6 == block)
+            speed.append(motion.speed_mm_s[rows].mean() / exact.speed_mm_s[rows].mean() - 1)
+    errors = np.concatenate(turn)
+    # Three standard errors of the mean; the single extreme sample would be off by twice the noise.
+    assert abs(errors.mean()) < 3 * errors.std() / np.sqrt(errors.size) + 1e-3
+    assert abs(np.mean(speed)) < 0.001
+    assert np.abs(np.mean(np.reshape(speed, (-1, 6)), axis=0)).max() < 0.005
+
+
+def test_the_single_extreme_sample_would_be_biased():
+    """The check above must be able to fail."""
+    t, exact = exact_motion(table_1(), 20.0)
+    x = exact.displacement_mm + 0.1 * np.random.default_rng(1).standard_normal(t.size)
+    naive = np.array([x[max(0, i - 20) : i + 20].max() for i in exact.start[1:-1:2]])
+    assert np.mean(naive - exact.turning_mm[1::2]) > 0.05
+
+
+def triangle(rate, speed=10.0, stroke=40.0, n=10, noise=0.01, rest=0.0, seed=0):
+    """Triangles with an optional rest at each end; corners fall between samples."""
+    leg = stroke / speed
+    times, places = [0.0], [0.0]
+    for k in range(n):
+        times += [times[-1] + leg, times[-1] + leg + rest]
+        places += [stroke * ((k + 1) % 2)] * 2
+    t = np.arange(0.013, times[-1], 1 / rate)
+    x = np.interp(t, times, places) + noise * np.random.default_rng(seed).standard_normal(t.size)
+    return t, x, np.interp(t, times, places)
+
+
+@pytest.mark.parametrize("rest", [0.0, 3.0])
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+def test_corners_and_rests_are_kept(rest, noise):
+    t, x, exact = triangle(100.0, noise=noise, rest=rest)
+    motion = motion_of(Recording(t, x, np.zeros(t.size)))
+    assert motion.n_half == 10
+    np.testing.assert_allclose(motion.turning_mm[1:], [40.0, 0.0] * 4 + [40.0], atol=max(0.03, noise))
+    assert np.abs(motion.displacement_mm - exact).max() < 5 * noise
+    moving = (exact > 2) & (exact < 38)
+    assert motion.speed_mm_s[moving].mean() == pytest.approx(10.0, rel=0.003)
+    if rest:
+        still = (exact == 40.0) | (exact == 0.0)
+        assert np.median(motion.speed_mm_s[still]) < 0.5
+        # A rest belongs to the half-cycle before it: the force stays until the device moves back.
+        assert np.allclose(t[motion.start[1:-1]], np.arange(1, 10) * 7.0, atol=0.05)
+
+
+def test_a_long_rest_with_noise_and_counts_makes_no_reversals():
+    rng = np.random.default_rng(5)
+    _, exact = exact_motion((Block(6.0, 0.25, 3),), 50.0)
+    still = np.zeros(3000)
+    x = np.concatenate([still, exact.displacement_mm, still])
+    x = np.round((x + 0.06 * rng.standard_normal(x.size)) / COUNT) * COUNT
+    motion = motion_of(Recording(np.arange(x.size) / 50.0, x, np.zeros(x.size)))
+    assert motion.n_half == 7
+    np.testing.assert_allclose(motion.turning_mm[1:], [6, -6] * 3, atol=0.1)
+
+
+def test_uneven_sampling_and_a_gap():
+    t, exact = exact_motion(table_1(), 100.0)
+    rng = np.random.default_rng(1)
+    uneven = np.sort(t + 0.003 * rng.uniform(-1, 1, t.size))
+    uneven = uneven[(uneven < 200) | (uneven > 200.3)]
+    x = np.interp(uneven, t, exact.displacement_mm) + 0.02 * rng.standard_normal(uneven.size)
+    motion = motion_of(Recording(uneven, x, np.zeros(x.size)))
+    assert motion.n_half == 41
+    error = motion.displacement_mm - np.interp(uneven, t, exact.displacement_mm)
+    assert np.sqrt(np.mean(error**2)) < 0.01
+    speed = motion.speed_mm_s - np.interp(uneven, t, exact.speed_mm_s)
+    assert np.sqrt(np.mean(speed**2)) < 0.1
+
+
+def test_each_half_cycle_lies_between_its_turning_points():
+    _, motion = measured(20.0, 0.1, False, 3)
+    for k in range(1, motion.n_half - 1):
+        x = motion.displacement_mm[motion.start[k] : motion.start[k + 1]]
+        low, high = sorted(motion.turning_mm[k : k + 2])
+        assert low <= x.min() <= x.max() <= high
+
+
+def test_elastic_branch_keeps_its_stiffness():
+    """K = 20 kN/mm with 0.02 mm noise: the slope against the smoothed displacement is not attenuated."""
+    slopes, raw_slopes = [], []
+    for seed in range(6):
+        t, exact = exact_motion((Block(6.0, 0.27, 8),), 20.0)
+        x = exact.displacement_mm + 0.02 * np.random.default_rng(seed).standard_normal(t.size)
+        motion = motion_of(Recording(t, x, np.zeros(t.size)))
+        slip = np.abs(exact.displacement_mm - exact.turning_mm[exact.half_cycle])
+        estimated = np.abs(motion.displacement_mm - motion.turning_mm[motion.half_cycle])
+        rows = (slip < 4.0) & (exact.half_cycle > 0) & (motion.half_cycle == exact.half_cycle)
+        slopes.append(np.polyfit(estimated[rows], 20 * slip[rows], 1)[0])
+        raw_slopes.append(np.polyfit(estimated[rows], 20 * slip[rows], 1)[1])
+    assert np.mean(slopes) == pytest.approx(20.0, rel=0.003)
+    assert abs(np.mean(raw_slopes)) < 0.1  # kN at zero slip
+
+
+def test_noise_and_resolution_estimates():
+    t, exact = exact_motion(table_1(), 100.0)
+    rng = np.random.default_rng(2)
+    assert noise_of(exact.displacement_mm + 0.05 * rng.standard_normal(t.size)) == pytest.approx(0.05, rel=0.05)
+    rounded = np.round(exact.displacement_mm / COUNT) * COUNT
+    assert resolution_of(rounded) == pytest.approx(COUNT)
+    assert resolution_of(exact.displacement_mm) == 0.0
+    assert noise_of(rounded) == pytest.approx(COUNT / np.sqrt(12), rel=0.3)
+    assert noise_of(np.arange(4.0)) == 0.0
+
+
+def test_stated_bandwidth_is_the_measured_one():
+    half, step = 7, 0.05
+    frequency = bandwidth(half, step)
+    t = np.arange(4000) * step
+    _, velocity = local_cubic(np.sin(2 * np.pi * frequency * t), half, step)
+    gain = np.std(velocity[100:-100]) / (2 * np.pi * frequency / np.sqrt(2))
+    assert gain == pytest.approx(np.sqrt(0.5), rel=0.01)
+
+
+def test_hysteresis_ignores_what_is_below_the_threshold():
+    x = np.array([0.0, 1.0, 0.9, 2.0, 0.0, 0.4, 0.3, -2.0, 0.0])
+    assert hysteresis(x, 0.5) == [3, 7]
+    assert hysteresis(x, 0.05) == [1, 2, 3, 4, 5, 7]
+    assert hysteresis(np.ones(5), 0.5) == []
+
+
+def test_no_motion_is_refused_with_numbers():
+    t = np.arange(100.0)
+    with pytest.raises(RecordingError, match=r"moves 0 mm in 100 samples.*check column and unit"):
+        motion_of(Recording(t, np.zeros(100), t))
+    with pytest.raises(RecordingError, match=r"0\.\d+ mm noise"):
+        motion_of(Recording(t, np.random.default_rng(1).standard_normal(100), t))
+
+
+def test_short_recordings_do_not_crash():
+    for n in (8, 9, 12, 20, 33):
+        t = np.arange(n) * 0.1
+        motion = motion_of(Recording(t, 10 * np.sin(t), t))
+        assert motion.start[-1] == n
+
+
+def test_fifty_thousand_samples_in_half_a_second():
+    t, exact = exact_motion(table_1(), 84.0)
+    x = exact.displacement_mm + 0.05 * np.random.default_rng(0).standard_normal(t.size)
+    recording = Recording(t, x, np.zeros(t.size))
+    best = np.inf
+    for _ in range(3):
+        begin = time.perf_counter()
+        motion_of(recording)
+        best = min(best, time.perf_counter() - begin)
+    assert t.size > 50_000
+    assert best < 0.5

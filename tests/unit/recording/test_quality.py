@@ -1,0 +1,252 @@
+"""Each check on a recording broken on purpose; the clean one passes all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording import Recording, inspect, motion_of, repair
+from shj_bayes.recording.cells import clipped, spikes
+from shj_bayes.recording.clock import longest_increasing
+
+
+def arrays(clean):
+    return clean.time.copy(), clean.displacement.copy(), clean.force.copy()
+
+
+def run(t, x, f):
+    """Repair and inspect; findings by code, and the recording."""
+    t, x, f, used, findings = repair(t, x, f, "run.csv")
+    recording = Recording(t, x, f, used)
+    findings = (*findings, *inspect(recording))
+    return {finding.code: finding for finding in findings}, replace(recording, findings=findings)
+
+
+def test_a_clean_recording_has_no_findings(clean):
+    found, recording = run(*arrays(clean))
+    assert found == {}
+    assert recording.used.all()
+    np.testing.assert_array_equal(recording.force_kN, clean.force)
+
+
+# --- time ---
+
+
+def test_time_repeats_and_jumps_back(clean):
+    t, x, f = arrays(clean)
+    t[500] = t[499]
+    t[900] = t[880]
+    found, recording = run(t, x, f)
+    assert found["time-jumps-back"].severity == "repaired"
+    assert found["time-jumps-back"].count == 2
+    assert recording.n_samples == clean.time.size - 2
+
+
+def test_repeats_alone_are_named_so(clean):
+    t, x, f = arrays(clean)
+    t[500] = t[499]
+    assert set(run(t, x, f)[0]) == {"time-repeats"}
+
+
+def test_one_time_far_ahead_costs_one_row(clean):
+    t, x, f = arrays(clean)
+    t[500] = 1e6
+    found, recording = run(t, x, f)
+    assert found["time-jumps-back"].count == 1
+    assert recording.n_samples == clean.time.size - 1
+
+
+def test_a_broken_clock_is_refused(clean):
+    t, x, f = arrays(clean)
+    with pytest.raises(RecordingError, match=r"time repeats in .* too few digits.*--rate"):
+        repair(np.round(t), x, f, "run.csv")
+    with pytest.raises(RecordingError, match=r"time jumps back 1 times.*several runs, split it"):
+        repair(np.concatenate([t, t]), np.tile(x, 2), np.tile(f, 2), "run.csv")
+    with pytest.raises(RecordingError, match="0 rows have a time"):
+        repair(t * np.nan, x, f, "run.csv")
+
+
+def test_longest_increasing_is_longest():
+    values = np.array([0.0, 1.0, 9.0, 2.0, 2.0, 3.0, 1.5, 4.0])
+    kept = longest_increasing(values)
+    assert values[kept].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_jitter_is_noted(clean):
+    t, x, f = arrays(clean)
+    found, recording = run(t + 0.004 * np.random.default_rng(1).uniform(-1, 1, t.size), x, f)
+    assert set(found) == {"jitter"}
+    assert motion_of(recording).n_half == 41
+
+
+def test_gap_is_noted_and_restarts(clean):
+    t, x, f = arrays(clean)
+    keep = (t < 300) | (t > 300.5)
+    found, recording = run(t[keep], x[keep], f[keep])
+    assert {code: (g.severity, g.count) for code, g in found.items()} == {"gaps": ("note", 1)}
+    assert np.flatnonzero(recording.restarts).tolist() == [0, np.count_nonzero(t < 300)]
+    assert recording.rate_Hz == pytest.approx(20.0, rel=1e-6)
+
+
+def test_gap_with_much_motion_is_a_warning(clean):
+    t, x, f = arrays(clean)
+    keep = (t < 300) | (t > 306)
+    assert run(t[keep], x[keep], f[keep])[0]["gaps"].severity == "warning"
+
+
+def test_rows_without_time_are_left_out(clean):
+    t, x, f = arrays(clean)
+    t[10:12] = np.nan
+    assert run(t, x, f)[0]["time-missing"].count == 2
+
+
+# --- cells ---
+
+
+def test_empty_cells_are_bridged_but_are_no_evidence(clean):
+    t, x, f = arrays(clean)
+    f[1000:1004] = np.nan
+    x[2000] = np.nan
+    found, recording = run(t, x, f)
+    assert found["empty-cells"].severity == "repaired"
+    assert np.flatnonzero(~recording.used).tolist() == [1000, 1001, 1002, 1003, 2000]
+    assert abs(recording.displacement_mm[2000] - clean.motion.displacement_mm[2000]) < 0.1
+
+
+def test_long_holes_become_gaps_and_empty_ends_go(clean):
+    t, x, f = arrays(clean)
+    f[1000:1030] = np.nan
+    f[-50:] = np.nan
+    found, recording = run(t, x, f)
+    assert found["holes"].severity == "warning"
+    assert found["holes"].count == 30
+    assert found["empty-ends"].count == 50
+    assert "gaps" in found
+    assert recording.n_samples == t.size - 80
+
+
+def test_too_many_empty_cells_are_unusable(clean):
+    t, x, f = arrays(clean)
+    f[::10] = np.nan
+    found, recording = run(t, x, f)
+    assert found["empty-cells"].severity == "unusable"
+    assert not recording.usable
+
+
+def test_a_column_without_numbers_is_refused(clean):
+    t, x, f = arrays(clean)
+    with pytest.raises(RecordingError, match=r"force column holds no number.*--columns force"):
+        repair(t, x, f * np.nan, "run.csv")
+
+
+def test_dropouts_of_the_displacement_are_bridged(clean):
+    t, x, f = arrays(clean)
+    x[[3000, 7000]] = 500.0
+    found, recording = run(t, x, f)
+    assert found["spikes"].count == 2
+    assert recording.displacement_mm.max() < 96
+    assert motion_of(recording).n_half == 41
+    assert not spikes(clean.displacement).any()
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0, 100.0])
+def test_corners_and_coarse_sampling_are_no_dropouts(clean, rate):
+    t = np.arange(0.0, 80.0, 1 / rate)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    assert not spikes(np.interp(t % 8.0, [0, 4, 8], [0, 40, 0]) + noise).any()
+    for stride in (2, 10, 60, 100):
+        assert not spikes(clean.displacement[::stride]).any()
+
+
+@pytest.mark.parametrize("limit", [75.0, 60.0])
+def test_clipped_force(clean, limit):
+    t, x, f = arrays(clean)
+    found, recording = run(t, x, np.clip(f, -limit, None))
+    assert "clipped at -" in found["clipped"].message
+    np.testing.assert_array_equal(recording.used, f > -limit)
+
+
+def test_clipped_displacement(clean):
+    t, x, f = arrays(clean)
+    assert "displacement is clipped at 80" in run(t, np.clip(x, None, 80.0), f)[0]["clipped"].message
+
+
+def test_rounded_and_noise_free_channels_are_not_clipped(clean):
+    assert not clipped(np.round(clean.force), clean.displacement).any()
+    smooth = 80 * np.tanh(clean.motion.displacement_mm)  # saturates to exactly 80.0, but gradually
+    assert not clipped(smooth, clean.displacement).any()
+
+
+# --- the loop ---
+
+
+def test_force_of_80000_kilonewtons_is_a_wrong_unit(clean):
+    t, x, f = arrays(clean)
+    found, recording = run(t, x, 1000 * f)
+    assert found["force-unit"].severity == "unusable"
+    assert "8" in found["force-unit"].message
+    assert "--units force=N" in found["force-unit"].message
+    assert not recording.usable
+
+
+def test_displacement_units(clean):
+    t, x, f = arrays(clean)
+    assert run(t, 1e3 * x, f)[0]["displacement-unit"].severity == "unusable"
+    assert run(t, 1e-4 * x, f)[0]["displacement-flat"].severity == "unusable"
+    assert run(t, x, 1e-8 * f)[0]["force-flat"].severity == "unusable"
+    assert run(1000 * 20 * t, x, f)[0]["time-unit"].severity == "warning"
+
+
+def test_sign_flipped_force_is_turned_round(clean):
+    t, x, f = arrays(clean)
+    found, recording = run(t, x, -f)
+    assert {code: g.severity for code, g in found.items()} == {"force-sign": "repaired"}
+    np.testing.assert_array_equal(recording.force_kN, f)
+
+
+def test_swapped_columns_are_named_and_not_changed(clean):
+    t, x, f = arrays(clean)
+    found, recording = run(t, f, x)
+    assert found["swapped-columns"].severity == "unusable"
+    np.testing.assert_array_equal(recording.displacement_mm, f)
+
+
+def test_offsets(clean):
+    t, x, f = arrays(clean)
+    assert {c: g.severity for c, g in run(t, x + 10, f + 15)[0].items()} == {
+        "displacement-offset": "note",
+        "force-offset": "note",
+    }
+
+
+def test_force_at_rest_before_the_start(clean):
+    t, x, f = arrays(clean)
+    rng = np.random.default_rng(2)
+    t = np.concatenate([np.arange(40) * 0.05, t + 2.0])
+    x = np.concatenate([0.02 * rng.standard_normal(40), x])
+    f = np.concatenate([0.5 * rng.standard_normal(40), f])
+    assert run(t, x, f)[0] == {}
+    assert "rest-offset" in run(t, x, f + 12)[0]
+
+
+@pytest.mark.parametrize("samples", [4, 8])
+def test_lag_is_estimated(clean, samples):
+    t, x, f = arrays(clean)
+    lag = run(t[samples:], x[samples:], f[:-samples])[0]["lag"]
+    assert lag.severity == "warning"
+    assert abs(float(lag.message.split("(")[1].split()[0]) - samples) <= 1.0
+    early = run(t[:-samples], x[:-samples], f[samples:])[0]
+    assert "lag" not in early or early["lag"].severity == "note"
+
+
+def test_too_few_cycles_and_samples(clean):
+    t, x, f = arrays(clean)
+    assert run(t[:80], x[:80], f[:80])[0]["few-cycles"].severity == "warning"
+    quarter = run(t[:15], x[:15], f[:15])[0]
+    assert quarter["few-cycles"].severity == "unusable"
+    assert quarter["few-samples"].severity == "unusable"
+    assert set(run(t[::100], x[::100], f[::100])[0]) == {"coarse-sampling"}
+    found, recording = run(t, 0.02 * np.random.default_rng(1).standard_normal(t.size), f)
+    assert found["no-motion"].severity == "unusable"
+    assert not recording.usable

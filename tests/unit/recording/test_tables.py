@@ -1,0 +1,228 @@
+import gzip
+import os
+import zipfile
+
+import h5py
+import numpy as np
+import openpyxl
+import pytest
+import scipy.io
+from nptdms import ChannelObject, TdmsWriter
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording import read, read_table, tables, text
+
+HEAD = "time_s,displacement_mm,force_kN"
+
+
+def rows(recording, n=None):
+    return np.column_stack([recording.time_s, recording.displacement_mm, recording.force_kN])[:n]
+
+
+def lines(recording, separator=",", decimal=".", n=None):
+    out = [separator.join(f"{value!r}".replace(".", decimal) for value in row) for row in rows(recording, n).tolist()]
+    return "\n".join(out) + "\n"
+
+
+def same(left, right):
+    for name in ("time_s", "displacement_mm", "force_kN"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal", "head"),
+    [
+        (",", ".", HEAD),
+        ("\t", ".", HEAD.replace(",", "\t")),
+        (";", ".", "Time [s];Disp. [mm];Load [kN]"),
+        (";", ",", "Time [s];Displacement [mm];Force [kN]"),
+        ("\t", ",", "Time (s)\tDisplacement (mm)\tForce (kN)"),
+        ("   ", ".", "time_s  displacement_mm  force_kN"),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_text_dialects(tmp_path, small, separator, decimal, head, encoding):
+    path = tmp_path / "run.csv"
+    path.write_bytes((f"Prüfung 7, n°3\n{head}\n" + lines(small, separator, decimal)).encode(encoding))
+    recording = read(path)
+    for name in ("time_s", "displacement_mm", "force_kN"):
+        np.testing.assert_allclose(getattr(recording, name), getattr(small, name), rtol=1e-14, atol=1e-13)
+    assert recording.usable
+    assert ("decimal-comma" in {f.code for f in recording.findings}) == (decimal == ",")
+
+
+def test_units_row_preamble_and_trailing_notes(tmp_path, small):
+    path = tmp_path / "run.txt"
+    path.write_text(
+        "Machine X\nOperator: A. B.\n\nTime\tDisplacement\tForce\n(s)\t(mm)\t(kN)\n"
+        + lines(small, "\t")
+        + "End of test\nchecked by C. D.\n"
+    )
+    recording = read(path)
+    same(recording, small)
+    assert recording.source.units == {"time": "s", "displacement": "mm", "force": "kN"}
+    assert [f.count for f in recording.findings if f.code == "notes"] == [2]
+
+
+def test_header_in_quotes_and_header_as_a_comment(tmp_path, small):
+    path = tmp_path / "run.csv"
+    path.write_text('"Time, s","Displacement, total (mm)","Force (kN)"\n' + lines(small))
+    same(read(path, columns="displacement=Displacement, total"), small)
+    np.savetxt(path, rows(small), header=HEAD, delimiter=",", fmt="%.17g")
+    same(read(path), small)
+
+
+def test_gzip_and_digest(tmp_path, small):
+    path = tmp_path / "run.csv.gz"
+    path.write_bytes(gzip.compress(f"# SIMULATED for this test\n{HEAD}\n{lines(small)}".encode()))
+    recording = read(path)
+    same(recording, small)
+    assert recording.source.sha256 == tables.digest(path)
+    assert len(recording.source.sha256) == 64
+    assert "simulated" in {f.code for f in recording.findings}
+
+
+def test_text_cells_are_counted_and_named(tmp_path, small):
+    body = lines(small).splitlines()
+    for i in (100, 200):
+        cells = body[i].split(",")
+        body[i] = f"{cells[0]},{cells[1]},OVERLOAD"
+    body[300] = body[300].split(",")[0] + ",,"
+    path = tmp_path / "run.csv"
+    path.write_text(HEAD + "\n" + "\n".join(body) + "\n")
+    recording = read(path)
+    assert recording.n_samples == small.n_samples
+    assert np.flatnonzero(~recording.used).tolist() == [100, 200, 300]
+    cell = next(f for f in recording.findings if f.code == "text-cells")
+    assert cell.count == 2
+    assert "OVERLOAD" in cell.message
+    assert "row 101" in cell.message
+
+
+def test_workbook(tmp_path, small):
+    book = openpyxl.Workbook()
+    book.active.title = "Notes"
+    book.active["A1"] = "nothing here"
+    sheet = book.create_sheet("Data")
+    sheet.append(["Elapsed time (s)", "Displacement (mm)", "Force (kN)"])
+    for row in rows(small).tolist():
+        sheet.append(row)
+    path = tmp_path / "run.xlsx"
+    book.save(path)
+    recording = read(path)
+    np.testing.assert_allclose(rows(recording), rows(small), rtol=1e-14)  # workbooks store 16 digits
+    assert any(f.code == "sheet" and "Data" in f.message for f in recording.findings)
+
+
+def test_mat_v5(tmp_path, small):
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(
+        path,
+        {
+            "t": small.time_s[:, None],
+            "x": small.displacement_mm[None, :] / 1e3,
+            "volts": small.force_kN / 2.5,
+            "gain": 2.5,
+            "cells": np.array([[1, "a"]], dtype=object),
+            "info": {"a": 1},
+        },
+    )
+    recording = read(path, columns="force=gain*volts", units="s,m,kN")
+    np.testing.assert_allclose(rows(recording), rows(small), rtol=1e-12)
+    assert any(f.code == "not-numbers" and "cells" in f.message for f in recording.findings)
+
+
+@pytest.mark.parametrize("ending", ["h5", "mat"])
+def test_hdf5_and_mat_v73(tmp_path, small, ending):
+    path = tmp_path / f"run.{ending}"
+    with h5py.File(path, "w", userblock_size=512 if ending == "mat" else 0) as file:
+        for name, values, unit in (("time", small.time_s, "s"), ("force", small.force_kN, "kN")):
+            file.create_dataset(name, data=values[None, :]).attrs["units"] = unit
+        group = file.create_group("rig")
+        group.create_dataset("both", data=np.vstack([small.displacement_mm, small.force_kN]))
+        file["link"] = h5py.ExternalLink("elsewhere.h5", "/secret")
+        file.create_dataset("words", data="abc")
+    if ending == "mat":
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(512))
+    recording = read(path, columns="displacement=rig/both[1]", units="displacement=mm")
+    same(recording, small)
+
+
+def test_tdms_with_channels_and_with_a_waveform(tmp_path, small):
+    path = tmp_path / "run.tdms"
+    step = {"wf_increment": 0.05, "unit_string": "mm"}
+    with TdmsWriter(path) as writer:
+        writer.write_segment(
+            [
+                ChannelObject("rig", "Displacement", small.displacement_mm, properties=step),
+                ChannelObject("rig", "Force", small.force_kN, properties={"wf_increment": 0.05, "unit_string": "kN"}),
+            ]
+        )
+    recording = read(path, units="time=s")
+    np.testing.assert_allclose(rows(recording), rows(small), atol=1e-12)
+    assert any(f.code == "time-from-step" and f.severity == "assumed" for f in recording.findings)
+
+
+# --- what is refused, and in which words ---
+
+
+def test_missing_folder_empty_device(tmp_path):
+    with pytest.raises(RecordingError, match="there is no such file"):
+        read_table(tmp_path / "none.csv")
+    with pytest.raises(RecordingError, match="is a folder"):
+        read_table(tmp_path)
+    (tmp_path / "empty.csv").touch()
+    with pytest.raises(RecordingError, match=r"empty \(0 bytes\)"):
+        read_table(tmp_path / "empty.csv")
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(RecordingError, match="not an ordinary file"):
+        read_table(tmp_path / "pipe.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("run.pkl", b"x", r"'.pkl' is not supported; allowed are .csv"),
+        ("run.xlsx.gz", b"x", "is not supported"),
+        ("run.xlsx", b"no workbook", "is not an XLSX workbook"),
+        ("run.h5", b"no hdf5", "is not an HDF5 file"),
+        ("run.mat", b"no mat file at all, but long enough to hold a header" * 9, "cannot be read as mat"),
+        ("run.tdms", b"no tdms", "is not a TDMS file"),
+        ("run.csv.gz", b"\x1f\x8b damaged", "gzip file is damaged"),
+        ("run.csv", b"just words\nand more words\n", "no rows of two or more numbers"),
+        ("run.csv", b"\x00\x01\x02\x03" * 50 + b"abc" * 200, "is not text"),
+        ("run.csv", HEAD.encode() + b"\n", "no rows of two or more numbers"),
+    ],
+)
+def test_refusals_name_the_file_and_the_reason(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=words) as caught:
+        read_table(path)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_archives_that_unpack_beyond_the_bound_are_stopped(tmp_path, monkeypatch, small):
+    from shj_bayes.recording import excel  # noqa: PLC0415
+
+    monkeypatch.setattr(text, "MAX_BYTES", 2000)
+    monkeypatch.setattr(text, "CHUNK_BYTES", 500)
+    monkeypatch.setattr(excel, "MAX_BYTES", 2000)
+    bomb = tmp_path / "run.csv.gz"
+    bomb.write_bytes(gzip.compress(b"1,2,3\n" * 100_000))
+    with pytest.raises(RecordingError, match="unpacks to more than"):
+        read_table(bomb)
+    book = tmp_path / "run.xlsx"
+    with zipfile.ZipFile(book, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/worksheets/sheet1.xml", b"0" * 100_000)
+    with pytest.raises(RecordingError, match="unpacks to"):
+        read_table(book)
+
+
+def test_mat_objects_are_never_loaded(tmp_path):
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"cells": np.array([[1, "a"]], dtype=object), "s": {"t": np.arange(5.0)}})
+    with pytest.raises(RecordingError, match="no column of numbers"):
+        read_table(path)
