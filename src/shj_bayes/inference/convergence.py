@@ -72,7 +72,8 @@ def burn_in(tau: float, n_total: int) -> int:
 
 def autocorrelation_time(chains: Sequence[FloatArray]) -> FloatArray:
     """Integrated autocorrelation time of each parameter, mean over ensembles, shape (d,), in steps."""
-    taus = [emcee.autocorr.integrated_time(chain, tol=0, quiet=True) for chain in chains]
+    with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
+        taus = [emcee.autocorr.integrated_time(chain, tol=0, quiet=True) for chain in chains]
     mean = np.mean(np.asarray(taus), axis=0)
     return np.where(np.isfinite(mean), np.maximum(mean, 1.0), np.inf)
 
@@ -107,10 +108,11 @@ def diagnose_chains(
     by_ensemble = kept.reshape(n_ensembles, n_steps * n_walkers, d)
     by_walker = kept.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, d)
     rhat, bulk, tail = (np.empty(d) for _ in range(3))
-    for i in range(d):
-        rhat[i] = az.rhat(by_ensemble[:, :, i])
-        bulk[i] = min(az.ess(by_walker[:, :, i], method="bulk"), n_ensembles * n_walkers * n_steps / tau[i])
-        tail[i] = az.ess(by_walker[:, :, i], method="tail")
+    with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
+        for i in range(d):
+            rhat[i] = az.rhat(by_ensemble[:, :, i])
+            bulk[i] = min(az.ess(by_walker[:, :, i], method="bulk"), n_ensembles * n_walkers * n_steps / tau[i])
+            tail[i] = az.ess(by_walker[:, :, i], method="tail")
     # A parameter on which all walkers stand still has no variance: its R-hat is not a number, and that is not good.
     rhat = np.where(np.isfinite(rhat), rhat, np.inf)
     bulk, tail = (np.where(np.isfinite(values), values, 0.0) for values in (bulk, tail))
@@ -125,7 +127,7 @@ def converged(d: Diagnostics) -> bool:
 def judge(d: Diagnostics) -> Verdict:
     """Verdict with reasons that say what to do.
 
-    ``reliable``: R-hat < 1.01 across ensembles, ESS >= 1000 and more than 50 autocorrelation times for every parameter,
+    ``reliable``: R-hat < 1.01 across ensembles, ESS (bulk and tail) >= 1000 and more than 50 autocorrelation times for every parameter,
     and no stuck walker. ``unusable``: R-hat > 1.1, ESS < 100 or half of the walkers stuck. Else ``tentative``.
     """
     problems: list[str] = []
@@ -135,10 +137,11 @@ def judge(d: Diagnostics) -> Verdict:
             f"R-hat of {d.names[worst]} is {d.rhat[worst]:.3f} across the ensembles (below {RHAT_LIMIT} is wanted): "
             "they have not agreed yet; run longer (--max-steps), and look for two peaks in the corner plot"
         )
-    least = int(np.argmin(d.ess_bulk))
-    if d.ess_bulk[least] < ESS_LIMIT:
+    ess = np.minimum(d.ess_bulk, d.ess_tail)  # the 5 and 95 % points are printed too, so the tails count as well
+    least = int(np.argmin(ess))
+    if ess[least] < ESS_LIMIT:
         problems.append(
-            f"effective sample size of {d.names[least]} is {d.ess_bulk[least]:.0f} ({ESS_LIMIT:.0f} is wanted); run longer"
+            f"effective sample size of {d.names[least]} is {ess[least]:.0f} ({ESS_LIMIT:.0f} is wanted); run longer"
         )
     if d.lengths < TAU_LIMIT:
         problems.append(
@@ -153,8 +156,8 @@ def judge(d: Diagnostics) -> Verdict:
     if not problems:
         text = (
             f"the {d.acceptance.shape[0]} independent ensembles agree (R-hat at most {d.rhat.max():.3f}), effective sample "
-            f"size at least {d.ess_bulk.min():.0f}, {d.lengths:.0f} autocorrelation times, acceptance {d.acceptance.mean():.2f}"
+            f"size at least {ess.min():.0f}, {d.lengths:.0f} autocorrelation times, acceptance {d.acceptance.mean():.2f}"
         )
         return Verdict("reliable", (text,))
-    bad = d.rhat[worst] > 1.1 or d.ess_bulk[least] < 100 or stuck >= 0.5
+    bad = d.rhat[worst] > 1.1 or ess[least] < 100 or stuck >= 0.5
     return Verdict("unusable" if bad else "tentative", tuple(problems))

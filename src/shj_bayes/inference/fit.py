@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +10,6 @@ from typing import Any
 import arviz as az
 import pandas as pd
 
-import shj_bayes
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
 from shj_bayes.inference.problem import Problem, Run
@@ -89,6 +86,7 @@ def fit(
     problem: Problem,
     *,
     name: str = "device",
+    key: str = "",
     plan: Plan | None = None,
     folder: Path | None = None,
     progress: bool = False,
@@ -102,6 +100,8 @@ def fit(
         What is asked.
     name : str
         Name of the device, for the files and the page.
+    key : str
+        Digest of everything the result depends on, stored with it so that an unchanged fit can be recognised.
     plan : Plan, optional
         Seed, number of ensembles, when to stop.
     folder : Path, optional
@@ -135,15 +135,7 @@ def fit(
     verdict = judge(figures)
     table = store.summary(figures, store.natural_chains(problem, states, figures.n_burn))
     data = store.inference_data(problem, states, figures, plan.seed)
-    record = store.fit_record(
-        problem, figures, verdict, table, name=name, seed=plan.seed, key=fit_key(problem, plan, name)
-    )
+    record = store.fit_record(problem, figures, verdict, table, name=name, seed=plan.seed, key=key)
     if folder is not None:
         store.write_fit(folder, data, table, record)
     return Fit(problem, data, table, figures, verdict, record)
-
-
-def fit_key(problem: Problem, plan: Plan, name: str) -> str:
-    """Digest of all that a finished fit depends on; a campaign skips a device whose key is unchanged."""
-    content = problem.fingerprint | {"plan": repr(plan), "name": name, "version": shj_bayes.__version__}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

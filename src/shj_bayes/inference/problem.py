@@ -46,12 +46,11 @@ class Run:
 
     @cached_property
     def stretches(self) -> Stretches:
-        """Samples that are evidence; the noise restarts after gaps in time."""
-        step = np.diff(self.recording.time_s)
-        gaps = np.flatnonzero(step > 1.5 * np.median(step)) + 1
-        used = self.recording.used
+        """Samples that are evidence and lie on a known side of a reversal; the noise restarts after gaps in time."""
+        used, unsure = self.recording.used, self.motion.unsure
         assert used is not None
-        return Stretches(used, gaps)
+        assert unsure is not None
+        return Stretches(used & ~unsure, np.flatnonzero(self.recording.restarts))
 
     @cached_property
     def start_force_kN(self) -> float:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.limits import MIN_STROKE_MM, REVERSAL_COUNTS, REVERSAL_NOISE, REVERSAL_RANGE
+from shj_bayes.recording.limits import (
+    MIN_STROKE_MM,
+    REVERSAL_COUNTS,
+    REVERSAL_NOISE,
+    REVERSAL_RANGE,
+    UNSURE_SD,
+    UNSURE_SHARE,
+)
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of, resolution_of
 from shj_bayes.recording.recording import FloatArray, Recording
@@ -56,11 +63,39 @@ def motion_of(recording: Recording) -> Motion:
     along = np.repeat(direction, np.diff(start))
     # Speed against the half-cycle is noise at rest; cut at zero it biases |v| half as much as the absolute value.
     speed = np.maximum(along * curve.velocity, 0.0)
+    half_s, band = curve.half_width_s, curve.bandwidth_Hz
     method = (
-        f"local cubic over {2 * curve.half_width_s:.3g} s, not across {curve.kinks_s.size} corners; "
-        f"speed -3 dB at {curve.bandwidth_Hz:.3g} Hz; reversals by {threshold:.3g} mm hysteresis, placed by a quartic"
+        f"local cubic over {2 * half_s[0]:.3g} s (fastest half-cycle) to {2 * half_s[1]:.3g} s (slowest), not across "
+        f"{curve.kinks_s.size} corners; speed -3 dB at {band[1]:.3g} to {band[0]:.3g} Hz; "
+        f"reversals by {threshold:.3g} mm hysteresis, placed by a quartic"
     )
-    return Motion(displacement, speed, start, turning, direction, method=method, noise_mm=noise)
+    unsure = _unsure(time, turn_s, start, curve.velocity_sd, along * curve.velocity)
+    return Motion(displacement, speed, start, turning, direction, unsure=unsure, method=method, noise_mm=noise)
+
+
+def _unsure(
+    time: FloatArray, turn_s: FloatArray, start: FloatArray, velocity_sd: FloatArray, along: FloatArray
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Mark samples of which it is not known on which side of a reversal they lie.
+
+    The time at which a noisy displacement turns is known to three standard deviations of the velocity over the
+    acceleration, and to one sample. At the reversal Eq. (1) as published jumps by several kN, so such samples would
+    tell of the clock, not of the device: with 0.02 mm noise they cost 480 units of log likelihood at 20 Hz.
+    """
+    step = float(np.median(np.diff(time)))
+    out = np.zeros(time.size, dtype=np.bool_)
+    for k, moment in enumerate(turn_s, start=1):
+        i = int(start[k])
+        reach = max(int(np.ceil(UNSURE_SHARE * min(i - start[k - 1], start[k + 1] - i))), 1)
+        before, after = max(i - reach, int(start[k - 1])), min(i + reach, time.size - 1)
+        # The faster of both sides: a rest before the reversal does not blur the moment at which the motion goes on.
+        rise = max(
+            abs(along[after]) / (time[after] - moment + step), abs(along[before]) / (moment - time[before] + step)
+        )
+        spread = UNSURE_SD * float(velocity_sd[i]) / max(rise, 1e-12)
+        limit = max(reach * step, step)
+        out |= np.abs(time - moment) <= min(max(spread, step), limit)
+    return out
 
 
 def _boundaries(time: FloatArray, turn_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

@@ -54,4 +54,6 @@ REVERSAL_COUNTS = 3.0  # encoder counts: a resting encoder toggles between two
 BIAS_RANGE = 1e-4  # share of the range that no loop shows; a bias below it (and four times the noise) is accepted
 BIAS_SHARE = 0.25  # a window is too wide when smoothing moves the curve by this share of the noise
 SHORTEST_SHARE = 0.2  # half-window over the shortest half-cycle: a sine keeps its peak to 0.06 % and its speed to 0.1 %
+UNSURE_SD = 3.0  # standard deviations of the turning time within which a sample may lie on either side
+UNSURE_SHARE = 0.1  # of the shorter neighbouring half-cycle: no more than this is ever left out
 KINK_Z = 6.0  # one false alarm in 5e8 samples for white noise

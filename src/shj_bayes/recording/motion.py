@@ -11,6 +11,7 @@ from shj_bayes.errors import RecordingError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,8 @@ class Motion:
         Displacement at which half-cycle k starts: the first sample's for k = 0, else the reversal's (x_reset).
     direction : array of int, shape (n_half,)
         +1 where displacement grows in the half-cycle, -1 where it falls.
+    unsure : array of bool, shape (n_samples,)
+        Samples so near a reversal that the noise hides on which side they lie; no evidence for the law.
     method : str
         How reversals and speed were found, with the bandwidth in Hz; ``"exact"`` for simulated motion.
     noise_mm : float
@@ -40,6 +43,7 @@ class Motion:
     start: IntArray
     turning_mm: FloatArray
     direction: IntArray
+    unsure: BoolArray | None = None
     method: str = "exact"
     noise_mm: float = 0.0
 
@@ -55,7 +59,13 @@ class Motion:
             values = np.array(getattr(self, name), dtype=kind)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
-        n, n_half = self.displacement_mm.size, self.turning_mm.size
+        n = self.displacement_mm.size
+        unsure = np.zeros(n, dtype=np.bool_) if self.unsure is None else np.array(self.unsure, dtype=np.bool_)
+        if unsure.shape != (n,):
+            raise RecordingError(f"unsure has shape {unsure.shape}; it needs ({n},)")
+        unsure.setflags(write=False)
+        object.__setattr__(self, "unsure", unsure)
+        n_half = self.turning_mm.size
         if self.speed_mm_s.shape != (n,) or np.any(self.speed_mm_s < 0):
             raise RecordingError("speed_mm_s needs one value, zero or more, for each sample")
         if self.start.shape != (n_half + 1,) or self.start[0] != 0 or self.start[-1] != n:
