@@ -44,16 +44,21 @@ class EnsembleState:
 def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]) -> None:
     """Write a checkpoint beside the old one, then put it in its place."""
     temporary = path.with_suffix(".part")
-    with h5py.File(temporary, "w") as file:
-        file.attrs["schema"] = SCHEMA
+    # The latest format and Fletcher's sum protect headers and numbers: an altered byte is an error, not another chain.
+    with h5py.File(temporary, "w", libver="latest") as file:
+        file.attrs["schema"], file.attrs["n_ensembles"] = SCHEMA, len(ensembles)
         for key, value in fingerprint.items():
             file.attrs[f"fingerprint.{key}"] = value
         for number, ensemble in enumerate(ensembles):
             group = file.create_group(f"ensemble_{number}")
-            group["chain"], group["log_posterior"] = ensemble.chain, ensemble.log_posterior
-            group["accepted"] = ensemble.accepted
             name, keys, position, has_gauss, cached = ensemble.random_state
-            group["random_keys"] = np.asarray(keys)
+            for key, values in (
+                ("chain", ensemble.chain),
+                ("log_posterior", ensemble.log_posterior),
+                ("accepted", ensemble.accepted),
+                ("random_keys", np.asarray(keys)),
+            ):
+                group.create_dataset(key, data=values, fletcher32=True)
             group.attrs["random_name"] = name
             group.attrs["random_position"], group.attrs["random_has_gauss"] = position, has_gauss
             group.attrs["random_cached"] = cached
@@ -67,7 +72,7 @@ def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
     Raises
     ------
     CheckpointError
-        If the file is damaged, or belongs to another problem; the message names the field that differs.
+        If the file is damaged, or belongs to another problem; the message names the fields that differ.
     """
     try:
         with h5py.File(path, "r") as file:
@@ -75,15 +80,14 @@ def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
                 raise CheckpointError(
                     f"{path.name}: schema {file.attrs.get('schema')!r}; this version reads {SCHEMA!r}"
                 )
-            for key, value in fingerprint.items():
-                if file.attrs.get(f"fingerprint.{key}") != value:
-                    raise CheckpointError(
-                        f"{path.name} belongs to another problem: its {key} differ(s) from what is asked now; "
-                        "choose another output folder, or delete the checkpoint to start anew"
-                    )
-            count = sum(name.startswith("ensemble_") for name in file)
-            return [_read(file[f"ensemble_{number}"]) for number in range(count)]
-    except (OSError, KeyError, RuntimeError) as error:
+            strange = [key for key, value in fingerprint.items() if file.attrs.get(f"fingerprint.{key}") != value]
+            if strange:
+                raise CheckpointError(
+                    f"{path.name} belongs to another problem: its {' and '.join(strange)} differ(s) from what is asked "
+                    "now; choose another output folder, or delete the checkpoint to start anew"
+                )
+            return [_read(file[f"ensemble_{number}"]) for number in range(int(file.attrs["n_ensembles"]))]
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path.name} cannot be read ({error}); delete it to start anew") from error
 
 

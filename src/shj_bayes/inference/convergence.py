@@ -75,7 +75,9 @@ def autocorrelation_time(chains: Sequence[FloatArray]) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
         taus = [emcee.autocorr.integrated_time(chain, tol=0, quiet=True) for chain in chains]
     mean = np.mean(np.asarray(taus), axis=0)
-    return np.where(np.isfinite(mean), np.maximum(mean, 1.0), np.inf)
+    # Where a walker never moves, what is left after subtracting its mean is rounding, and looks like white noise.
+    moves = np.all([np.ptp(chain, axis=0).min(axis=0) > 0 for chain in chains], axis=0)
+    return np.where(np.isfinite(mean) & moves, np.maximum(mean, 1.0), np.inf)
 
 
 def diagnose_chains(
@@ -127,8 +129,9 @@ def converged(d: Diagnostics) -> bool:
 def judge(d: Diagnostics) -> Verdict:
     """Verdict with reasons that say what to do.
 
-    ``reliable``: R-hat < 1.01 across ensembles, ESS (bulk and tail) >= 1000 and more than 50 autocorrelation times for every parameter,
-    and no stuck walker. ``unusable``: R-hat > 1.1, ESS < 100 or half of the walkers stuck. Else ``tentative``.
+    ``reliable``: for every parameter R-hat < 1.01 across ensembles, ESS (bulk and tail) >= 1000 and more than 50
+    autocorrelation times, and no stuck walker. ``unusable``: R-hat > 1.1, ESS < 100 or half of the walkers stuck.
+    Else ``tentative``.
     """
     problems: list[str] = []
     worst = int(np.argmax(d.rhat))
@@ -155,8 +158,9 @@ def judge(d: Diagnostics) -> Verdict:
         )
     if not problems:
         text = (
-            f"the {d.acceptance.shape[0]} independent ensembles agree (R-hat at most {d.rhat.max():.3f}), effective sample "
-            f"size at least {ess.min():.0f}, {d.lengths:.0f} autocorrelation times, acceptance {d.acceptance.mean():.2f}"
+            f"the {d.acceptance.shape[0]} independent ensembles agree (R-hat at most {d.rhat.max():.3f}), effective "
+            f"sample size at least {ess.min():.0f}, {d.lengths:.0f} autocorrelation times, "
+            f"acceptance {d.acceptance.mean():.2f}"
         )
         return Verdict("reliable", (text,))
     bad = d.rhat[worst] > 1.1 or ess[least] < 100 or stuck >= 0.5

@@ -166,7 +166,8 @@ class Problem:
         digest = hashlib.sha256()
         for run in self.runs:
             r, m = run.recording, run.motion
-            for array in (r.time_s, r.force_kN, r.used, m.displacement_mm, m.speed_mm_s, m.start, m.turning_mm):
+            channels = (r.time_s, r.force_kN, r.used, m.displacement_mm, m.speed_mm_s, m.start, m.turning_mm)
+            for array in (*channels, m.direction, m.unsure):
                 digest.update(np.ascontiguousarray(array).tobytes())
         priors = json.dumps({n: [p.law, p.a, p.b] for n, p in sorted(self.priors.priors.items())})
         return {

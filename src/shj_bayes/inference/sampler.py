@@ -20,6 +20,8 @@ from shj_bayes.inference.convergence import Diagnostics, converged, diagnose_cha
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
 
+MIN_STEPS = 50  # fewer say nothing about convergence
+
 
 class Density(Protocol):
     """What the sampler needs: a log density of many points at once."""
@@ -63,10 +65,15 @@ class Plan:
             raise InferenceError(
                 f"max_steps = {self.max_steps}: at least one round of {self.round_steps} steps is needed"
             )
+        if self.max_steps < MIN_STEPS:
+            raise InferenceError(f"max_steps = {self.max_steps}: at least {MIN_STEPS} are needed for a verdict")
 
     def walkers(self, d: int) -> int:
         """Walkers of each ensemble for d parameters."""
-        return self.n_walkers or max(24, 4 * d)
+        n = self.n_walkers or max(24, 4 * d)
+        if n < 2 * d:
+            raise InferenceError(f"{n} walkers: at least {2 * d} are needed for {d} parameters; 0 chooses by itself")
+        return n
 
 
 def moves() -> list[tuple[emcee.moves.Move, float]]:
@@ -141,7 +148,7 @@ def run_ensembles(
 def _figures(names: tuple[str, ...], states: list[EnsembleState]) -> Diagnostics | None:
     """Convergence so far; None while there is too little to judge."""
     n = states[0].chain.shape[0]
-    if n < 50:
+    if n < MIN_STEPS:
         return None
     acceptance = np.stack([state.accepted / (n - 1) for state in states])
     return diagnose_chains(names, [state.chain for state in states], acceptance, sum(s.n_failed for s in states))

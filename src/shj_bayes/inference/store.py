@@ -26,7 +26,7 @@ from shj_bayes.model.parameters import FloatArray, describe
 
 SCHEMA = "shj-bayes/fit/1"
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
-N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 1000, 25, 4000, 60
+N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 2000, 25, 4000, 60  # draws; the first two for each ensemble
 PACKAGES = ("arviz", "emcee", "h5py", "numba", "numpy", "pandas", "scipy", "xarray")
 
 
@@ -62,7 +62,7 @@ def inference_data(
     names = problem.layout.names
     chains = natural_chains(problem, states, figures.n_burn)
     n_ensembles, n_steps, n_walkers, d = chains.shape
-    step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED / n_walkers)))
+    step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED)))
     flat = chains[:, ::step].reshape(n_ensembles, -1, d)
     lp = np.stack([s.log_posterior[figures.n_burn :] for s in states])[:, ::step].reshape(n_ensembles, -1)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
@@ -232,9 +232,12 @@ def read_record(folder: Path) -> dict[str, Any]:
 def read_posterior(folder: Path) -> az.InferenceData:
     """Read ``posterior.nc`` of a results folder."""
     try:
-        return az.from_netcdf(str(folder / "posterior.nc"), engine="h5netcdf")
+        data = az.from_netcdf(str(folder / "posterior.nc"), engine="h5netcdf")
+        data.load()  # and close: an open file cannot be replaced on Windows
+        data.close()
     except (OSError, ValueError, KeyError) as error:
         raise InferenceError(f"posterior.nc in {folder.name} cannot be read ({error}); run the fit again") from error
+    return data
 
 
 def write_text(path: Path, text: str) -> None:

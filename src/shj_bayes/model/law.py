@@ -63,8 +63,13 @@ def force_of_laws(
     _check("Fy", "kN", laws[:, 1], 0.0, np.inf)
     _check("beta", "", laws[:, 2], *BETA_RANGE)
     _check("gamma", "s/mm", laws[:, 3], -np.inf, np.inf)
+    if not np.isfinite(start_force_kN):
+        raise ModelError(f"start force = {start_force_kN} kN: it must be a finite number")
+    shape = (laws.shape[0], motion.displacement_mm.size)
     if out is None:
-        out = np.empty((laws.shape[0], motion.displacement_mm.size))
+        out = np.empty(shape)
+    elif out.shape != shape or out.dtype != np.float64:  # the compiled loop does not check bounds
+        raise ModelError(f"out has shape {out.shape} of {out.dtype}; it needs {shape} of float64")
     kernel.force_of_many(
         out,
         motion.displacement_mm,
@@ -123,4 +128,5 @@ def _check(name: str, unit: str, values: FloatArray, low: float, high: float) ->
     if not ok.all():
         bad = values[np.flatnonzero(~ok)[0]]
         allowed = f"above {low:g}" if high == np.inf and low == 0 else f"{low:g} to {high:g}"
-        raise ModelError(f"{name} = {bad:g} {unit}: allowed is {allowed} {unit}".replace("  ", " ").rstrip())
+        suffix = f" {unit}" if unit else ""
+        raise ModelError(f"{name} = {bad:g}{suffix}: allowed is {allowed}{suffix}")

@@ -17,6 +17,7 @@ from scipy import stats
 from scipy.special import expit, log_expit, logit
 
 from shj_bayes.errors import PriorError
+from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.parameters import BASE, FloatArray, describe
 from shj_bayes.resources import shipped
 
@@ -27,6 +28,9 @@ LAWS = {
     "uniform": ("low", "high"),
     "loguniform": ("low", "high"),
 }
+# Where the law and the noise exist (above 0 for all others); a prior with mass beyond stops a fit half-way.
+ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf), "phi": (-1.0, 1.0)}
+MAX_SPREAD = 5.0  # squares of what lies 30 spreads out, as far as the sampler can step, still fit into a double
 
 
 @dataclass(frozen=True)
@@ -210,4 +214,20 @@ def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
         raise PriorError(
             f"{file}: [gamma] must be symmetric about 0, so that neither sign of speed dependence is favoured"
         )
-    return Prior(name, unit, law, numbers[0], numbers[1], str(entry["source"]))
+    try:
+        prior = Prior(name, unit, law, numbers[0], numbers[1], str(entry["source"]))
+    except PriorError as error:
+        raise PriorError(f"{file}: {error}") from error
+    low, high = prior.distribution.support()
+    least, most = ALLOWED.get(name, (0.0, np.inf))
+    if low < least or high > most:
+        raise PriorError(
+            f"{file}: [{name}] a {law} law from {low:g} to {high:g} leaves the allowed {least:g} to {most:g} {unit}; "
+            "use a law that stays inside"
+        )
+    if law == "lognormal" and numbers[1] > MAX_SPREAD:
+        raise PriorError(
+            f"{file}: [{name}] spread = {numbers[1]:g}; at most {MAX_SPREAD:g} is allowed, "
+            f"a factor of {np.exp(MAX_SPREAD):.0f} either way at one standard deviation"
+        )
+    return prior

@@ -103,6 +103,8 @@ def simulate_device(
     """
     if n_runs not in (1, 2):
         raise ModelError(f"{n_runs} runs asked for; simulate makes 1 or 2")
+    if seed < 0:
+        raise ModelError(f"seed = {seed}: allowed is 0 or more")
     time, motion = exact_motion(blocks or table_1(), rate_Hz)
     stretches = Stretches(np.ones(time.size, dtype=np.bool_), np.zeros(1, dtype=np.int64))
     recordings = []

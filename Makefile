@@ -1,0 +1,12 @@
+# Two commands do everything on a fresh machine with Python 3.11 (or newer) and make: `make demo` and `make test`.
+# The same for Windows, and without make anywhere: python tasks.py demo, python tasks.py test.
+
+PYTHON ?= python3
+
+.PHONY: demo test check recover bench clean
+
+demo test check recover bench:
+	$(PYTHON) tasks.py $@
+
+clean:
+	rm -rf .venv shj-bayes-demo shj-bayes-tables

@@ -1,0 +1,259 @@
+"""Many devices to many posteriors: a TOML manifest, parallel processes, only what is missing or changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, fields, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from shj_bayes.errors import CampaignError, ShjError
+from shj_bayes.inference.store import write_text
+from shj_bayes.pipeline import DeviceResult, Options, fit_device, folder_name, plain_name
+
+SCHEMA = "shj-bayes/campaign/1"
+MAX_DEVICES = 100_000
+MAX_TRIES = 2  # a device that was under way when a worker died is tried once more
+
+
+@dataclass(frozen=True)
+class Device:
+    """One device of a campaign.
+
+    Parameters
+    ----------
+    name, set_name : str
+        Its name, unique within its set, and the set's.
+    recordings : tuple of Path
+        Consecutive runs.
+    options : Options
+        How to read and fit it.
+    """
+
+    name: str
+    set_name: str
+    recordings: tuple[Path, ...]
+    options: Options
+
+    @property
+    def folder(self) -> str:
+        """Results folder below the campaign's, safe on every system."""
+        return f"devices/{folder_name(f'{self.set_name} {self.name}')}"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A campaign: its name and its devices in order.
+
+    Parameters
+    ----------
+    name : str
+        Title of the report.
+    devices : tuple of Device
+        All devices of all sets.
+    simulated : bool
+        True where the recordings are simulated, so that the report says so.
+    """
+
+    name: str
+    devices: tuple[Device, ...]
+    simulated: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one device: ``done``, ``kept`` (unchanged) or ``failed`` with the reason."""
+
+    device: Device
+    status: str
+    reason: str = ""
+    verdict: str = ""
+
+
+def read_manifest(path: Path) -> Manifest:
+    """Read a campaign manifest.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file with ``schema``, ``name``, optional ``[defaults]`` and ``[[set]]`` tables, each with a ``name`` and
+        ``[[set.device]]`` tables of ``name`` and ``recordings`` (paths relative to the manifest).
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    CampaignError
+        With the table and the value at fault.
+    """
+    try:
+        raw = path.read_bytes()
+        if len(raw) > 50_000_000:
+            raise CampaignError(f"{path.name} has {len(raw)} bytes; at most 50 MB are read")
+        table = tomllib.loads(raw.decode("utf-8"))
+    except OSError as error:
+        raise CampaignError(f"cannot read manifest {path.name}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise CampaignError(f"{path.name} is not valid TOML: {error}") from error
+    if table.get("schema") != SCHEMA:
+        raise CampaignError(f"{path.name}: schema is {table.get('schema')!r}; this version reads {SCHEMA!r}")
+    defaults = _options(path, "[defaults]", Options(), table.get("defaults", {}))
+    devices = tuple(_devices(path, table, defaults))
+    if not 1 <= len(devices) <= MAX_DEVICES:
+        raise CampaignError(f"{path.name} names {len(devices)} devices; allowed are 1 to {MAX_DEVICES}")
+    seen: set[str] = set()
+    for device in devices:
+        if device.folder in seen:
+            raise CampaignError(f"{path.name}: device '{device.name}' stands twice in set '{device.set_name}'")
+        seen.add(device.folder)
+    return Manifest(plain_name(str(table.get("name", path.stem))), devices, table.get("simulated") is True)
+
+
+def run_campaign(manifest: Manifest, folder: Path, *, workers: int = 0, progress: bool = False) -> list[Outcome]:
+    """Fit every device that is missing or changed; one bad device never stops the rest.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        What to fit.
+    folder : Path
+        Campaign folder; each device has its own folder below ``devices``.
+    workers : int
+        Processes, 0 for one per processor.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    list of Outcome
+        One per device, in the manifest's order; also written to ``campaign.json``.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    outcomes: dict[str, Outcome] = {}
+    bar = tqdm(total=len(manifest.devices), unit="device", desc="devices", disable=None if progress else True)
+    with bar:
+        for outcome in _fit_all(manifest, folder, workers or os.cpu_count() or 1):
+            outcomes[outcome.device.folder] = outcome
+            bar.update()
+    ordered = [outcomes[device.folder] for device in manifest.devices]
+    write_text(folder / "campaign.json", json.dumps(campaign_record(manifest, ordered), indent=1))
+    return ordered
+
+
+def _fit_all(manifest: Manifest, folder: Path, workers: int) -> Iterator[Outcome]:
+    """Outcomes as they come; a pool whose worker died is replaced and its devices are tried once more."""
+    waiting = list(manifest.devices)
+    tries: dict[str, int] = {}
+    while waiting:
+        pool = ProcessPoolExecutor(max_workers=min(workers, len(waiting)), mp_context=get_context("spawn"))
+        try:
+            broken = False
+            running: dict[Future[Outcome], Device] = {}
+            while (waiting and not broken) or running:
+                while waiting and not broken and len(running) < 2 * workers:
+                    device = waiting.pop(0)
+                    try:
+                        running[pool.submit(_fit_one, device, folder)] = device
+                    except BrokenProcessPool:
+                        waiting.insert(0, device)
+                        broken = True
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    device = running.pop(future)
+                    try:
+                        yield future.result()
+                    except BrokenProcessPool:
+                        broken = True
+                        tries[device.folder] = tries.get(device.folder, 0) + 1
+                        if tries[device.folder] < MAX_TRIES:
+                            waiting.append(device)
+                        else:
+                            yield Outcome(device, "failed", "the process that fitted it died twice (memory, or killed)")
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _fit_one(device: Device, folder: Path) -> Outcome:
+    """Fit one device in a worker process."""
+    try:
+        result: DeviceResult = fit_device(
+            device.recordings, folder / device.folder, device.options, name=device.name, threads=1
+        )
+    except ShjError as error:
+        return Outcome(device, "failed", str(error))
+    except Exception as error:  # one bad device must not stop a thousand good ones; the type says it is a bug
+        return Outcome(device, "failed", f"unexpected {type(error).__name__}: {error}")
+    return Outcome(device, "done" if result.fresh else "kept", verdict=result.record["verdict"])
+
+
+def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Content of ``campaign.json``."""
+    sets: dict[str, list[dict[str, str]]] = {}
+    for o in outcomes:
+        entry = {"name": o.device.name, "folder": o.device.folder}
+        entry |= {"status": o.status, "reason": o.reason, "verdict": o.verdict}
+        sets.setdefault(o.device.set_name, []).append(entry)
+    return {
+        "schema": SCHEMA,
+        "name": manifest.name,
+        "simulated": manifest.simulated,
+        "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
+    }
+
+
+def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[Device]:
+    sets = table.get("set", [])
+    if not isinstance(sets, list) or not sets:
+        raise CampaignError(f"{path.name} has no [[set]] table; each set needs a name and [[set.device]] tables")
+    for number, entry in enumerate(sets, start=1):
+        set_name = _text(path, f"[[set]] number {number}", entry, "name")
+        where = f"set '{set_name}'"
+        own = _options(path, where, defaults, entry.get("options", {}))
+        for device in entry.get("device", []):
+            name = _text(path, where, device, "name")
+            at = f"{where}, device '{name}'"
+            files = device.get("recordings")
+            if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
+                raise CampaignError(f"{path.name}: {at} needs recordings = [\"run1.csv\", ...] in the order they were run")
+            if "\x00" in "".join(files):
+                raise CampaignError(f"{path.name}: {at} names a file with a NUL character")
+            recordings = tuple(path.parent / f for f in files)
+            yield Device(name, set_name, recordings, _options(path, at, own, device.get("options", {})))
+
+
+def _text(path: Path, where: str, entry: Any, key: str) -> str:
+    value = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(value, str) or not value.strip():
+        raise CampaignError(f"{path.name}: {where} has {key} = {value!r}; it needs a text")
+    return plain_name(value)
+
+
+def _options(path: Path, where: str, base: Options, entry: Any) -> Options:
+    """Options with those of a manifest table put over them."""
+    if not isinstance(entry, dict):
+        raise CampaignError(f"{path.name}: {where} options must be a table, not {entry!r}")
+    known = {field.name: field for field in fields(Options)}
+    values: dict[str, Any] = {}
+    for key, value in entry.items():
+        if key not in known:
+            raise CampaignError(f"{path.name}: {where} has the option '{key}'; known are {', '.join(known)}")
+        current = getattr(Options(), key)
+        kinds: tuple[type, ...] = (int, float) if key == "rate_Hz" else (list,) if key == "free" else (type(current),)
+        kinds = (str,) if current is None and key != "rate_Hz" else kinds
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            raise CampaignError(f"{path.name}: {where} option {key} = {value!r}; it needs {kinds[0].__name__}")
+        values[key] = tuple(str(v) for v in value) if key == "free" else value
+    priors = values.get("priors", "")
+    if priors.endswith(".toml"):
+        values["priors"] = str(path.parent / priors)
+    return replace(base, **values)

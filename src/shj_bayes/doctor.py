@@ -1,0 +1,68 @@
+"""What is installed, whether it works, how fast this machine is."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.inference.fit import make_problem
+from shj_bayes.inference.start import find_start
+from shj_bayes.inference.store import versions
+from shj_bayes.model.priors import read_priors, shipped_families
+from shj_bayes.model.simulate import Truth, simulate_device
+
+TRUTH = Truth(gamma=1 / 60)
+
+
+def examine() -> tuple[dict[str, Any], str]:
+    """Fit a small simulated device and time the law.
+
+    Returns
+    -------
+    dict
+        ``works``, ``versions``, ``machine``, ``checks`` (name to words) and timings.
+    str
+        The same for people.
+    """
+    begin = time.perf_counter()
+    problem = make_problem(simulate_device(TRUTH, seed=1, rate_Hz=20.0))
+    start = find_start(problem)
+    first = time.perf_counter() - begin
+    theta = problem.natural(start.free[None])[0]
+    error = {name: abs(theta[problem.layout.index(name)] / getattr(TRUTH, name) - 1) for name in ("K", "Fy", "gamma")}
+    works = max(error.values()) < 0.05
+    batch = np.repeat(theta[None], 16, axis=0)
+    seconds = min(_timed(problem.log_likelihood, batch) for _ in range(20))
+    n = sum(run.recording.n_samples for run in problem.runs)
+    families = [f"{family} ({len(read_priors(family).priors)} laws)" for family in shipped_families()]
+    record = {
+        "schema": "shj-bayes/doctor/1",
+        "works": works,
+        "versions": versions(),
+        "machine": {"system": platform.system(), "processor": platform.machine(), "processors": os.cpu_count()},
+        "checks": {
+            "fit of a simulated device": f"K, Fy and gamma within {100 * max(error.values()):.2g} % of the truth",
+            "priors": ", ".join(families),
+        },
+        "first_fit_s": first,
+        "likelihood_ns_per_sample": 1e9 * seconds / (16 * n),
+    }
+    lines = [f"{name:12}{version}" for name, version in record["versions"].items()]
+    lines += [f"{name:12}{value}" for name, value in record["machine"].items()]
+    lines += [f"{name}: {words}" for name, words in record["checks"].items()]
+    lines += [
+        f"first search for a fit: {first:.1f} s (compiles once after installation)",
+        f"likelihood: {record['likelihood_ns_per_sample']:.1f} ns per sample on one processor",
+        "everything works" if works else "NOT WORKING: the fit of a simulated device misses the truth by more than 5 %",
+    ]
+    return record, "\n".join(lines)
+
+
+def _timed(function: Any, argument: Any) -> float:
+    begin = time.perf_counter()
+    function(argument)
+    return time.perf_counter() - begin

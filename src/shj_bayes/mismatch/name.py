@@ -1,0 +1,151 @@
+"""Which effect of the catalogue was left out: full refits, compared on cycles that were held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.mismatch.evidence import Evidence
+from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
+from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Priors
+
+N_BOOTSTRAP = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One effect, fitted in full beside the base parameters.
+
+    Parameters
+    ----------
+    effect : Effect
+        What was tried.
+    fit : Refit
+        The augmented model.
+    gain : array, shape (n_blocks,)
+        Fall of the held-out sum of squares of each block, kN^2.
+    size_kN : float
+        99th percentile of the force the effect makes, kN.
+    """
+
+    effect: Effect
+    fit: Refit
+    gain: FloatArray
+    size_kN: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """All candidates, best first, with what the comparison says.
+
+    Parameters
+    ----------
+    candidates : tuple of Candidate
+        By held-out gain.
+    elpd_gain, se : array, shape (n_candidates,)
+        Gain in expected log predictive density of held-out blocks, and its standard error over blocks.
+    behind, behind_se : array, shape (n_candidates,)
+        How far each lies behind the best, and the standard error of that difference.
+    probability : array, shape (n_candidates,)
+        Share of resampled sets of blocks in which the candidate is best.
+    """
+
+    candidates: tuple[Candidate, ...]
+    elpd_gain: FloatArray
+    se: FloatArray
+    behind: FloatArray
+    behind_se: FloatArray
+    probability: FloatArray
+
+    def excluded(self) -> list[bool]:
+        """For each candidate, whether the best one beats it by more than two standard errors."""
+        return [
+            bool(i > 0 and b > 2.0 * s and p < 0.05)
+            for i, (b, s, p) in enumerate(zip(self.behind, self.behind_se, self.probability, strict=True))
+        ]
+
+
+def try_all(
+    evidence: Evidence, base: Refit, priors: Priors, effects: Sequence[Effect], *, variant: str
+) -> list[Candidate]:
+    """Fit the current model with each further effect.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        The recordings.
+    base : Refit
+        The current model, fitted; it may hold effects already.
+    priors : Priors
+        Of the base parameters.
+    effects : sequence of Effect
+        To be tried one at a time.
+    variant : {"seed", "continuous"}
+        Reversal rule.
+
+    Returns
+    -------
+    list of Candidate
+    """
+    before = evidence.block_sums(base.held_out_residual(evidence) ** 2)
+    out = []
+    for effect in effects:
+        kept = base.model.effects
+        model = make_model(priors, len(evidence.histories), (*kept, effect), variant=variant, speed=base.model.speed)
+        fit = refit(evidence, model, extend_starts(base, model, effect), sigma_kN=base.rmse_kN)
+        after = evidence.block_sums(fit.held_out_residual(evidence) ** 2)
+        out.append(Candidate(effect, fit, before - after, effect_size(evidence, fit, effect)))
+    return out
+
+
+def effect_size(evidence: Evidence, fit: Refit, effect: Effect) -> float:
+    """Force that an effect makes in a fitted model: 99th percentile of the change when it is taken out, kN."""
+    without = fit.z.copy()
+    for i, name in enumerate(fit.model.names):
+        owner, _, parameter = name.partition(".")
+        if owner == effect.id and parameter in effect.neutral:
+            without[i] = float(fit.model.priors[i].to_free(np.asarray(_inside(fit, i, effect.neutral[parameter]))))
+    change = np.abs(fit.force_kN - fit.model.force(evidence, np.clip(without, -30.0, 30.0)))
+    return float(np.percentile(change[evidence.weight > 0], 99))
+
+
+def _inside(fit: Refit, i: int, value: float) -> float:
+    """Neutral value moved just inside the law's support (a lognormal size is never quite 0)."""
+    prior = fit.model.priors[i]
+    if prior.law in ("uniform", "loguniform"):
+        width = 1e-9 * (prior.b - prior.a)
+        return min(max(value, prior.a + width), prior.b - width)
+    return max(value, 1e-9 * prior.a) if prior.law == "lognormal" else value
+
+
+def rank(evidence: Evidence, candidates: Sequence[Candidate], rng: np.random.Generator) -> Ranking:
+    """Compare candidates on held-out blocks.
+
+    Gains are turned into log density with the noise of the best candidate: its held-out variance, and the factor
+    (1 - phi)/(1 + phi) by which correlated samples are worth less than independent ones.
+    """
+    gains = np.stack([c.gain for c in candidates])
+    order = np.argsort(-gains.sum(axis=1), kind="stable")
+    gains = gains[order]
+    best = candidates[int(order[0])]
+    residual = best.fit.residual_kN
+    variance = max(float(residual @ residual) / max(float(evidence.weight.sum()), 1.0), 1e-300)
+    phi = float(residual[:-1] @ residual[1:]) / max(float(residual @ residual), 1e-300)
+    worth = (1 - min(max(phi, 0.0), 0.99)) / (1 + min(max(phi, 0.0), 0.99)) / (2 * variance)
+    nats = gains * worth
+    behind = nats[0] - nats
+    weights = rng.dirichlet(np.ones(evidence.n_blocks), size=N_BOOTSTRAP)
+    winner = np.argmax(weights @ nats.T, axis=1)
+    n = evidence.n_blocks
+    return Ranking(
+        candidates=tuple(candidates[int(i)] for i in order),
+        elpd_gain=nats.sum(axis=1),
+        se=np.sqrt(n) * nats.std(axis=1, ddof=1),
+        behind=behind.sum(axis=1),
+        behind_se=np.sqrt(n) * behind.std(axis=1, ddof=1),
+        probability=np.bincount(winner, minlength=len(candidates)) / N_BOOTSTRAP,
+    )

@@ -1,0 +1,242 @@
+"""Least-squares fit of the base law with any set of effects, and what it predicts for blocks it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.mismatch.evidence import Evidence
+from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.effects.effect import Base, Effect
+from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.model.priors import Prior, Priors
+
+STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
+PRIOR_WEIGHT = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The base law with effects, as a function of a vector of standardised free parameters.
+
+    Parameters
+    ----------
+    effects : tuple of Effect
+        Added to the base law.
+    priors : tuple of Prior
+        Of the base parameters (named by `names`), then of the effects' parameters.
+    names : tuple of str
+        ``K``, ``Fy``, ``beta``, ``gamma``, ``ratio`` ..., then ``effect.parameter``.
+    variant : {"seed", "continuous"}
+        Reversal rule.
+    speed : bool
+        False fixes gamma at 0 (``--without velocity``).
+    """
+
+    effects: tuple[Effect, ...]
+    priors: tuple[Prior, ...]
+    names: tuple[str, ...]
+    variant: str
+    speed: bool
+
+    def values(self, z: FloatArray) -> dict[str, float]:
+        """Parameters in natural units by name."""
+        return {
+            name: float(prior.from_free(np.asarray(value)))
+            for name, prior, value in zip(self.names, self.priors, z, strict=True)
+        }
+
+    def force(self, evidence: Evidence, z: FloatArray) -> FloatArray:
+        """Force of all runs, shape (n,), kN."""
+        values = self.values(z)
+        own = {e.id: {p: values[f"{e.id}.{p}"] for p in e.names} for e in self.effects}
+        out = []
+        for history, start in zip(evidence.histories, evidence.start_force_kN, strict=True):
+            capacity = values["Fy"] * (values[run_name("ratio", history.run)] if history.run > 1 else 1.0)
+            base = Base(values["K"], capacity, values["beta"], values.get("gamma", 0.0), values["Fy"])
+            out.append(
+                force_with_effects(history, base, self.effects, own, variant=self.variant, start_force_kN=start)
+            )
+        return np.concatenate(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A model fitted to the evidence.
+
+    Parameters
+    ----------
+    model : Model
+        What was fitted.
+    z : array, shape (d,)
+        Standardised free parameters.
+    force_kN, residual_kN : array, shape (n,)
+        Fitted force; measured minus fitted, 0 where there is no evidence.
+    jacobian : array, shape (n, d)
+        Derivative of the force after each free parameter, 0 where there is no evidence.
+    """
+
+    model: Model
+    z: FloatArray
+    force_kN: FloatArray
+    residual_kN: FloatArray
+    jacobian: FloatArray
+
+    @property
+    def rmse_kN(self) -> float:
+        """Root mean square residual, kN."""
+        n = max(int(np.count_nonzero(self.residual_kN)), 1)
+        return float(np.sqrt(np.sum(self.residual_kN**2) / n))
+
+    def held_out_residual(self, evidence: Evidence) -> FloatArray:
+        """Residual of each block under the parameters fitted without that block, shape (n,), kN.
+
+        The refit without the block is one Gauss-Newton step from the full fit; for a linear model that is exact.
+        """
+        d = self.z.size
+        gram = self.jacobian.T @ self.jacobian + _ridge(self) * np.eye(d)
+        out = self.residual_kN.copy()
+        edges = np.append(np.flatnonzero(np.diff(evidence.block, prepend=-1)), evidence.block.size)
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            j, r = self.jacobian[a:b], self.residual_kN[a:b]
+            rest = gram - j.T @ j
+            step = np.linalg.lstsq(rest, j.T @ r, rcond=1e-10)[0]
+            out[a:b] = r + j @ step
+        return out
+
+
+def make_model(
+    priors: Priors, n_runs: int, effects: Sequence[Effect], *, variant: str = "seed", speed: bool = True
+) -> Model:
+    """Base law with effects for a device with `n_runs` runs; see `Model`."""
+    base = [name for name in ("K", "Fy", "beta", "gamma") if speed or name != "gamma"]
+    base += [run_name("ratio", run) for run in range(2, n_runs + 1)]
+    laws = [priors.of(name) for name in base]
+    names = list(base)
+    for effect in effects:
+        laws += effect.parameters
+        names += [f"{effect.id}.{p}" for p in effect.names]
+    return Model(tuple(effects), tuple(laws), tuple(names), variant, speed)
+
+
+def refit(
+    evidence: Evidence, model: Model, starts: Sequence[FloatArray], *, rounds: int = 40, sigma_kN: float | None = None
+) -> Refit:
+    """Least squares from several starts; the best is kept.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What is fitted.
+    model : Model
+        What to fit.
+    starts : sequence of array, shape (d,)
+        Free parameters to start from; all get a few steps, the best two go to the end.
+    rounds : int
+        Largest number of Levenberg-Marquardt steps.
+    sigma_kN : float, optional
+        Noise scale against which the priors count; from the first start's residual by default.
+
+    Returns
+    -------
+    Refit
+    """
+    short = [_descend(evidence, model, z, 4, sigma_kN) if len(starts) > 2 else z for z in starts]
+    costs = [_cost(evidence, model, z, sigma_kN or 1.0) for z in short]
+    best = [short[i] for i in np.argsort(costs, kind="stable")[:2]]
+    ends = [_descend(evidence, model, z, rounds, sigma_kN) for z in best]
+    z = ends[int(np.argmin([_cost(evidence, model, end, sigma_kN or 1.0) for end in ends]))]
+    force = model.force(evidence, z)
+    residual = (evidence.force_kN - force) * evidence.weight
+    return Refit(model, z, force, residual, _jacobian(evidence, model, z, force))
+
+
+def extend_starts(base: Refit, model: Model, effect: Effect) -> list[FloatArray]:
+    """Starts of a larger model: the smaller model's parameters and the effect's own start values."""
+    head = base.z
+    grids = [_start_values(effect, prior) for prior in effect.parameters]
+    tails = [np.array(values) for values in product(*grids)]
+    assert model.names[: head.size] == base.model.names
+    return [np.concatenate([head, tail]) for tail in tails]
+
+
+def _start_values(effect: Effect, prior: Prior) -> list[float]:
+    """Free start values of one parameter of an effect."""
+    given = effect.start.get(prior.name)
+    if given:
+        return [float(prior.to_free(np.asarray(float(value)))) for value in given]
+    if prior.name in effect.neutral and prior.law == "normal":
+        return [0.05 / prior.b]
+    return [0.0]
+
+
+def _residual_and_prior(evidence: Evidence, model: Model, z: FloatArray) -> FloatArray:
+    return (evidence.force_kN - model.force(evidence, z)) * evidence.weight
+
+
+def _cost(evidence: Evidence, model: Model, z: FloatArray, sigma: float) -> float:
+    r = _residual_and_prior(evidence, model, z)
+    value = float(r @ r) / sigma**2 + PRIOR_WEIGHT * float(z @ z)
+    return value if np.isfinite(value) else np.inf
+
+
+def _jacobian(evidence: Evidence, model: Model, z: FloatArray, force: FloatArray) -> FloatArray:
+    columns = []
+    for i in range(z.size):
+        moved = z.copy()
+        moved[i] += STEP
+        columns.append((model.force(evidence, moved) - force) / STEP)
+    return np.stack(columns, axis=1) * evidence.weight[:, None]
+
+
+def _descend(evidence: Evidence, model: Model, z: FloatArray, rounds: int, sigma: float | None) -> FloatArray:
+    """Levenberg-Marquardt with the priors as weak springs on the standardised parameters."""
+    z = np.array(z, dtype=np.float64)
+    force = model.force(evidence, z)
+    r = (evidence.force_kN - force) * evidence.weight
+    scale = sigma or max(float(np.std(r)), 1e-12)
+    cost = float(r @ r) / scale**2 + float(z @ z)
+    damping = 1e-3
+    for _ in range(rounds):
+        jacobian = _jacobian(evidence, model, z, force)
+        gram = jacobian.T @ jacobian / scale**2 + np.eye(z.size)
+        slope = jacobian.T @ r / scale**2 - z
+        for _ in range(8):
+            step = np.linalg.solve(gram + damping * np.diag(np.diag(gram)), slope)
+            step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
+            trial = np.clip(z + step, -12.0, 12.0)
+            new = model.force(evidence, trial)
+            new_r = (evidence.force_kN - new) * evidence.weight
+            new_cost = float(new_r @ new_r) / scale**2 + float(trial @ trial)
+            if new_cost < cost:
+                break
+            damping *= 5.0
+        else:
+            return z
+        gain = cost - new_cost
+        z, force, r, cost = trial, new, new_r, new_cost
+        damping = max(damping / 5.0, 1e-9)
+        if gain < 1e-5 * cost + 1e-3:
+            return z
+    return z
+
+
+def _ridge(fit: Refit) -> float:
+    """Weight of the priors in the units of the Gram matrix."""
+    return PRIOR_WEIGHT * max(fit.rmse_kN, 1e-12) ** 2
+
+
+def natural_values(fit: Refit) -> Mapping[str, float]:
+    """Fitted parameters in natural units by name."""
+    return fit.model.values(fit.z)
+
+
+def orthogonal_to(jacobian: FloatArray, columns: FloatArray) -> FloatArray:
+    """What is left of some columns when all that the fitted parameters can follow is taken out."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    q: NDArray[np.float64] = np.linalg.qr(jacobian[:, scale > 0] / scale[scale > 0])[0]
+    return np.asarray(columns - q @ (q.T @ columns))

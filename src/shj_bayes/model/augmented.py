@@ -1,0 +1,77 @@
+"""The law with physical effects: Eq. (1) and (2) plus whatever a list of effects contributes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, combine
+from shj_bayes.model.effects.kernel import rate_free_force
+from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
+
+
+def force_with_effects(
+    history: History,
+    base: Base,
+    effects: Sequence[Effect],
+    values: Mapping[str, Mapping[str, float]],
+    *,
+    variant: str = "seed",
+    start_force_kN: float = 0.0,
+) -> FloatArray:
+    """Force of one run with effects.
+
+    Parameters
+    ----------
+    history : History
+        The run.
+    base : Base
+        K, Fy of this run, beta, gamma.
+    effects : sequence of Effect
+        What is added to the base law; none gives `shj_bayes.model.law.force`.
+    values : mapping of effect id to mapping of parameter name to value
+        In the units of each effect.
+    variant : {"seed", "continuous"}
+        Reversal rule of the base law.
+    start_force_kN : float
+        Rate-free force at the first sample, kN.
+
+    Returns
+    -------
+    array, shape (n_samples,)
+        Force, kN.
+    """
+    total = combine([effect.act(history, values[effect.id], base) for effect in effects])
+    share, delay = total.second_surface
+    smooth = 1.0 if variant == "continuous" else total.smooth_reversal
+    force = _surface(history, base, total, (1.0 - share, 0.0, smooth), start_force_kN * (1.0 - share))
+    if share > 0:
+        force = force + _surface(history, base, total, (share, delay, smooth), start_force_kN * share)
+    force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * history.speed_mm_s) + total.added_kN
+    if total.lag_s:
+        force = np.interp(history.time_s - total.lag_s, history.time_s, force)
+    return np.asarray(force)
+
+
+def _surface(
+    history: History, base: Base, total: Contribution, surface: tuple[float, float, float], start_force: float
+) -> FloatArray:
+    """Rate-free force of one sliding surface that carries a share of stiffness and capacity."""
+    share, delay, smooth = surface
+    motion = history.motion
+    out = np.empty(motion.displacement_mm.size)
+    clamping = np.ascontiguousarray(np.broadcast_to(total.clamping, out.shape), dtype=np.float64)
+    rate_free_force(
+        out,
+        motion.displacement_mm,
+        motion.start,
+        motion.turning_mm,
+        motion.direction,
+        np.array([base.K * share, base.Fy * share, base.beta]),
+        clamping,
+        np.array([total.slack_mm, delay, total.compliance_mm_per_kN / max(share, 1e-12), smooth]),
+        start_force,
+    )
+    return out

@@ -1,0 +1,31 @@
+"""Push and pull capacities differ."""
+
+from __future__ import annotations
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + a q."""
+    return Contribution(clamping=1.0 + values["size"] * history.direction)
+
+
+EFFECT = Effect(
+    id="asymmetry",
+    family="even_in_direction",
+    title="Push and pull differ",
+    statement="Sliding force is {size:+.0%} off the mean while displacement grows, and the opposite while it falls.",
+    equation="Fy -> Fy (1 + a q), q = sign(v)",
+    cause="Lever or band action, bolts that lean one way, or plates that pinch in one direction.",
+    shows="One plateau level for each direction; the difference shrinks with Fy in the second run.",
+    next_test="Read the load cell unloaded: a reading of zero leaves asymmetry, anything else is an offset.",
+    parameters=(
+        Prior("size", "1", "normal", 0.0, 0.15, "0-15 % in friction connections, more in band brakes; either sign."),
+    ),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN E11.",
+    start={"size": (0.05,)},
+)

@@ -1,0 +1,34 @@
+"""Force rises with travel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + b (1 - exp(-s/s1)); travel s goes on from run to run."""
+    return Contribution(clamping=1.0 + values["size"] * (1.0 - np.exp(-history.travel_m / values["travel"])))
+
+
+EFFECT = Effect(
+    id="bedding_in",
+    family="slow_change",
+    title="Force rises with travel",
+    statement="Sliding force rises by {size:.0%} over the first {travel:.2f} m of travel: the surfaces bed in.",
+    equation="Fy -> Fy (1 + b (1 - exp(-s/s1)))",
+    cause="Surfaces bed in: mill scale, paint or grease is rubbed off, or the plates gall.",
+    shows="The first cycles, which are also the smallest amplitudes; the plateaus level off later.",
+    next_test="Repeat the smallest block at the end of the run: bedding in stays, amplitude dependence goes back.",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 1.0, "Rises of up to 0.3 are expected; galling reaches more."),
+        Prior("travel", "m", "loguniform", 0.02, 5.0, "The first cycles: 0.05 to 2 m."),
+    ),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN E07.",
+    start={"size": (0.1,), "travel": (0.1, 0.5, 2.0)},
+)

@@ -1,0 +1,160 @@
+"""What a physical effect is: words, parameters with priors, and what it does to the law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shj_bayes.errors import ModelError
+from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior
+
+FAMILIES = (
+    "even_in_position",
+    "low_speed",
+    "start_of_stroke",
+    "end_of_stroke",
+    "slow_change",
+    "even_in_direction",
+    "odd_in_position",
+    "oscillation",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Contribution:
+    """What an effect does to the law in one run; every part has a neutral default, and parts combine freely.
+
+    Parameters
+    ----------
+    clamping : array, shape (n_samples,), or float
+        Multiplies Fy (the clamping force or the friction coefficient).
+    added_kN : array, shape (n_samples,), or float
+        Added to the force.
+    slack_mm : float
+        Free travel at zero force after each reversal.
+    compliance_mm_per_kN : float
+        Elastic part in series (grip, frame).
+    lag_s : float
+        Time by which the force channel is behind the displacement channel.
+    smooth_reversal : float
+        Share of the continuous reversal rule, 0 (Eq. 1 as published) to 1 (no jump).
+    gamma_s_per_mm : float
+        Added to gamma of Eq. (2).
+    second_surface : tuple of float
+        Share of the capacity on a second sliding surface, and the travel (mm) after which it follows.
+    """
+
+    clamping: FloatArray | float = 1.0
+    added_kN: FloatArray | float = 0.0
+    slack_mm: float = 0.0
+    compliance_mm_per_kN: float = 0.0
+    lag_s: float = 0.0
+    smooth_reversal: float = 0.0
+    gamma_s_per_mm: float = 0.0
+    second_surface: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Base:
+    """The base parameters an effect may refer to: K (kN/mm), Fy of this run (kN), beta, gamma (s/mm), Fy of run 1 (kN).
+
+    Effects that add a force scale with ``Fy_first``: unlike friction they do not degrade with the clamping.
+    """
+
+    K: float
+    Fy: float
+    beta: float
+    gamma: float
+    Fy_first: float
+
+
+Values = Mapping[str, float]
+Act = Callable[[History, Values, Base], Contribution]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical effect.
+
+    Parameters
+    ----------
+    id, family : str
+        As in INTERFACE.
+    title : str
+        A few words, for headings.
+    statement : str
+        One plain sentence that an engineer can act on; may hold ``{name}`` of a parameter.
+    equation : str
+        Plain-text equation.
+    cause : str
+        Likely mechanical cause.
+    shows : str
+        Where in a recording it shows.
+    next_test : str
+        The cheapest change of the test that would tell it from its rivals.
+    parameters : tuple of Prior
+        Parameters with unit, law and source; the first one is the size, 0 (or its neutral value) means no effect.
+    neutral : mapping of str to float
+        Parameter values at which the effect is absent.
+    act : callable
+        ``act(history, values, base)`` gives the `Contribution` to one run.
+    source : str
+        Equation or paper.
+    start : mapping of str to tuple of float
+        Values to start a search from, per parameter; every combination is one start (six at most). A parameter that is
+        not named starts at the middle of its prior.
+    """
+
+    id: str
+    family: str
+    title: str
+    statement: str
+    equation: str
+    cause: str
+    shows: str
+    next_test: str
+    parameters: tuple[Prior, ...]
+    neutral: Values
+    act: Act
+    source: str
+    start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse effects without words, parameters or a neutral value."""
+        if self.family not in FAMILIES:
+            raise ModelError(
+                f"effect {self.id}: family '{self.family}' is not known; choose one of {', '.join(FAMILIES)}"
+            )
+        names = {p.name for p in self.parameters}
+        if not names or not set(self.neutral) <= names or not self.neutral:
+            raise ModelError(f"effect {self.id}: needs parameters, and a neutral value for at least one of them")
+        if not set(self.start) <= names:
+            raise ModelError(f"effect {self.id}: starts must be for its parameters, {', '.join(self.names)}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names."""
+        return tuple(p.name for p in self.parameters)
+
+
+def combine(contributions: list[Contribution]) -> Contribution:
+    """Join the contributions of several effects."""
+    clamping: FloatArray | float = 1.0
+    added: FloatArray | float = 0.0
+    for c in contributions:
+        clamping, added = clamping * c.clamping, added + c.added_kN
+    second = [c.second_surface for c in contributions if c.second_surface[0] > 0]
+    return Contribution(
+        clamping=np.maximum(clamping, 1e-3),
+        added_kN=added,
+        slack_mm=sum(c.slack_mm for c in contributions),
+        compliance_mm_per_kN=sum(c.compliance_mm_per_kN for c in contributions),
+        lag_s=sum(c.lag_s for c in contributions),
+        smooth_reversal=min(1.0, sum(c.smooth_reversal for c in contributions)),
+        gamma_s_per_mm=sum(c.gamma_s_per_mm for c in contributions),
+        second_surface=second[0] if second else (0.0, 0.0),
+    )

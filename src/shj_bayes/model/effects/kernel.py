@@ -1,0 +1,83 @@
+"""Compiled law with effects: Eq. (1) with a capacity that changes, slack, delay, compliance and a reversal rule."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from shj_bayes.model.kernel import saturate
+
+
+@njit(error_model="numpy", fastmath={"contract"})
+def _held(e, sense, capacity, beta, smooth):  # type: ignore[no-untyped-def]
+    """Eq. (1) with a share of the continuous reversal rule."""
+    held = saturate(e, 1.0 / capacity, beta, 1.0 / beta)
+    return held if e * sense > 0.0 else held + smooth * (e - held)
+
+
+@njit(error_model="numpy", fastmath={"contract"})
+def _elastic(distance, reset, sense, stiffness, slack, delay):  # type: ignore[no-untyped-def]
+    """Elastic force after a distance since the reversal, with free travel at zero force and a delayed start."""
+    e = reset + stiffness * sense * max(distance - delay, 0.0)
+    along = e * sense
+    if along > 0.0 and reset * sense <= 0.0:  # the gap opens only when the force comes down to zero on the way
+        return sense * max(along - stiffness * slack, 0.0)
+    return e
+
+
+@njit(error_model="numpy", fastmath={"contract"})
+def _in_series(distance, reset, sense, law, capacity, parts, guess):  # type: ignore[no-untyped-def]
+    """Force of the device behind an elastic part: the device moves by the distance less what the part takes up."""
+    slack, delay, compliance, smooth = parts[0], parts[1], parts[2], parts[3]
+    low, high = -4.0 * capacity - abs(reset), 4.0 * capacity + abs(reset)
+    f = guess
+    for _ in range(60):  # bisection guarded secant: the force falls when the series part takes up more
+        own = distance - sense * compliance * (f - reset)
+        value = _held(_elastic(own, reset, sense, law[0], slack, delay), sense, capacity, law[2], smooth) - f
+        if value > 0.0:
+            low = f
+        else:
+            high = f
+        if abs(value) < 1e-9 * capacity or high - low < 1e-9 * capacity:
+            break
+        step = 1e-6 * capacity
+        moved = distance - sense * compliance * (f + step - reset)
+        other = _held(_elastic(moved, reset, sense, law[0], slack, delay), sense, capacity, law[2], smooth) - f - step
+        slope = (other - value) / step
+        f = f - value / slope if slope < 0.0 else 0.5 * (low + high)
+        if not low < f < high:
+            f = 0.5 * (low + high)
+    return f
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]
+    """Fill `out` with the rate-free force of one run.
+
+    `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack (mm), delay (mm), compliance (mm/kN) and the
+    share of the continuous reversal rule.
+    """
+    stiffness, beta = law[0], law[2]
+    slack, delay, compliance, smooth = parts[0], parts[1], parts[2], parts[3]
+    reset = start_force
+    for k in range(turning.size):
+        a, b, sense = start[k], start[k + 1], float(direction[k])
+        xs, caps, outs, origin = x[a:b], clamping[a:b], out[a:b], turning[k]
+        if compliance > 0.0:
+            guess = reset
+            for i in range(outs.size):
+                guess = _in_series((xs[i] - origin) * sense, reset, sense, law, law[1] * caps[i], parts, guess)
+                outs[i] = guess
+        elif slack == 0.0 and delay == 0.0:
+            for i in range(outs.size):
+                outs[i] = _held(stiffness * (xs[i] - origin) + reset, sense, law[1] * caps[i], beta, smooth)
+        else:
+            for i in range(outs.size):
+                e = _elastic((xs[i] - origin) * sense, reset, sense, stiffness, slack, delay)
+                outs[i] = _held(e, sense, law[1] * caps[i], beta, smooth)
+        if k + 1 < turning.size:
+            reach = (turning[k + 1] - origin) * sense
+            capacity = law[1] * clamping[b - 1]
+            if compliance > 0.0:
+                reset = _in_series(reach, reset, sense, law, capacity, parts, outs[outs.size - 1])
+            else:
+                reset = _held(_elastic(reach, reset, sense, stiffness, slack, delay), sense, capacity, beta, smooth)

@@ -1,0 +1,31 @@
+"""Constant added to the force."""
+
+from __future__ import annotations
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Add a share of Fy_first."""
+    return Contribution(added_kN=base.Fy_first * values["size"])
+
+
+EFFECT = Effect(
+    id="load_offset",
+    family="even_in_direction",
+    title="Constant added to the force",
+    statement="The force reading is off by {size:+.1%} of Fy throughout; zero the load cell and subtract it.",
+    equation="F -> F + c Fy1",
+    cause="Load cell not zeroed, weight of fixtures, or a preload.",
+    shows="The whole loop shifted up or down, by the same number of kN in both runs, also while sticking.",
+    next_test="Read the load cell unloaded before and after the run.",
+    parameters=(
+        Prior("size", "1", "normal", 0.0, 0.15, "0.001-0.01 for a sound load cell; fixtures and preload give more."),
+    ),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN E17.",
+    start={"size": (0.02,)},
+)

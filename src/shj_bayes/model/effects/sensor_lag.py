@@ -1,0 +1,29 @@
+"""Delay between the displacement and force channels."""
+
+from __future__ import annotations
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Force recorded a lag after the displacement."""
+    return Contribution(lag_s=values["size"])
+
+
+EFFECT = Effect(
+    id="sensor_lag",
+    family="start_of_stroke",
+    title="Delay between the channels",
+    statement="Force is recorded {size:.3f} s after displacement (negative: before); correct the timing and fit again.",
+    equation="F_recorded(t) = F(t - tau)",
+    cause="Filters or multiplexed sampling that treat the two channels differently.",
+    shows="Reversals shifted along the stroke by tau times the speed there; grows with speed, unlike slack.",
+    next_test="Cross-correlate the channels in a fast elastic cycle, or repeat one amplitude five times faster.",
+    parameters=(Prior("size", "s", "normal", 0.0, 0.1, "0 to 0.1 s for unequal filters; either channel may be late."),),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN E16.",
+    start={"size": (0.03, -0.03)},
+)

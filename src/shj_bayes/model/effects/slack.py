@@ -1,0 +1,29 @@
+"""Free travel near zero force after a reversal."""
+
+from __future__ import annotations
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Free travel at zero force."""
+    return Contribution(slack_mm=values["size"])
+
+
+EFFECT = Effect(
+    id="slack",
+    family="start_of_stroke",
+    title="Free travel at reversals",
+    statement="The connection moves {size:.1f} mm without load at every reversal before it picks up again.",
+    equation="F = 0 over a distance g once the force has unloaded to zero",
+    cause="Clearance of bolts, pins or the grips: backlash in series with the sliding surfaces.",
+    shows="A flat step at zero force in every reversal, of one width in all amplitudes, speeds and clamping levels.",
+    next_test="Two slow small cycles at low clamping, or a displacement gauge across the device itself.",
+    parameters=(Prior("size", "mm", "uniform", 0.0, 10.0, "Standard holes give 2 mm a side; brfd-lehigh has 3 mm."),),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN E10; the paper's brass shim ('slid rigidly back to zero').",
+    start={"size": (0.5, 2.0)},
+)

@@ -1,0 +1,34 @@
+"""Extra friction at low sliding speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + a exp(-|v|/vs)."""
+    return Contribution(clamping=1.0 + values["size"] * np.exp(-history.speed_mm_s / values["speed"]))
+
+
+EFFECT = Effect(
+    id="stribeck",
+    family="low_speed",
+    title="Extra friction at low speed",
+    statement="Friction is {size:.0%} higher at creep than when sliding, an extra that fades over {speed:.1f} mm/s.",
+    equation="Fy -> Fy (1 + a exp(-|v|/vs))",
+    cause="Static friction above sliding friction (Stribeck effect): surfaces weld or key when they move slowly.",
+    shows="Ears at both ends of every stroke, wider in the larger amplitude blocks.",
+    next_test="Triangular cycles at constant speed: the ears vanish, a breakaway peak stays; then slow blocks.",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 1.0, "0 to 0.3 for metals, up to 1 for brake linings (NZSEE 1773)."),
+        Prior("speed", "mm/s", "loguniform", 0.1, 10.0, "0.1 to 5 mm/s for dry contacts; twice that allowed."),
+    ),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN E01; Stribeck law with exponent 1.",
+    start={"size": (0.1,), "speed": (0.5, 2.0)},
+)

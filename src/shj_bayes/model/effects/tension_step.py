@@ -1,0 +1,48 @@
+"""Sudden change of clamping at one moment."""
+
+from __future__ import annotations
+
+from scipy.special import expit
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+RAMP = 0.005  # of the testing time: sudden for an engineer, smooth enough for a search
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + c (1 + side q) from a moment on, for a time; both as shares of the testing time of all runs."""
+    clock = (history.run - 1 + history.time_s / history.time_s[-1]) / history.n_runs
+    begin = values["begin"]
+    window = expit((clock - begin) / RAMP) * expit((begin + values["length"] - clock) / RAMP)
+    return Contribution(clamping=1.0 + values["size"] * (1.0 + values["side"] * history.direction) * window)
+
+
+EFFECT = Effect(
+    id="tension_step",
+    family="slow_change",
+    title="Sudden change of clamping",
+    statement="Clamping changes by {size:+.0%} {begin:.0%} into the testing time, for {length:.0%} of it.",
+    equation="Fy -> Fy (1 + c (1 + side q)) for begin < (n_run - 1 + t/T)/N < begin + length",
+    cause="A bolt loosened, cracked, yielded or was re-tightened; or the clamping was adjusted during the test.",
+    shows="All plateaus between two moments higher or lower, with steady plateaus before and after.",
+    next_test="A load washer under the bolt head: it shows the change without any model.",
+    parameters=(
+        Prior(
+            "size",
+            "1",
+            "normal",
+            0.0,
+            0.25,
+            "From the slip of a bolt to the loss of one of two; mean of directions.",
+        ),
+        Prior("begin", "1", "uniform", 0.0, 1.0, "Share of the testing time: any moment."),
+        Prior("length", "1", "loguniform", 0.02, 2.0, "Share of the testing time: from about a cycle to its end."),
+        Prior("side", "1", "uniform", -1.0, 1.0, "1 while displacement grows only, -1 while it falls only, 0 both."),
+    ),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN 1.4 (bolt rupture step); brfd-lehigh ds4_step, where the band was moved in one direction only.",
+    start={"size": (0.1,), "begin": (0.15, 0.4, 0.7), "length": (0.2, 1.0), "side": (0.0,)},
+)

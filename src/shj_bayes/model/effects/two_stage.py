@@ -1,0 +1,32 @@
+"""Second sliding surface that engages later."""
+
+from __future__ import annotations
+
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.priors import Prior
+
+
+def act(history: History, values: Values, base: Base) -> Contribution:
+    """Let a share of stiffness and capacity follow a delay (mm) after each reversal."""
+    return Contribution(second_surface=(values["size"], values["delay"]))
+
+
+EFFECT = Effect(
+    id="two_stage",
+    family="start_of_stroke",
+    title="Second sliding surface",
+    statement="{size:.0%} of the sliding force comes from a second surface that follows {delay:.1f} mm later.",
+    equation="F = (1 - s) F_MP(d) + s F_MP(d - d0), d = distance since the reversal",
+    cause="Asymmetric connection: the cap-plate side slides only once the bolts have leaned over.",
+    shows="A knee part-way up every reversal at a fixed distance, the same in all amplitudes and speeds.",
+    next_test="A displacement gauge on the cap plate: it stands still for the first few millimetres.",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 0.9, "Half for two equal surfaces; any share is allowed."),
+        Prior("delay", "mm", "loguniform", 0.3, 15.0, "1 to 5 mm for M16 bolts with 2 mm hole clearance."),
+    ),
+    neutral={"size": 0.0},
+    act=act,
+    source="DOMAIN E04; MacRae et al. 2010, bolts of asymmetric friction connections.",
+    start={"size": (0.3,), "delay": (1.0, 3.0, 8.0)},
+)

@@ -1,0 +1,159 @@
+"""What physical effects may depend on: position, slip since reversal, travel, time, speed, amplitude block, run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.errors import ModelError
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import Motion
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """One run of a device as the effects see it; all arrays have shape (n_samples,) and are read-only.
+
+    Parameters
+    ----------
+    run : int
+        Number of the run, 1 for the first.
+    motion : Motion
+        Half-cycles, turning points, displacement and speed.
+    time_s : array
+        Time since the run's first sample, s.
+    position_mm : array
+        Displacement from the middle of the stroke, mm.
+    direction : array
+        +1 while displacement grows, -1 while it falls.
+    slip_mm : array
+        Distance moved since the last reversal, mm.
+    travel_m : array
+        Distance moved since the first sample of the first run, m.
+    amplitude_mm : array
+        Half the stroke of the half-cycle, mm.
+    acceleration_mm_s2 : array
+        Second derivative of the displacement, mm/s^2.
+    rest_s : array
+        Time spent near standstill around the last reversal, s.
+    half_stroke_mm : float
+        Largest distance from the middle of the stroke in all runs, mm.
+    peak_speed_mm_s : float
+        95th percentile of the speed in all runs, mm/s.
+    n_runs : int
+        Number of runs of the device.
+    """
+
+    run: int
+    motion: Motion
+    time_s: FloatArray
+    position_mm: FloatArray
+    direction: FloatArray
+    slip_mm: FloatArray
+    travel_m: FloatArray
+    amplitude_mm: FloatArray
+    acceleration_mm_s2: FloatArray
+    rest_s: FloatArray
+    half_stroke_mm: float
+    peak_speed_mm_s: float
+    n_runs: int
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        n = self.motion.displacement_mm.size
+        for name in ARRAYS:
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.shape != (n,):
+                raise ModelError(f"{name} has shape {values.shape}; it needs ({n},)")
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+
+    @property
+    def speed_mm_s(self) -> FloatArray:
+        """Speed, mm/s."""
+        return self.motion.speed_mm_s
+
+    @property
+    def normal_position(self) -> FloatArray:
+        """Position as a share of the half stroke, -1 to 1."""
+        return np.asarray(self.position_mm / self.half_stroke_mm)
+
+
+ARRAYS = (
+    "time_s",
+    "position_mm",
+    "direction",
+    "slip_mm",
+    "travel_m",
+    "amplitude_mm",
+    "acceleration_mm_s2",
+    "rest_s",
+)
+
+
+def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple[History, ...]:
+    """Histories of the consecutive runs of one device.
+
+    Parameters
+    ----------
+    times_s : sequence of array, shape (n_samples,)
+        Sampling times of each run, s.
+    motions : sequence of Motion
+        Motion of each run.
+
+    Returns
+    -------
+    tuple of History
+    """
+    low = min(float(m.displacement_mm.min()) for m in motions)
+    high = max(float(m.displacement_mm.max()) for m in motions)
+    middle, half_stroke = (low + high) / 2, (high - low) / 2
+    # A device that is tested around zero keeps zero as its middle: noise must not shift the slot.
+    if abs(middle) < 0.02 * half_stroke:
+        middle = 0.0
+    peak = max(float(np.percentile(m.speed_mm_s, 95)) for m in motions)
+    out = []
+    before = 0.0
+    for run, (time, motion) in enumerate(zip(times_s, motions, strict=True), start=1):
+        index = motion.half_cycle
+        sign = motion.direction[index].astype(np.float64)
+        ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
+        stroke = np.abs(ends - motion.turning_mm)
+        if motion.n_half > 2:  # the first half-cycle starts mid-stroke: its block is that of the next one
+            stroke[0], stroke[-1] = max(stroke[0], stroke[1]), max(stroke[-1], stroke[-2])
+        travel = motion.travel_mm / 1000
+        out.append(
+            History(
+                run=run,
+                motion=motion,
+                time_s=time - time[0],
+                position_mm=motion.displacement_mm - middle,
+                direction=sign,
+                slip_mm=np.abs(motion.displacement_mm - motion.turning_mm[index]),
+                travel_m=before + travel,
+                amplitude_mm=stroke[index] / 2,
+                acceleration_mm_s2=np.gradient(sign * motion.speed_mm_s, time),
+                rest_s=_rest(time, motion, peak)[index],
+                half_stroke_mm=half_stroke,
+                peak_speed_mm_s=peak,
+                n_runs=len(motions),
+            )
+        )
+        before += float(travel[-1])
+    return tuple(out)
+
+
+def _rest(time: FloatArray, motion: Motion, peak: float) -> FloatArray:
+    """Time below a twentieth of the peak speed around the start of each half-cycle, shape (n_half,), s."""
+    step = np.append(np.diff(time), 0.0)
+    slow = np.concatenate([[0.0], np.cumsum(np.where(motion.speed_mm_s < 0.05 * peak, step, 0.0))])
+    # From mid-stroke to mid-stroke, counted in displacement: half of the samples of a half-cycle may lie in one pause.
+    ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
+    passed = np.abs(motion.displacement_mm - motion.turning_mm[motion.half_cycle]) >= (
+        np.abs(ends - motion.turning_mm)[motion.half_cycle] / 2
+    )
+    middle = [a + int(np.argmax(passed[a:b])) for a, b in zip(motion.start[:-1], motion.start[1:], strict=True)]
+    edges = np.concatenate([[0], middle])
+    return np.asarray(slow[edges[1:]] - slow[edges[:-1]])

@@ -1,0 +1,291 @@
+"""One device from files to page: read, check, fit, write, draw."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import shj_bayes
+from shj_bayes.errors import InferenceError, ModelError, RecordingError
+from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
+from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.store import read_record, write_text
+from shj_bayes.model.parameters import BASE
+from shj_bayes.model.parameters import describe as describe_parameter
+from shj_bayes.model.priors import read_priors
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.check import describe, to_dict
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.protocol import table_1
+from shj_bayes.recording.reader import read
+from shj_bayes.recording.writer import write_csv
+from shj_bayes.report.device import render_device
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to read and fit a device; the same words as on the command line.
+
+    Parameters
+    ----------
+    columns, units : str or None
+        Columns and units, where the file does not say.
+    rate_Hz : float or None
+        Sampling rate of files without time, Hz.
+    priors : str
+        Shipped family or TOML file.
+    model : {"seed", "continuous"}
+        Reversal rule.
+    noise : {"ar1", "independent", "student"}
+        Noise model.
+    free : tuple of str
+        Parameters that each run has for itself.
+    seed : int
+        Same seed, same numbers.
+    max_steps : int
+        Steps after which to stop.
+    """
+
+    columns: str | None = None
+    units: str | None = None
+    rate_Hz: float | None = None
+    priors: str = "afc"
+    model: str = "seed"
+    noise: str = "ar1"
+    free: tuple[str, ...] = ()
+    seed: int = 1
+    max_steps: int = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceResult:
+    """A finished device.
+
+    Parameters
+    ----------
+    folder : Path
+        Where its files are.
+    record : dict
+        Content of ``fit.json``.
+    fresh : bool
+        False when an earlier, unchanged result was found and kept.
+    """
+
+    folder: Path
+    record: dict[str, Any]
+    fresh: bool
+
+    @property
+    def text(self) -> str:
+        """What a person wants to read at the end of a fit."""
+        record = self.record
+        lines = [f"{record['device']}: {record['verdict']}"]
+        lines += [f"  {reason}" for reason in record["reasons"]]
+        lines += ["", f"  {'':8}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
+        for row in record["parameters"]:
+            numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
+            lines.append(f"  {row['name']:8}{numbers}  {row['unit']}{dep_words(row)}")
+        notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
+        lines += [f"  {finding['severity']}: {finding['message']}" for finding in notes]
+        lines += ["", f"report: {self.folder / 'report.html'}"]
+        return "\n".join(lines)
+
+
+def fit_device(  # noqa: PLR0913
+    paths: Sequence[Path],
+    folder: Path,
+    options: Options,
+    *,
+    name: str | None = None,
+    progress: bool = False,
+    threads: int = 0,
+) -> DeviceResult:
+    """Fit one device from its recordings and write the files and the page of INTERFACE.
+
+    An unchanged finished result in `folder` is kept; an unfinished one is gone on with.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Consecutive runs, in the order they were made.
+    folder : Path
+        Results folder.
+    options : Options
+        How to read and fit.
+    name : str, optional
+        Name of the device; the first file's name without ending by default.
+    progress : bool
+        Show a progress bar.
+    threads : int
+        Ensembles that run at the same time, 0 for one per processor.
+
+    Returns
+    -------
+    DeviceResult
+
+    Raises
+    ------
+    RecordingError
+        If a recording cannot be used.
+    """
+    recordings = [
+        read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz) for path in paths
+    ]
+    for recording in recordings:
+        blocking = [f.message for f in recording.findings if f.severity == "unusable"]
+        if blocking:
+            raise RecordingError(f"{recording.source.name} cannot be used: {'; '.join(blocking)}")
+    name = name or plain_name(Path(recordings[0].source.name).name.split(".")[0])
+    priors = read_priors(options.priors)
+    key = _key([r.source.sha256 for r in recordings], options, priors.sha256, name)
+    finished = _finished(folder, key)
+    if finished is None:
+        problem = make_problem(
+            recordings, priors=priors, noise=options.noise, free=options.free, variant=options.model
+        )
+        plan = Plan(seed=options.seed, max_steps=options.max_steps)
+        result = fit(problem, name=name, key=key, plan=plan, folder=folder, progress=progress, threads=threads)
+        finished, fresh = result.record, True
+        if result.verdict.word == "reliable":
+            (folder / CHECKPOINT).unlink(missing_ok=True)
+    else:
+        fresh = False
+    if fresh or not (folder / "report.html").exists():
+        render_device(folder)
+    return DeviceResult(folder, finished, fresh)
+
+
+def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
+    """Read and check one recording.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    **reading
+        ``columns``, ``units``, ``rate_Hz`` as for `shj_bayes.recording.reader.read`.
+
+    Returns
+    -------
+    dict, str
+        Facts for machines (``usable`` says whether it may be fitted) and text for people. A file that cannot be read
+        at all gives its reason in both.
+    """
+    try:
+        recording = read(path, **reading)
+    except RecordingError as error:
+        return {"name": path.name, "usable": False, "error": str(error)}, f"{path.name}: NOT USABLE\n  {error}"
+    try:
+        motion = motion_of(recording)
+    except RecordingError:
+        motion = None
+    return to_dict(recording, motion), describe(recording, motion)
+
+
+def write_simulated(  # noqa: PLR0913
+    stem: Path,
+    *,
+    dep_mm_s: float | None,
+    seed: int,
+    rate_Hz: float,
+    last_cycles: int = 5,
+    model: str = "seed",
+    displacement_noise: float = 0.02,
+    digits: int = 7,
+    **truth: float,
+) -> list[Path]:
+    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
+
+    Parameters
+    ----------
+    stem : Path
+        Folder and beginning of the file names.
+    dep_mm_s : float or None
+        Speed dependence, mm/s; None for none.
+    seed : int
+        Same seed, same files.
+    rate_Hz : float
+        Sampling rate, Hz.
+    last_cycles : {5, 6}
+        Cycles in the last block of Table 1.
+    model : {"seed", "continuous"}
+        Reversal rule.
+    displacement_noise : float
+        Standard deviation of the displacement noise, mm.
+    digits : int
+        Significant digits of the files.
+    **truth : float
+        K, Fy, beta, ratio, sigma, phi in the units of INTERFACE.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    if dep_mm_s is not None and dep_mm_s == 0:
+        raise ModelError("dep = 0 mm/s: allowed is any other number; leave --dep out for no speed dependence")
+    device = Truth(gamma=0.0 if dep_mm_s is None else 1 / dep_mm_s, displacement_noise_mm=displacement_noise, **truth)
+    blocks = table_1(last_cycles)
+    recordings = simulate_device(device, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model, name=stem.name)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    words = f"SIMULATED by shj-bayes {shj_bayes.__version__}, seed {seed}; not a measurement. Truth: {stem.name}.json"
+    paths = [
+        write_csv(stem.with_name(f"{stem.name}-run{run}.csv"), recording, comment=words, digits=digits)
+        for run, recording in enumerate(recordings, start=1)
+    ]
+    content = {
+        "schema": "shj-bayes/truth/1",
+        "simulated": True,
+        "seed": seed,
+        "model": model,
+        "rate_Hz": rate_Hz,
+        "blocks": [asdict(block) for block in blocks],
+        "truth": asdict(device),
+        "units": {p: describe_parameter(p).unit for p in ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi")},
+    }
+    path = stem.with_name(f"{stem.name}.json")
+    write_text(path, json.dumps(content, indent=1))
+    return [*paths, path]
+
+
+def plain_name(name: str) -> str:
+    """Name without control characters, at most 80 characters long."""
+    return re.sub(r"[\x00-\x1f\x7f]+", " ", name).strip()[:80] or "device"
+
+
+def folder_name(name: str) -> str:
+    """Name of a folder made from any text: letters, digits, dot, dash; never empty, hidden or a device of Windows."""
+    slug = re.sub(r"[^A-Za-z0-9.-]+", "-", name).strip("-.").lower()[:60]
+    return f"{slug}-{hashlib.sha256(name.encode('utf-8', 'replace')).hexdigest()[:6]}".strip("-")
+
+
+def dep_words(row: dict[str, Any]) -> str:
+    """Interval of dep = 1/gamma behind a row of the parameter table; nothing for other parameters."""
+    if row["name"].partition("_")[0] != "gamma":
+        return ""
+    low, high = row["q05"], row["q95"]
+    if low <= 0 <= high:
+        return "  (dep unbounded: no speed dependence is within the interval)"
+    first, second = sorted((1 / low, 1 / high))
+    return f"  (dep {first:.4g} to {second:.4g} mm/s)"
+
+
+def _key(digests: list[str], options: Options, priors: str, name: str) -> str:
+    """Digest of all that the result depends on."""
+    content = [digests, asdict(options), priors, name, shj_bayes.__version__, sorted(BASE)]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _finished(folder: Path, key: str) -> dict[str, Any] | None:
+    """Record of an unchanged finished fit, or None."""
+    try:
+        record = read_record(folder)
+    except InferenceError:
+        return None
+    complete = (folder / "posterior.nc").exists() and (folder / "summary.csv").exists()
+    return record if record.get("key") == key and complete else None

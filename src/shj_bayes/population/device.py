@@ -1,0 +1,173 @@
+"""One device of a set, and what is known about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.population.measurement import Measurement, PosteriorDraws, Rounded, RoundedRatio
+from shj_bayes.population.quantities import QUANTITIES, FloatArray, quantity
+
+
+@dataclass(frozen=True)
+class Tags:
+    """What makes a set what it is; the contrasts between sets are built on these.
+
+    Parameters
+    ----------
+    coating : str
+        "none" when uncoated.
+    coverage_percent : float or None
+        Share of the sliding surface that is coated; None where no share applies.
+    corroded : bool
+        After the salt-water cycles.
+    material : str
+        Shim material, empty when not stated.
+    """
+
+    coating: str = "none"
+    coverage_percent: float | None = None
+    corroded: bool = False
+    material: str = ""
+
+
+@dataclass(frozen=True)
+class DeviceEstimate:
+    """What is known about one device.
+
+    Parameters
+    ----------
+    name : str
+        Unique inside the population.
+    set_name : str
+        The set of nominally identical devices it belongs to.
+    measurements : mapping of str to Measurement
+        Per quantity (K, Fy, ratio, gamma, beta); what is missing is simply not known for this device.
+    tags : Tags
+        The same for all devices of a set.
+    """
+
+    name: str
+    set_name: str
+    measurements: Mapping[str, Measurement] = field(repr=False)
+    tags: Tags = Tags()
+
+    def __post_init__(self) -> None:
+        """Refuse nameless devices, unknown quantities and devices that say nothing."""
+        if not self.name.strip() or not self.set_name.strip():
+            raise PopulationError(f"a device needs a name and a set; got {self.name!r} in set {self.set_name!r}")
+        for key in self.measurements:
+            quantity(key)
+        if not self.measurements:
+            raise PopulationError(
+                f"device {self.name!r} gives none of {', '.join(QUANTITIES)}; leave it out or give one of them"
+            )
+        object.__setattr__(self, "measurements", MappingProxyType(dict(self.measurements)))
+
+    @classmethod
+    def from_posterior(
+        cls,
+        name: str,
+        set_name: str,
+        draws: Mapping[str, FloatArray],
+        log_prior: Mapping[str, FloatArray],
+        tags: Tags = Tags(),
+    ) -> DeviceEstimate:
+        """Build a device from its single-device posterior.
+
+        Parameters
+        ----------
+        name, set_name : str
+            The device and its set.
+        draws : mapping of str to array, shape (n,)
+            Per quantity the posterior draws, natural units; equally weighted.
+        log_prior : mapping of str to array, shape (n,)
+            Per quantity the log density of the single-device prior at those draws, on the pooled scale
+            (densities of log K, log Fy, log ratio, log beta and of gamma itself), up to a constant.
+        tags : Tags
+            Of the set.
+
+        Returns
+        -------
+        DeviceEstimate
+
+        Raises
+        ------
+        PopulationError
+            If the prior of a quantity is missing or does not fit its draws.
+        """
+        missing = sorted(set(draws) - set(log_prior))
+        if missing:
+            raise PopulationError(
+                f"device {name!r}: the prior density of {', '.join(missing)} is missing; without it the single-device "
+                "prior would be counted once per device"
+            )
+        return cls(name, set_name, {q: PosteriorDraws(draws[q], log_prior[q]) for q in draws}, tags)
+
+    @classmethod
+    def from_table(
+        cls,
+        name: str,
+        set_name: str,
+        *,
+        K: Rounded | None = None,
+        Fy: Rounded | None = None,
+        Fy_second: Rounded | None = None,
+        gamma: Rounded | None = None,
+        beta: Rounded | None = None,
+        tags: Tags = Tags(),
+    ) -> DeviceEstimate:
+        """Build a device from rounded numbers.
+
+        Parameters
+        ----------
+        name, set_name : str
+            The device and its set.
+        K, Fy, Fy_second, gamma, beta : Rounded, optional
+            kN/mm, kN (first run), kN (second run), s/mm, 1. The ratio follows from both forces.
+        tags : Tags
+            Of the set.
+
+        Returns
+        -------
+        DeviceEstimate
+        """
+        given: dict[str, Measurement | None] = {"K": K, "Fy": Fy, "gamma": gamma, "beta": beta}
+        if Fy is not None and Fy_second is not None:
+            given["ratio"] = RoundedRatio(Fy_second, Fy)
+        return cls(name, set_name, {k: v for k, v in given.items() if v is not None}, tags)
+
+    def point(self, name: str) -> float:
+        """Point value on the pooled scale, NaN when this device does not give the quantity."""
+        known = self.measurements.get(name)
+        return np.nan if known is None else known.point(quantity(name))
+
+
+def sets_of(devices: Sequence[DeviceEstimate]) -> dict[str, tuple[DeviceEstimate, ...]]:
+    """Group devices by set, in the order in which the sets first appear.
+
+    Raises
+    ------
+    PopulationError
+        If there is no device, a name is used twice, or devices of a set carry different tags.
+    """
+    if not devices:
+        raise PopulationError("no device given; a population needs at least one")
+    grouped: dict[str, list[DeviceEstimate]] = {}
+    seen: set[str] = set()
+    for device in devices:
+        if device.name in seen:
+            raise PopulationError(f"two devices are called {device.name!r}; give each its own name")
+        seen.add(device.name)
+        group = grouped.setdefault(device.set_name, [])
+        if group and group[0].tags != device.tags:
+            raise PopulationError(
+                f"devices {group[0].name!r} and {device.name!r} share set {device.set_name!r} but not its tags "
+                f"({group[0].tags} against {device.tags}); correct the tags or split the set"
+            )
+        group.append(device)
+    return {name: tuple(group) for name, group in grouped.items()}

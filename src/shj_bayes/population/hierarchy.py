@@ -1,0 +1,210 @@
+"""The partially pooled model of a population of sets: level and spread of each set learn from all sets.
+
+For every quantity on its pooled scale::
+
+    device value ~ Normal(mu_set, tau_set)
+    mu_set       ~ Normal(M, S)
+    log tau_set  ~ Normal(log tau0, omega)
+
+so that sets may differ in level and in spread, and a set of one or two devices borrows both, at the price that
+the data themselves set (S and omega). Quantities are pooled independently of each other: correlation between
+K, Fy, ratio and gamma of one device is not modelled. Device values are integrated out in closed form, for rounded
+values as well as for posterior draws (docs/decisions/0004-population.md).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from tqdm import tqdm
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.population.chains import ess_bulk, r_hat
+from shj_bayes.population.device import DeviceEstimate, sets_of
+from shj_bayes.population.kernel import log_likelihood_of_set, run_chain
+from shj_bayes.population.measurement import Likelihood
+from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
+from shj_bayes.population.quantities import QUANTITIES, FloatArray, quantity
+
+N_CHAINS = 4
+N_WARM = 800
+N_KEEP = 2000
+THIN = 2
+_SHORT = {"n_warm": 600, "n_keep": 500, "thin": 6}  # under the other priors only a few quantiles are shown
+MAIN_PRIOR = "default"
+
+
+def _pack(sets: Sequence[Sequence[Likelihood]]) -> tuple[FloatArray, ...]:
+    """Lay the likelihoods out in the flat arrays that the sampler reads."""
+    devices = [likelihood for group in sets for likelihood in group]
+    empty = [np.empty(0)]
+    return (
+        np.cumsum([0, *(len(group) for group in sets)]).astype(np.int64),
+        np.cumsum([0, *(d.weight.size for d in devices)]).astype(np.int64),
+        np.array([d.pieces for d in devices], dtype=np.bool_),
+        np.concatenate([*(d.first for d in devices), *empty]),
+        np.concatenate([*(d.second for d in devices), *empty]),
+        np.concatenate([*(d.weight for d in devices), *empty]),
+    )
+
+
+def _start(
+    sets: Sequence[Sequence[Likelihood]], prior: PopulationPrior, data: tuple[FloatArray, ...], rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Draw an overdispersed starting point at which every set has a finite likelihood."""
+    centres = [np.array([d.centre_and_sd[0] for d in group]) for group in sets]
+    level = float(np.mean(np.concatenate(centres)))
+    mu = np.array([c.mean() if c.size else level for c in centres])
+    log_tau = np.log(prior.spread_median) + rng.normal(0.0, 0.7, mu.size)
+    for s, c in enumerate(centres):
+        if c.size:
+            widest = max(np.ptp(c), *(d.centre_and_sd[1] for d in sets[s]))
+            log_tau[s] = max(log_tau[s], np.log(max(0.3 * widest, 1e-300)))
+            while not np.isfinite(log_likelihood_of_set(s, mu[s], log_tau[s], *data)):
+                log_tau[s] += 0.7
+    between = max(float(mu.std()), 0.1 * prior.between_scale) * np.exp(rng.normal(0.0, 0.7))
+    hyper = np.array(
+        [level, np.log(between), float(log_tau.mean()), np.log(prior.unequal_scale * rng.uniform(0.1, 1.5))]
+    )
+    return mu, log_tau, hyper
+
+
+def fit_quantity(
+    name: str,
+    sets: Sequence[Sequence[Likelihood]],
+    prior: PopulationPrior,
+    seed: np.random.SeedSequence,
+    *,
+    n_warm: int = N_WARM,
+    n_keep: int = N_KEEP,
+    thin: int = THIN,
+    workers: int = 1,
+) -> QuantityPosterior:
+    """Posterior of level and spread of every set, for one quantity.
+
+    Parameters
+    ----------
+    name : str
+        Pooled quantity.
+    sets : sequence of sequence of Likelihood
+        Devices per set; a set may be empty and then rests on the others alone.
+    prior : PopulationPrior
+        On the pooled scale.
+    seed : numpy.random.SeedSequence
+        Source of the four chains' streams.
+    n_warm, n_keep, thin : int
+        Warm-up sweeps, draws kept per chain, sweeps per draw kept.
+    workers : int
+        Threads over which the chains are spread; the numbers do not depend on it.
+
+    Returns
+    -------
+    QuantityPosterior
+        Draws, chain after chain, with R-hat and effective sample size.
+
+    Raises
+    ------
+    PopulationError
+        If no set holds a device.
+    """
+    if not any(len(group) for group in sets):
+        raise PopulationError(f"no device gives {quantity(name).name}; there is nothing to pool")
+    data = _pack(sets)
+
+    def one_chain(child: np.random.SeedSequence) -> tuple[FloatArray, ...]:
+        rng = np.random.default_rng(child)
+        start = _start(sets, prior, data, rng)
+        drawn: tuple[FloatArray, ...] = run_chain(*start, data, prior.packed(), n_warm, n_keep, thin, rng)
+        return drawn
+
+    with ThreadPoolExecutor(max(1, min(workers, N_CHAINS))) as pool:
+        chains = list(pool.map(one_chain, seed.spawn(N_CHAINS)))
+    mu, log_tau, hyper = (np.stack([chain[i] for chain in chains]) for i in range(3))
+    scalars = np.concatenate([mu, log_tau, hyper], axis=2)
+    return QuantityPosterior(
+        name=name,
+        mu=mu.reshape(-1, mu.shape[2]),
+        tau=np.exp(log_tau.reshape(-1, log_tau.shape[2])),
+        hyper=np.column_stack([hyper[..., 0].ravel(), np.exp(hyper[..., 1:].reshape(-1, 3))]),
+        n_devices=tuple(len(group) for group in sets),
+        r_hat=max(r_hat(scalars[:, :, i]) for i in range(scalars.shape[2])),
+        ess=min(ess_bulk(scalars[:, :, i]) for i in range(scalars.shape[2])),
+        n_chains=N_CHAINS,
+    )
+
+
+def _stream(seed: int, *labels: str) -> np.random.SeedSequence:
+    """Return the stream that belongs to a label, whatever else is fitted."""
+    return np.random.SeedSequence([seed, *(zlib.crc32(label.encode()) for label in labels)])
+
+
+def fit_population(
+    devices: Sequence[DeviceEstimate],
+    *,
+    seed: int,
+    progress: bool = False,
+    workers: int = 1,
+    priors: Mapping[str, PopulationPrior] | None = None,
+) -> PopulationResult:
+    """Pool devices, set by set, quantity by quantity, under the default prior and two others of the spread.
+
+    Parameters
+    ----------
+    devices : sequence of DeviceEstimate
+        From posteriors, from rounded tables, or both mixed.
+    seed : int
+        Not negative; same seed and devices, same numbers.
+    progress : bool
+        Show a bar on standard error when that is a terminal.
+    workers : int
+        Threads; the numbers do not depend on it.
+    priors : mapping of str to PopulationPrior, optional
+        Replaces the default prior of the quantities named.
+
+    Returns
+    -------
+    PopulationResult
+
+    Raises
+    ------
+    PopulationError
+        If devices contradict each other or give nothing to pool.
+    """
+    if seed < 0:
+        raise PopulationError(f"the seed must be zero or a positive whole number, not {seed}")
+    grouped = sets_of(devices)
+    names = [q for q in QUANTITIES if any(q in device.measurements for device in devices)]
+    main, chosen = {}, {}
+    other: dict[str, dict[str, QuantityPosterior]] = {}
+    draws_behind: dict[str, float] = {}
+    with tqdm(total=3 * len(names), desc="population", disable=None if progress else True, leave=False) as bar:
+        for q in names:
+            sets = [
+                [d.measurements[q].likelihood(quantity(q)) for d in group if q in d.measurements]
+                for group in grouped.values()
+            ]
+            draws_behind[q] = min(x.effective_draws for group in sets for x in group)
+            chosen[q] = (priors or {}).get(q, population_prior(q))
+            main[q] = fit_quantity(q, sets, chosen[q], _stream(seed, q, MAIN_PRIOR), workers=workers)
+            bar.update()
+            for label, prior in other_priors(chosen[q]).items():
+                fitted = fit_quantity(q, sets, prior, _stream(seed, q, label), workers=workers, **_SHORT)
+                other.setdefault(label, {})[q] = fitted
+                bar.update()
+    return PopulationResult(
+        sets=tuple(
+            DeviceSet(
+                name, tuple(d.name for d in group), group[0].tags, {q: tuple(d.point(q) for d in group) for q in names}
+            )
+            for name, group in grouped.items()
+        ),
+        posteriors=main,
+        other_priors=other,
+        priors=chosen,
+        importance_draws=draws_behind,
+        seed=seed,
+    )

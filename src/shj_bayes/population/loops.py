@@ -1,0 +1,147 @@
+"""The band of the loop itself: where the force of a new device lies over one steady cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.model.law import BETA_RANGE, force_of_laws
+from shj_bayes.population.predict import SECOND_RUN, NewDevice
+from shj_bayes.population.quantities import FloatArray
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.protocol import Block, exact_motion
+
+Law = Callable[[Motion, FloatArray], FloatArray]
+"""law(motion, laws) -> force, kN, shape (m, n_samples); ``laws`` (m, 4) holds K kN/mm, Fy kN, beta, gamma s/mm.
+
+``shj_bayes.model.law.force_of_laws`` is one; ``functools.partial`` sets its variant."""
+LEVELS = (0.05, 0.5, 0.95)
+_SAMPLES_PER_CYCLE = 400
+_PUSH, _PULL = 2, 3  # half-cycles of a two-cycle sine that make up its steady loop
+
+
+@dataclass(frozen=True)
+class LoopBand:
+    """5, 50 and 95 % of the force over a steady cycle, point by point.
+
+    The band holds 90 % of devices at every displacement taken by itself, not whole loops.
+
+    Parameters
+    ----------
+    set_name : str
+        Set of the new device.
+    run : {1, 2}
+        First run, or second with the sliding force lowered by the ratio.
+    amplitude_mm, peak_speed_mm_s : float
+        Of the sine cycle.
+    displacement_mm : array, shape (n,)
+        From -amplitude to +amplitude.
+    push, pull : array, shape (3, n)
+        Force, kN, at 5, 50 and 95 %; push while displacement grows, pull while it falls.
+    energy_kN_mm : tuple of float
+        Energy of one cycle at 5, 50 and 95 %, kN mm (equal to joule).
+    n_devices, n_draws : int
+        Tested devices of the set; devices drawn.
+    """
+
+    set_name: str
+    run: int
+    amplitude_mm: float
+    peak_speed_mm_s: float
+    displacement_mm: FloatArray = field(repr=False)
+    push: FloatArray = field(repr=False)
+    pull: FloatArray = field(repr=False)
+    energy_kN_mm: tuple[float, float, float]
+    n_devices: int
+    n_draws: int
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for name in ("displacement_mm", "push", "pull"):
+            getattr(self, name).setflags(write=False)
+
+
+def loop_band(
+    device: NewDevice,
+    law: Law = force_of_laws,
+    *,
+    amplitude_mm: float,
+    peak_speed_mm_s: float = 10.0,
+    run: int = 1,
+    n_draws: int = 500,
+    n_points: int = 121,
+) -> LoopBand:
+    """Band of the force of a new device over the second cycle of a sine.
+
+    Parameters
+    ----------
+    device : NewDevice
+        Predictive draws with K, Fy, beta, gamma and, for the second run, ratio.
+    law : callable
+        The forward law, see ``Law``. Draws of beta are kept inside what the published law allows (1 to 500).
+    amplitude_mm : float
+        Half of the stroke, mm; keep it inside what was tested.
+    peak_speed_mm_s : float
+        Largest speed of the sine, mm/s; 10 is what the paper tested, beyond it the law extrapolates.
+    run : {1, 2}
+        First run, or second.
+    n_draws, n_points : int
+        Devices drawn; displacements at which the band is given.
+
+    Returns
+    -------
+    LoopBand
+
+    Raises
+    ------
+    PopulationError
+        If a quantity is missing or the motion is not possible.
+    """
+    if not (np.isfinite([amplitude_mm, peak_speed_mm_s]).all() and amplitude_mm > 0 and peak_speed_mm_s > 0):
+        raise PopulationError(
+            f"amplitude and peak speed must be above zero; got {amplitude_mm:g} mm and {peak_speed_mm_s:g} mm/s"
+        )
+    if run not in (1, 2):
+        raise PopulationError(f"a loop is of run 1 or 2, not {run}")
+    force_name = "Fy" if run == 1 else SECOND_RUN
+    missing = [q for q in ("K", force_name, "beta", "gamma") if q not in device.draws]
+    if missing:
+        raise PopulationError(
+            f"the loop of {device.set_name!r} in run {run} needs {', '.join(missing)}, which no device gives; "
+            "add devices that do" + (" (two runs each)" if run == 2 else "")
+        )
+    total = device.draws["K"].size
+    chosen = np.linspace(0, total - 1, min(n_draws, total)).astype(np.int64)
+    laws = np.column_stack([device.draws[q][chosen] for q in ("K", force_name, "beta", "gamma")])
+    laws[:, 2] = np.clip(laws[:, 2], *BETA_RANGE)
+    frequency = peak_speed_mm_s / (2.0 * np.pi * amplitude_mm)
+    _, motion = exact_motion((Block(amplitude_mm, frequency, 2),), _SAMPLES_PER_CYCLE * frequency)
+    force = np.asarray(law(motion, laws), dtype=np.float64)
+    x, start = motion.displacement_mm, motion.start
+    if force.shape != (chosen.size, x.size) or not np.all(np.isfinite(force)):
+        raise PopulationError(
+            f"the law gave {'forces that are not finite' if force.shape[0] == chosen.size else 'no force per draw'}; "
+            "check the law"
+        )
+    grid = np.linspace(-amplitude_mm, amplitude_mm, n_points)
+    up, down = slice(start[_PUSH], start[_PUSH + 1]), slice(start[_PULL], start[_PULL + 1])
+    push = np.array([np.interp(grid, x[up], f[up]) for f in force])
+    pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])
+    cycle = slice(start[_PUSH], start[_PULL + 1] + 1)
+    energy = np.trapezoid(force[:, cycle], x[cycle], axis=1)
+    e05, e50, e95 = np.quantile(energy, LEVELS)
+    return LoopBand(
+        device.set_name,
+        run,
+        amplitude_mm,
+        peak_speed_mm_s,
+        grid,
+        np.quantile(push, LEVELS, axis=0),
+        np.quantile(pull, LEVELS, axis=0),
+        (float(e05), float(e50), float(e95)),
+        device.n_devices,
+        chosen.size,
+    )

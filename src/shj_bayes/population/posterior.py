@@ -1,0 +1,185 @@
+"""Values that hold a fitted population: its sets, the draws of every quantity, and what they rest on."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.population.device import Tags
+from shj_bayes.population.priors import PopulationPrior
+from shj_bayes.population.quantities import FloatArray
+
+SCHEMA = "shj-bayes/population/1"
+ANY_SET = "(any set)"
+"""Name of a set that was never tested, like the tested ones."""
+R_HAT_LIMIT = 1.01
+ESS_LIMIT = 400.0
+"""Chains have met when R-hat is below and the effective sample size above these (Vehtari et al. 2021)."""
+
+
+def _read_only(values: FloatArray) -> FloatArray:
+    copy = np.array(values, dtype=np.float64)
+    copy.setflags(write=False)
+    return copy
+
+
+@dataclass(frozen=True)
+class DeviceSet:
+    """A set of nominally identical devices.
+
+    Parameters
+    ----------
+    name : str
+        Name of the set.
+    devices : tuple of str
+        Names of its devices.
+    tags : Tags
+        What makes the set what it is.
+    points : mapping of str to tuple of float
+        Per quantity the point value of each device on the pooled scale; NaN where it gives none.
+    """
+
+    name: str
+    devices: tuple[str, ...]
+    tags: Tags
+    points: Mapping[str, tuple[float, ...]] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Freeze the mapping."""
+        object.__setattr__(self, "points", MappingProxyType({k: tuple(v) for k, v in self.points.items()}))
+
+
+@dataclass(frozen=True)
+class QuantityPosterior:
+    """Posterior of level and spread of one quantity over all sets, on its pooled scale.
+
+    Parameters
+    ----------
+    name : str
+        Pooled quantity.
+    mu, tau : array, shape (n_draws, n_sets)
+        Level and device-to-device standard deviation of each set; chain after chain.
+    hyper : array, shape (n_draws, 4)
+        M, S, tau0, omega.
+    n_devices : tuple of int
+        Devices of each set that give this quantity.
+    r_hat, ess : float
+        Worst rank-normalised split R-hat and smallest bulk effective sample size of all its scalars.
+    n_chains : int
+        Independent chains.
+    """
+
+    name: str
+    mu: FloatArray = field(repr=False)
+    tau: FloatArray = field(repr=False)
+    hyper: FloatArray = field(repr=False)
+    n_devices: tuple[int, ...]
+    r_hat: float
+    ess: float
+    n_chains: int
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays and check that they belong together."""
+        for name in ("mu", "tau", "hyper"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+        n = len(self.n_devices)
+        if self.mu.shape != self.tau.shape or self.mu.shape[1] != n or self.hyper.shape != (self.mu.shape[0], 4):
+            raise PopulationError(
+                f"draws of {self.name} do not belong together: mu {self.mu.shape}, tau {self.tau.shape}, "
+                f"hyper {self.hyper.shape}, {n} sets"
+            )
+
+    @property
+    def converged(self) -> bool:
+        """Whether the chains have met."""
+        return self.r_hat < R_HAT_LIMIT and self.ess > ESS_LIMIT
+
+    def level_and_spread(self, index: int | None, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Draws of mu and tau of one set, or of a set never tested when ``index`` is None."""
+        if index is not None:
+            return self.mu[:, index], self.tau[:, index]
+        level, between, spread, unequal = self.hyper.T
+        mu = rng.normal(level, between)
+        return mu, np.exp(rng.normal(np.log(spread), unequal))
+
+
+@dataclass(frozen=True)
+class PopulationResult:
+    """A fitted population.
+
+    Parameters
+    ----------
+    sets : tuple of DeviceSet
+        In the order given.
+    posteriors : mapping of str to QuantityPosterior
+        Per quantity, under the default prior of the spread.
+    other_priors : mapping of str to mapping of str to QuantityPosterior
+        The same under each other prior of the spread ("alike", "free").
+    priors : mapping of str to PopulationPrior
+        Default prior per quantity.
+    importance_draws : mapping of str to float
+        Smallest effective number of importance draws behind any device; infinity when all are tables.
+    seed : int
+        Seed of every number here.
+    """
+
+    sets: tuple[DeviceSet, ...]
+    posteriors: Mapping[str, QuantityPosterior]
+    other_priors: Mapping[str, Mapping[str, QuantityPosterior]]
+    priors: Mapping[str, PopulationPrior]
+    importance_draws: Mapping[str, float]
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Freeze the mappings."""
+        for name in ("posteriors", "priors", "importance_draws"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        others = {label: MappingProxyType(dict(fits)) for label, fits in self.other_priors.items()}
+        object.__setattr__(self, "other_priors", MappingProxyType(others))
+
+    @property
+    def set_names(self) -> tuple[str, ...]:
+        """Names of the sets, in order."""
+        return tuple(s.name for s in self.sets)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the chains of every quantity have met under the default prior."""
+        return all(fit.converged for fit in self.posteriors.values())
+
+    def index(self, name: str) -> int:
+        """Position of a set.
+
+        Raises
+        ------
+        PopulationError
+            If there is no such set; the message names the nearest ones.
+        """
+        if name in self.set_names:
+            return self.set_names.index(name)
+        folded = {s.casefold(): s for s in self.set_names}
+        if name.casefold() in folded:
+            return self.set_names.index(folded[name.casefold()])
+        near = [folded[m] for m in difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.4)]
+        hint = f"nearest: {', '.join(near)}" if near else f"sets are: {', '.join(self.set_names)}"
+        raise PopulationError(f"there is no set {name!r}; {hint}")
+
+    def fit(self, name: str, prior: str = "default") -> QuantityPosterior:
+        """Return the posterior of one quantity under the prior asked for.
+
+        Raises
+        ------
+        PopulationError
+            If that quantity was not pooled or that prior not tried.
+        """
+        known = {"default": self.posteriors, **self.other_priors}
+        if prior not in known:
+            raise PopulationError(f"no prior {prior!r} was tried; these were: {', '.join(known)}")
+        if name not in known[prior]:
+            raise PopulationError(f"no device gives {name!r}; pooled here: {', '.join(known[prior])}")
+        return known[prior][name]

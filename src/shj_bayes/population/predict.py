@@ -1,0 +1,172 @@
+"""A new device of a set: device-to-device spread and what is not known about the set, together.
+
+Quantities are drawn independently of each other (see hierarchy), so that a quantity derived from two of them, such
+as the sliding force of the second run, has the spread of both and none of a correlation between them.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+
+from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.quantities import QUANTITIES, FloatArray
+
+LEVELS = (0.05, 0.5, 0.95)
+SECOND_RUN = "Fy_second"
+UNITS = {**{q.name: q.unit for q in QUANTITIES.values()}, SECOND_RUN: "kN"}
+
+
+@dataclass(frozen=True)
+class NewDevice:
+    """Predictive draws of a device not yet tested.
+
+    Parameters
+    ----------
+    set_name : str
+        Its set, or "(any set)".
+    n_devices : int
+        Tested devices of that set.
+    prior : str
+        Prior of the spread it rests on.
+    draws : mapping of str to array, shape (n_draws,)
+        Natural units: K kN/mm, Fy kN, ratio 1, gamma s/mm, beta 1, Fy_second kN.
+    """
+
+    set_name: str
+    n_devices: int
+    prior: str
+    draws: Mapping[str, FloatArray] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Freeze the draws."""
+        for values in self.draws.values():
+            values.setflags(write=False)
+        object.__setattr__(self, "draws", MappingProxyType(dict(self.draws)))
+
+    def band(self, name: str) -> tuple[float, float, float]:
+        """5, 50 and 95 % quantiles, natural unit."""
+        q05, q50, q95 = np.quantile(self.draws[name], LEVELS)
+        return float(q05), float(q50), float(q95)
+
+
+def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "default") -> NewDevice:
+    """Draw new devices of a set, one per posterior draw.
+
+    Parameters
+    ----------
+    result : PopulationResult
+        A fitted population.
+    set_name : str
+        One of its sets, or ``ANY_SET`` for a set never tested but like the tested ones.
+    prior : str
+        "default", "alike" or "free".
+
+    Returns
+    -------
+    NewDevice
+
+    Raises
+    ------
+    PopulationError
+        If there is no such set or prior.
+    """
+    index = None if set_name == ANY_SET else result.index(set_name)
+    name = ANY_SET if index is None else result.set_names[index]
+    draws: dict[str, FloatArray] = {}
+    for q in result.posteriors:
+        labels = [zlib.crc32(text.encode()) for text in ("new device", name, q, prior)]
+        rng = np.random.default_rng(np.random.SeedSequence([result.seed, *labels]))
+        mu, tau = result.fit(q, prior).level_and_spread(index, rng)
+        draws[q] = QUANTITIES[q].natural(rng.normal(mu, tau))
+    if "Fy" in draws and "ratio" in draws:
+        draws[SECOND_RUN] = draws["Fy"] * draws["ratio"]
+    n = 0 if index is None else len(result.sets[index].devices)
+    return NewDevice(name, n, prior, draws)
+
+
+def devices_behind(result: PopulationResult, set_name: str, name: str) -> int:
+    """Count the tested devices of a set that give a quantity; for ``Fy_second`` both the force and the ratio."""
+    if set_name == ANY_SET:
+        return 0
+    index = result.index(set_name)
+    needed = ("Fy", "ratio") if name == SECOND_RUN else (name,)
+    return min(result.fit(q).n_devices[index] for q in needed)
+
+
+def dep_words(low: float, high: float) -> str:
+    """Describe a band of gamma, s/mm, as dep = 1/gamma, mm/s, for those who are used to it."""
+    if low < 0 < high:
+        return f"below {1 / low:.0f} or above {1 / high:.0f} mm/s; no dependence is inside the band"
+    return f"{1 / high:.0f} to {1 / low:.0f} mm/s"
+
+
+def new_device_table(result: PopulationResult) -> pd.DataFrame:
+    """5, 50 and 95 % of a new device, per set and quantity, with the same under the other priors.
+
+    Returns
+    -------
+    pandas.DataFrame
+        set, n_devices, quantity, unit, q05, q50, q95; ``width`` (q95/q05, for gamma q95 - q05 in s/mm);
+        q05 and q95 under each other prior; ``dep_mm_s`` in words beside gamma.
+    """
+    rows = []
+    for name in (*result.set_names, ANY_SET):
+        main = new_device(result, name)
+        others = {label: new_device(result, name, label) for label in result.other_priors}
+        for q in main.draws:
+            q05, q50, q95 = main.band(q)
+            n = devices_behind(result, name, q)
+            row: dict[str, object] = {"set": name, "n_devices": n, "quantity": q, "unit": UNITS[q]}
+            row |= {"q05": q05, "q50": q50, "q95": q95, "width": q95 - q05 if q == "gamma" else q95 / q05}
+            for label, other in others.items():
+                low, _, high = other.band(q)
+                row |= {f"q05_{label}": low, f"q95_{label}": high}
+            row["dep_mm_s"] = dep_words(q05, q95) if q == "gamma" else ""
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def how_wide(result: PopulationResult, set_name: str, name: str = "Fy") -> str:
+    """One plain sentence on how wide the band of a new device is, and how much of that is the prior.
+
+    Parameters
+    ----------
+    result : PopulationResult
+        A fitted population.
+    set_name : str
+        One of its sets, or ``ANY_SET``.
+    name : str
+        A quantity, or ``Fy_second``.
+
+    Returns
+    -------
+    str
+    """
+    main = new_device(result, set_name)
+    bands = {"default": main.band(name)}
+    bands |= {label: new_device(result, set_name, label).band(name) for label in result.other_priors}
+    additive = name in QUANTITIES and not QUANTITIES[name].logarithmic
+    unit = "" if UNITS[name] == "1" else f" {UNITS[name]}"
+    q05, q50, q95 = bands["default"]
+    n = devices_behind(result, set_name, name)
+    if set_name == ANY_SET:
+        head = "A set never tested, like the tested ones"
+    elif n == 0:
+        head = f"No device of {main.set_name} gives {name}"
+    elif n == 1:
+        head = f"One device of {main.set_name} was tested, which says nothing about its spread"
+    else:
+        head = f"{n} devices of {main.set_name} were tested"
+    size = f"{q95 - q05:.3g}{unit} wide" if additive else f"a factor of {q95 / q05:.2f} wide"
+    tail = "; ".join(
+        f"{low:.3g} to {high:.3g} under the {k} prior" for k, (low, _, high) in bands.items() if k != "default"
+    )
+    warning = " Two devices are not a band: the width is mostly what other sets and the prior say." if n == 2 else ""
+    band = f"{name} of a new one is {q50:.3g}{unit}, 90 % band {q05:.3g} to {q95:.3g}{unit}"
+    return f"{head}: {band} ({size}; {tail}).{warning}"

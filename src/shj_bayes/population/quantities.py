@@ -1,0 +1,85 @@
+"""The quantities that are pooled from device to device, and the scale on which each is close to normal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.errors import PopulationError
+
+FloatArray = NDArray[np.float64]
+_FARTHEST = 300.0  # heavy tails of a spread that no data limit; keeps products of two quantities finite
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One pooled quantity.
+
+    Parameters
+    ----------
+    name : str
+        Word of the interface: K, Fy, beta, gamma or ratio.
+    unit : str
+        Natural unit.
+    logarithmic : bool
+        True when the logarithm is pooled (the quantity is positive), False when the value itself is.
+    meaning : str
+        One phrase for tables and pages.
+    """
+
+    name: str
+    unit: str
+    logarithmic: bool
+    meaning: str
+
+    def pool(self, natural: FloatArray | float) -> FloatArray:
+        """Natural values on the pooled scale.
+
+        Raises
+        ------
+        PopulationError
+            If a value is not finite, or not above zero where the logarithm is pooled.
+        """
+        values = np.asarray(natural, dtype=np.float64)
+        if not np.all(np.isfinite(values)) or (self.logarithmic and np.any(values <= 0)):
+            bound = "finite and above zero" if self.logarithmic else "finite"
+            raise PopulationError(
+                f"{self.name} [{self.unit}] must be {bound}; got values from {np.min(values):g} to "
+                f"{np.max(values):g}. Correct the device's estimate or leave {self.name} out of it"
+            )
+        return np.log(values) if self.logarithmic else values
+
+    def natural(self, pooled: FloatArray | float) -> FloatArray:
+        """Values on the pooled scale in natural units; logarithms beyond +-300 are held there."""
+        values = np.asarray(pooled, dtype=np.float64)
+        return np.exp(np.clip(values, -_FARTHEST, _FARTHEST)) if self.logarithmic else values
+
+
+QUANTITIES: dict[str, Quantity] = {
+    q.name: q
+    for q in (
+        Quantity("K", "kN/mm", True, "initial stiffness"),
+        Quantity("Fy", "kN", True, "sliding force of the first run"),
+        Quantity("ratio", "1", True, "sliding force of the second run over that of the first"),
+        Quantity("gamma", "s/mm", False, "relative change of force per unit of speed; 0 means none"),
+        Quantity("beta", "1", True, "sharpness of the transition to sliding"),
+    )
+}
+"""The ratio is pooled as its logarithm, not its logit: nothing in friction forbids a second run above the first
+(bedding-in), log Fy of the second run then stays a plain sum, and a ratio rounded to 1 stays finite."""
+
+
+def quantity(name: str) -> Quantity:
+    """Look up a pooled quantity by its name.
+
+    Raises
+    ------
+    PopulationError
+        If there is no such quantity.
+    """
+    if name not in QUANTITIES:
+        hint = "; dep is never pooled, give gamma = 1/dep" if name == "dep" else ""
+        raise PopulationError(f"{name!r} is not a pooled quantity; these are: {', '.join(QUANTITIES)}{hint}")
+    return QUANTITIES[name]

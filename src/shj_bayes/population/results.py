@@ -1,0 +1,218 @@
+"""A fitted population as tables and files, and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.population.device import Tags
+from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.predict import how_wide, new_device_table
+from shj_bayes.population.priors import PopulationPrior
+from shj_bayes.population.quantities import QUANTITIES, FloatArray
+
+_DRAWS = "population.npz"
+
+
+def safe_cell(value: object) -> object:
+    """Text that a spreadsheet would run as a formula, with an apostrophe before it; all else unchanged."""
+    if isinstance(value, str) and value.startswith(("\t", "\r")):
+        return "'" + value
+    if isinstance(value, str) and value.lstrip().startswith(("=", "+", "-", "@")):
+        return "'" + value
+    return value
+
+
+def to_tables(result: PopulationResult) -> dict[str, pd.DataFrame]:
+    """Tables of a fitted population.
+
+    Returns
+    -------
+    dict of pandas.DataFrame
+        ``new_device``: 5/50/95 % per set and quantity, with the other priors beside it.
+        ``sets``: level and spread of every set (natural unit; spread as sd of the logarithm, of gamma in s/mm).
+        ``fit``: what every quantity rests on: prior, R-hat, effective sample size, importance draws.
+    """
+    sets, fits = [], []
+    for name, fit in result.posteriors.items():
+        q = QUANTITIES[name]
+        for i, group in enumerate(result.sets):
+            level = np.quantile(q.natural(fit.mu[:, i]), [0.05, 0.5, 0.95])
+            spread = np.quantile(fit.tau[:, i], [0.05, 0.5, 0.95])
+            row: dict[str, object] = {
+                "set": group.name,
+                "quantity": name,
+                "unit": q.unit,
+                "n_devices": fit.n_devices[i],
+            }
+            row |= dict(zip(("level_q05", "level_q50", "level_q95"), level.tolist(), strict=True))
+            row |= dict(zip(("spread_q05", "spread_q50", "spread_q95"), spread.tolist(), strict=True))
+            row["spread_unit"] = "sd of the logarithm" if q.logarithmic else q.unit
+            sets.append(row)
+        fits.append(
+            {
+                "quantity": name,
+                "r_hat": fit.r_hat,
+                "ess": fit.ess,
+                "chains": fit.n_chains,
+                "draws": fit.mu.shape[0],
+                "importance_draws": result.importance_draws[name],
+                "converged": fit.converged,
+                "prior": result.priors[name].source,
+            }
+        )
+    return {"new_device": new_device_table(result), "sets": pd.DataFrame(sets), "fit": pd.DataFrame(fits)}
+
+
+def _version() -> str:
+    try:
+        return version("shj-bayes")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _finite(value: Any) -> Any:
+    """Return the value with infinities and NaN as None, which JSON can hold."""
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value
+
+
+def to_json(result: PopulationResult) -> dict[str, Any]:
+    """Return everything but the draws, ready for ``json.dumps``; schema "shj-bayes/population/1"."""
+    tables = to_tables(result)
+    sets: list[dict[str, Any]] = []
+    by_set = dict(list(tables["new_device"].groupby("set", sort=False)))
+    for group in (*result.sets, None):
+        name = ANY_SET if group is None else group.name
+        bands = {
+            str(row["quantity"]): {str(k): v for k, v in row.items() if k not in {"set", "n_devices", "quantity"}}
+            for row in by_set[name].to_dict("records")
+        }
+        sets.append(
+            {
+                "name": name,
+                "n_devices": 0 if group is None else len(group.devices),
+                "devices": [] if group is None else list(group.devices),
+                "tags": None if group is None else asdict(group.tags),
+                "points": {} if group is None else {k: list(v) for k, v in group.points.items()},
+                "new_device": bands,
+                "how_wide": how_wide(result, name) if "Fy" in result.posteriors else None,
+            }
+        )
+    document = {
+        "schema": SCHEMA,
+        "version": _version(),
+        "seed": result.seed,
+        "converged": result.converged,
+        "sets": sets,
+        "quantities": tables["fit"].to_dict("records"),
+        "priors": {k: asdict(v) for k, v in result.priors.items()},
+        "other_priors": list(result.other_priors),
+        "correlation_between_quantities": "none: quantities are pooled and drawn independently",
+    }
+    cleaned: dict[str, Any] = _finite(document)
+    return cleaned
+
+
+def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]:
+    """Write ``population.csv``, ``population.json`` and the draws ``population.npz``.
+
+    Parameters
+    ----------
+    result : PopulationResult
+        What to write.
+    folder : Path
+        Made when it does not exist.
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    table = new_device_table(result).map(safe_cell)
+    table.to_csv(folder / "population.csv", index=False, lineterminator="\n")
+    text = json.dumps(to_json(result), indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "population.json").write_text(text + "\n", encoding="utf-8")
+    arrays: dict[str, FloatArray] = {}
+    for label, fits in {"default": result.posteriors, **result.other_priors}.items():
+        for name, fit in fits.items():
+            key = f"{label}/{name}"
+            arrays |= {f"{key}/mu": fit.mu, f"{key}/tau": fit.tau, f"{key}/hyper": fit.hyper}
+            arrays[f"{key}/n_devices"] = np.array(fit.n_devices)
+            arrays[f"{key}/diagnostics"] = np.array([fit.r_hat, fit.ess, fit.n_chains])
+    np.savez(folder / _DRAWS, allow_pickle=False, **arrays)
+    return folder / "population.csv", folder / "population.json", folder / _DRAWS
+
+
+def load_population(folder: Path) -> PopulationResult:
+    """Read back what ``write_population`` wrote.
+
+    Raises
+    ------
+    PopulationError
+        If the folder holds no population, or one of another schema.
+    """
+    try:
+        document = json.loads((folder / "population.json").read_text(encoding="utf-8"))
+        with np.load(folder / _DRAWS, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+    except (OSError, ValueError) as error:
+        raise PopulationError(
+            f"{folder} holds no readable population ({error}); run `shj-bayes tables` or `shj-bayes campaign` first"
+        ) from error
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise PopulationError(
+            f"{folder / 'population.json'} is not of schema {SCHEMA}; write it again with this version"
+        )
+    fits: dict[str, dict[str, QuantityPosterior]] = {}
+    for key in arrays:
+        label, name, part = key.split("/")
+        if part != "mu":
+            continue
+        mu, tau, hyper, n, diagnostics = (
+            arrays[f"{label}/{name}/{p}"] for p in ("mu", "tau", "hyper", "n_devices", "diagnostics")
+        )
+        fits.setdefault(label, {})[name] = QuantityPosterior(
+            name,
+            mu,
+            tau,
+            hyper,
+            tuple(int(x) for x in n),
+            float(diagnostics[0]),
+            float(diagnostics[1]),
+            int(diagnostics[2]),
+        )
+
+    def number(value: float | None, missing: float) -> float:
+        return missing if value is None else float(value)
+
+    return PopulationResult(
+        sets=tuple(
+            DeviceSet(
+                s["name"],
+                tuple(s["devices"]),
+                Tags(**s["tags"]),
+                {k: tuple(number(x, np.nan) for x in v) for k, v in s["points"].items()},
+            )
+            for s in document["sets"]
+            if s["name"] != ANY_SET
+        ),
+        posteriors=fits.pop("default"),
+        other_priors=fits,
+        priors={k: PopulationPrior(**v) for k, v in document["priors"].items()},
+        importance_draws={r["quantity"]: number(r["importance_draws"], np.inf) for r in document["quantities"]},
+        seed=int(document["seed"]),
+    )

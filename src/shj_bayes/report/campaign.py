@@ -1,0 +1,156 @@
+"""The page of a campaign, and that of the published tables."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from shj_bayes.errors import ReportError
+from shj_bayes.population.paper_claims import Claim
+from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.results import load_population
+from shj_bayes.report import words
+from shj_bayes.report.page import PAGE, write_page
+from shj_bayes.report.residual_file import read_residual
+from shj_bayes.report.sets import Interval
+from shj_bayes.report.sets_page import population_content, tested_motion
+
+PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
+
+
+def render_campaign(folder: Path, population: PopulationResult | None = None) -> Path:
+    """Write ``report.html`` of a campaign.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder with ``campaign.json`` (name, sets with devices: name, folder, status, reason, verdict) and the
+        devices' folders.
+    population : PopulationResult, optional
+        Fitted population; read from the folder when it holds one.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    ReportError
+        If the folder holds no readable ``campaign.json``.
+    """
+    record = _read_campaign(folder)
+    if population is None and (folder / "population.json").exists():
+        population = load_population(folder)
+    devices = [device_row(folder, group["name"], device) for group in record["sets"] for device in group["devices"]]
+    done = [d for d in devices if d["status"] != "failed"]
+    intervals = {(d["set"], d["name"]): d["intervals"] for d in done}
+    motion = next((m for d in done if d["link"] and (m := tested_motion(folder / d["folder"]))), PUBLISHED_MOTION)
+    content = {
+        "name": record["name"],
+        "simulated": bool(record.get("simulated")),
+        "devices": devices,
+        "n_done": len(done),
+        "n_failed": len(devices) - len(done),
+        "verdicts": {w: sum(d["verdict"] == w for d in done) for w in ("reliable", "tentative", "unusable")},
+        "n_structured": sum(bool(d["structured"]) for d in done),
+        "population": population_content(population, intervals, motion) if population else None,
+    }
+    return write_page(folder, "campaign.html", content)
+
+
+def render_tables(folder: Path, population: PopulationResult, claims: Sequence[Claim] = ()) -> Path:
+    """Write ``report.html`` of the published tables.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    population : PopulationResult
+        Population fitted to the published devices.
+    claims : sequence of Claim
+        The paper's claims against its own numbers.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    colours = {"holds": "holds", "does not hold": "not"}
+    content = {
+        "claims": [
+            {"claim": c.claim, "verdict": c.verdict, "colour": colours.get(c.verdict, "part"), "sentence": c.sentence}
+            for c in claims
+        ],
+        "n_devices": sum(len(group.devices) for group in population.sets),
+        "population": population_content(population, {}, PUBLISHED_MOTION),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    return write_page(folder, "tables.html", content)
+
+
+def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[str, Any]:
+    """One device of the list: numbers where it was fitted, the reason where it was not."""
+    place = str(device.get("folder", ""))
+    safe = safe_folder(place)
+    row: dict[str, Any] = {
+        "set": set_name,
+        "name": str(device.get("name", "")),
+        "status": str(device.get("status", "")),
+        "reason": str(device.get("reason", "")),
+        "verdict": str(device.get("verdict", "")),
+        "folder": place if safe else "",
+        "link": "",
+        "numbers": {},
+        "intervals": {},
+        "structured": None,
+        "residual": "",
+    }
+    if row["status"] == "failed" or not safe:
+        return row
+    if (folder / place / PAGE).exists():
+        row["link"] = quote(f"{place}/{PAGE}")
+    for parameter in _parameters(folder / place):
+        key = str(parameter["name"])
+        row["intervals"][key] = _interval(parameter)
+        row["numbers"][key] = {
+            "exact": repr(parameter["q50"]),
+            "text": words.rounded(parameter["q50"], parameter["sd"] or 0.0),
+            "interval": words.interval(parameter),
+        }
+    residual = read_residual(folder / place)
+    if residual:
+        row["structured"], row["residual"] = residual
+    return row
+
+
+def safe_folder(place: str) -> bool:
+    """Whether a folder named in ``campaign.json`` is one below the campaign's, and so may be read and linked to."""
+    return bool(re.fullmatch(r"[\w][\w. -]*(/[\w][\w. -]*)*", place))
+
+
+def _read_campaign(folder: Path) -> dict[str, Any]:
+    path = folder / "campaign.json"
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        sets = [{"name": str(g["name"]), "devices": [dict(d) for d in g["devices"]]} for g in record["sets"]]
+        return {"name": str(record["name"]), "simulated": record.get("simulated", False), "sets": sets}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ReportError(f"{folder.name} holds no readable campaign.json ({error}); run shj-bayes campaign") from error
+
+
+def _parameters(place: Path) -> list[dict[str, Any]]:
+    """Rows of ``summary.json``; none where it cannot be read."""
+    try:
+        rows = json.loads((place / "summary.json").read_text(encoding="utf-8"))["parameters"]
+        return [row for row in rows if all(key in row for key in ("name", "sd", "q05", "q50", "q95"))]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def _interval(row: Mapping[str, Any]) -> Interval:
+    return float(row["q05"]), float(row["q50"]), float(row["q95"])

@@ -1,0 +1,154 @@
+"""The files of a fit as plain values for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.errors import ReportError
+from shj_bayes.inference.store import read_posterior, read_record
+from shj_bayes.model.parameters import FloatArray
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """One run: what was measured and what the posterior predicts.
+
+    Parameters
+    ----------
+    number : int
+        1 for the first run.
+    time_s, displacement_mm, speed_mm_s, force_kN : array, shape (n,)
+        Channels; displacement and speed as the law used them.
+    used : array of bool, shape (n,)
+        Samples that are evidence.
+    half_cycle : array of int, shape (n,)
+        Index of the half-cycle of each sample.
+    law_kN, predicted_kN : array, shape (m, n)
+        Posterior draws of the force without noise, and as it would be measured.
+    """
+
+    number: int
+    time_s: FloatArray = field(repr=False)
+    displacement_mm: FloatArray = field(repr=False)
+    speed_mm_s: FloatArray = field(repr=False)
+    force_kN: FloatArray = field(repr=False)
+    used: BoolArray = field(repr=False)
+    half_cycle: IntArray = field(repr=False)
+    law_kN: FloatArray = field(repr=False)
+    predicted_kN: FloatArray = field(repr=False)
+
+    @property
+    def reversals(self) -> IntArray:
+        """First sample of every half-cycle but the first."""
+        return np.asarray(np.flatnonzero(np.diff(self.half_cycle)) + 1, dtype=np.int64)
+
+    @property
+    def starts(self) -> IntArray:
+        """First sample of every half-cycle."""
+        return np.concatenate([[0], self.reversals]).astype(np.int64)
+
+    @property
+    def direction(self) -> IntArray:
+        """+1 where displacement grows within the half-cycle of a sample (push), -1 where it falls; shape (n,)."""
+        ends = np.concatenate([self.reversals, [self.time_s.size]]) - 1
+        x = self.displacement_mm
+        sign = np.where(x[ends] >= x[self.starts], 1, -1)
+        return np.asarray(np.repeat(sign, ends - self.starts + 1), dtype=np.int64)
+
+    @property
+    def rate_Hz(self) -> float:
+        """Sampling rate, Hz."""
+        return float(1 / np.median(np.diff(self.time_s)))
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceData:
+    """One device: its record, its draws and its runs.
+
+    Parameters
+    ----------
+    record : dict
+        Content of ``fit.json``.
+    draws : mapping of str to array, shape (n_ensembles, n_draws)
+        Posterior in natural units, in the order of the record.
+    prior : mapping of str to array, shape (n,)
+        Prior draws.
+    runs : tuple of RunData
+        In the order they were made.
+    """
+
+    record: Mapping[str, Any]
+    draws: Mapping[str, FloatArray] = field(repr=False)
+    prior: Mapping[str, FloatArray] = field(repr=False)
+    runs: tuple[RunData, ...] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the device, as given."""
+        return str(self.record["device"])
+
+    def parameter(self, name: str) -> dict[str, Any]:
+        """Row of the parameter table."""
+        return next(dict(row) for row in self.record["parameters"] if row["name"] == name)
+
+
+def read_device(folder: Path) -> DeviceData:
+    """Read the files of a finished fit.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder with ``posterior.nc`` and ``fit.json``.
+
+    Returns
+    -------
+    DeviceData
+
+    Raises
+    ------
+    ReportError
+        If the posterior lacks what a page needs.
+    """
+    record = read_record(folder)
+    names = [row["name"] for row in record["parameters"]]
+    data: Any = read_posterior(folder)  # its groups are attributes that the type does not know
+    try:
+        constant = {str(k): v.to_numpy() for k, v in data.constant_data.data_vars.items()}
+        force = data.observed_data["force"].to_numpy()
+        law = _flat(data.posterior_predictive["force_model"].to_numpy())
+        predicted = _flat(data.posterior_predictive["force"].to_numpy())
+        draws = {name: data.posterior[name].to_numpy() for name in names}
+        prior = {name: data.prior[name].to_numpy().ravel() for name in names}
+    except (AttributeError, KeyError) as error:
+        raise ReportError(f"posterior.nc in {folder.name} lacks {error}; run the fit again") from error
+    runs = []
+    for number in np.unique(constant["run"]):
+        mine = constant["run"] == number
+        runs.append(
+            RunData(
+                int(number),
+                constant["time_s"][mine],
+                constant["displacement_mm"][mine],
+                constant["speed_mm_s"][mine],
+                force[mine],
+                constant["used"][mine].astype(np.bool_),
+                constant["half_cycle_of_sample"][mine],
+                law[:, mine],
+                predicted[:, mine],
+            )
+        )
+    return DeviceData(record, draws, prior, tuple(runs))
+
+
+def _flat(values: NDArray[Any]) -> FloatArray:
+    """Chains and draws as one axis."""
+    return np.asarray(values.reshape(-1, values.shape[-1]))

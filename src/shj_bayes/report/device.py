@@ -1,0 +1,204 @@
+"""The page of one device."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.model.parameters import describe
+from shj_bayes.report import words
+from shj_bayes.report.data import DeviceData, RunData, read_device
+from shj_bayes.report.device_numbers import Numbers, numbers_of
+from shj_bayes.report.page import write_page
+from shj_bayes.report.residual_file import write_residual
+
+
+def render_device(folder: Path) -> Path:
+    """Write ``report.html`` of a finished fit.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder with ``posterior.nc`` and ``fit.json``.
+
+    Returns
+    -------
+    Path
+        The page, one file that needs nothing else.
+
+    Raises
+    ------
+    InferenceError, ReportError
+        If the folder holds no readable fit.
+    """
+    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
+    from shj_bayes.report.device_pictures import draw  # noqa: PLC0415
+
+    device = read_device(folder)
+    numbers = numbers_of(device)
+    write_residual(folder, numbers.structure)
+    return write_page(folder, "device.html", content(device, numbers) | {"pictures": draw(device, numbers)})
+
+
+def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
+    """Everything on the page but the pictures, as plain values."""
+    record = device.record
+    gamma = next(row for row in record["parameters"] if row["name"] == "gamma")
+    peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
+    peak = max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
+    return {
+        "name": device.name,
+        "simulated": any(_is_simulated(entry) for entry in record["inputs"]),
+        "verdict": record["verdict"],
+        "verdict_words": words.VERDICTS.get(record["verdict"], "The verdict of this fit is not known to this version."),
+        "reasons": record["reasons"],
+        "headline": words.residual_headline(numbers.structure),
+        "structured": numbers.structure.structured,
+        "details": words.residual_details(numbers.structure),
+        "cards": cards(device, peak, numbers.one_speed is not None),
+        "rows": [parameter_row(row) for row in record["parameters"]],
+        "alias": words.alias_words(numbers.one_speed),
+        "dep": words.dep_words(gamma),
+        "speed": words.speed_words(gamma, peak),
+        "peak_speed": words.short(peak),
+        "runs": [run_row(run, entry) for run, entry in zip(device.runs, record["inputs"], strict=True)],
+        "findings": [
+            {"run": i, "what": words.SEVERITIES.get(f["severity"], f["severity"]), "message": f["message"]}
+            for i, entry in enumerate(record["inputs"], start=1)
+            for f in entry["findings"]
+        ],
+        "energy": energy_words(numbers),
+        "losses": [
+            {"run": d.run, "low": f"{d.q05:.1f}", "middle": f"{d.q50:.1f}", "high": f"{d.q95:.1f}"}
+            for d in numbers.losses
+        ],
+        "before": before_words(numbers),
+        "priors": [prior_row(device, law) for law in record["prior_laws"]],
+        "model": record["model"],
+        "sampling": record["sampling"],
+        "record": record,
+    }
+
+
+def cards(device: DeviceData, peak_mm_s: float, one_speed: bool) -> list[dict[str, str]]:
+    """Give the numbers that matter, for the first screen."""
+    out = []
+    for name in ("K", "Fy", "ratio", "gamma"):
+        row = next((r for r in device.record["parameters"] if r["name"] == name), None)
+        if row is None:
+            continue
+        note = ""
+        if name == "gamma":
+            note = f"{words.dep_words(row)}. {words.speed_words(row, peak_mm_s)}"
+            note += " One peak speed only: this may be place, not speed; see Parameters." if one_speed else ""
+        if name == "ratio":
+            low, high = sorted((100 * (1 - row["q05"]), 100 * (1 - row["q95"])))
+            note = f"The second run lost {low:.1f} to {high:.1f} % of the sliding force."
+        out.append(
+            {
+                "name": name,
+                "meaning": describe(name).meaning,
+                "value": words.rounded(row["q50"], row["sd"]),
+                "exact": repr(row["q50"]),
+                "unit": "" if row["unit"] == "1" else row["unit"],
+                "interval": words.interval(row),
+                "note": note,
+            }
+        )
+    return out
+
+
+def parameter_row(row: dict[str, Any]) -> dict[str, Any]:
+    """One row of the parameter table: shown and exact."""
+    base = row["name"].partition("_")[0]
+    keys = ("mean", "sd", "q05", "q50", "q95")
+    return {
+        "name": row["name"],
+        "unit": "" if row["unit"] == "1" else row["unit"],
+        "meaning": describe(row["name"]).meaning,
+        "dep": words.dep_words(row) if base == "gamma" else "",
+        "numbers": [{"exact": repr(row[k]), "text": words.rounded(row[k], row["sd"] or 0.0)} for k in keys],
+        "ess": f"{row['ess_bulk'] or 0:.0f}",
+        "rhat": f"{row['rhat']:.3f}" if row["rhat"] is not None else "not known",
+    }
+
+
+def prior_row(device: DeviceData, law: dict[str, Any]) -> dict[str, str]:
+    """One parameter before and after the test."""
+    low, middle, high = np.quantile(device.prior[law["name"]], (0.05, 0.5, 0.95))
+    return {
+        "name": law["name"],
+        "unit": "" if law["unit"] == "1" else law["unit"],
+        "before": f"{words.short(low)} to {words.short(high)}",
+        "middle": words.short(middle),
+        "after": words.interval(device.parameter(law["name"])),
+        "law": f"{law['law']} ({law['a']:g}, {law['b']:g})",
+        "source": law["source"],
+    }
+
+
+def run_row(run: RunData, entry: dict[str, Any]) -> dict[str, Any]:
+    """Describe one recording, for the table of what was tested."""
+    x, used = run.displacement_mm, int(np.count_nonzero(run.used))
+    roles = [f"{role}: {column} [{entry['units'].get(role, '?')}]" for role, column in entry["columns"].items()]
+    return {
+        "number": run.number,
+        "file": entry["name"],
+        "format": entry["format"],
+        "samples": f"{entry['n_samples']:d}",
+        "unused": entry["n_samples"] - used,
+        "rate": f"{entry['rate_Hz']:.5g}",
+        "duration": f"{entry['duration_s']:.5g}",
+        "half_cycles": entry["n_half_cycles"],
+        "stroke": f"{x.min():.1f} to {x.max():.1f}",
+        "force": f"{run.force_kN.min():.3g} to {run.force_kN.max():.3g}",
+        "columns": "; ".join(roles) or "made in memory",
+        "method": entry["motion_method"],
+        "noise": words.short(entry["displacement_noise_mm"]),
+        "sha256": entry["sha256"] or "none (not read from a file)",
+    }
+
+
+def energy_words(numbers: Numbers) -> str:
+    """How well the energy is predicted."""
+    n = sum(e.measured_J.size for e in numbers.energies)
+    if n == 0:
+        return "The recording holds no full cycle from mid-stroke to mid-stroke, so no energy per cycle is given."
+    outside = sum(e.n_outside for e in numbers.energies)
+    measured = sum(float(e.measured_J.sum()) for e in numbers.energies)
+    error = 100 * (sum(float(e.median_J.sum()) for e in numbers.energies) / measured - 1)
+    return (
+        f"The {n} full cycles dissipated {_energy(measured)}; the model predicts {abs(error):.1f} % "
+        f"{'more' if error > 0 else 'less'}. {outside} of {n} cycles lie outside their 90 % band; about "
+        f"{max(1, round(0.1 * n))} would by chance."
+    )
+
+
+def before_words(numbers: Numbers) -> str:
+    """Say what the priors allow, beside what was found."""
+    b = numbers.before
+    text = (
+        f"One cycle of {words.short(b.amplitude_mm)} mm at a peak speed of {words.short(b.peak_speed_mm_s)} mm/s. "
+        f"Before the test, the largest force was held to lie between {words.short(b.prior_range_kN[0])} and "
+        f"{words.short(b.prior_range_kN[1])} kN (nine in ten); after it, between {b.posterior_range_kN[0]:.4g} and "
+        f"{b.posterior_range_kN[1]:.4g} kN."
+    )
+    if b.paper_range_kN:
+        n = b.paper_kN.shape[0]
+        text += (
+            f" The published devices of Tables 3 to 7 would reach {words.short(b.paper_range_kN[0])} to "
+            f"{words.short(b.paper_range_kN[1])} kN: {'all' if b.paper_inside == n else b.paper_inside} of their {n} "
+            "loops lie within the central 98 % of what the priors allow, so the priors leave room for devices of "
+            "this kind."
+        )
+    return text
+
+
+def _energy(joule: float) -> str:
+    return f"{joule / 1000:.4g} kJ" if joule >= 1000 else f"{joule:.4g} J"
+
+
+def _is_simulated(entry: dict[str, Any]) -> bool:
+    return entry["format"] == "simulated" or any(f["code"] == "simulated" for f in entry["findings"])

@@ -1,0 +1,1 @@
+"""Drawing only: functions take arrays and give a picture as a data address. matplotlib is imported here alone."""

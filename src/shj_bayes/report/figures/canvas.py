@@ -1,0 +1,71 @@
+"""Sheets to draw on, one style for all, and pictures as data addresses that a page can hold."""
+
+from __future__ import annotations
+
+import base64
+from io import BytesIO
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Okabe and Ito: told apart with every common form of colour blindness, and (by lightness) in grey print.
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
+INK, GREY, PALE = "#222222", "#777777", "#BBBBBB"
+SERIES = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+WIDE, NARROW = 8.6, 4.9
+DPI = 125  # of what is dense and therefore drawn in pixels
+
+
+def sheet(width: float = NARROW, height: float = 3.5) -> tuple[Figure, Axes]:
+    """One empty diagram, size in inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, tidy(figure.add_subplot())
+
+
+def tidy(axes: Axes) -> Axes:
+    """House style of one diagram."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(visible=True, color="#000000", alpha=0.08, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=9.5, colors=INK)
+    return axes
+
+
+def label(axes: Axes, x: str, y: str) -> None:
+    """Axis titles; they always carry a unit."""
+    axes.set_xlabel(x, fontsize=10.5, color=INK)
+    axes.set_ylabel(y, fontsize=10.5, color=INK)
+
+
+def legend(axes: Axes, columns: int = 1) -> None:
+    """Key above the diagram, where it hides nothing."""
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(-0.02, 1.0),
+        ncols=columns,
+        frameon=False,
+        fontsize=9,
+        handlelength=1.6,
+        borderaxespad=0.1,
+        columnspacing=1.2,
+    )
+
+
+def svg(figure: Figure) -> str:
+    """Picture as a scalable data address; the same drawing gives the same text."""
+    buffer = BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "shj-bayes", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format="svg", transparent=True, dpi=DPI, metadata={"Date": None, "Creator": None})
+    return _address("svg+xml", buffer.getvalue())
+
+
+def png(figure: Figure, dpi: int = DPI) -> str:
+    """Picture as a data address of pixels, for drawings of very many elements."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", transparent=True, dpi=dpi, metadata={"Software": None})
+    return _address("png", buffer.getvalue())
+
+
+def _address(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"

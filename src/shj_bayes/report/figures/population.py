@@ -1,0 +1,77 @@
+"""Sets of devices side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from shj_bayes.population.loops import LoopBand
+from shj_bayes.report.figures.canvas import BLUE, GREY, INK, NARROW, SERIES, WIDE, label, legend, sheet, svg
+from shj_bayes.report.sets import SetBand
+
+MAX_NAME = 34
+
+
+def bands(rows: Sequence[SetBand], title: str) -> str:
+    """Draw tested devices, and the band of a new one, of every set below one another.
+
+    Parameters
+    ----------
+    rows : sequence of SetBand
+        All of one quantity.
+    title : str
+        Axis title with unit.
+    """
+    figure, axes = sheet(WIDE, 0.9 + 0.36 * len(rows))
+    left, right = span(rows)
+    for y, row in enumerate(rows):
+        low, middle, high = row.band
+        axes.plot(row.widest, (y, y), color=GREY, linewidth=1.4, solid_capstyle="butt")
+        axes.plot((low, high), (y, y), color=BLUE, linewidth=8, alpha=0.45, solid_capstyle="butt")
+        axes.plot((middle, middle), (y - 0.22, y + 0.22), color=BLUE, linewidth=2)
+        for edge, beyond, marker in ((left, row.widest[0] < left, "<"), (right, row.widest[1] > right, ">")):
+            if beyond:
+                axes.plot(edge, y, marker, color=GREY, markersize=6, clip_on=False)
+        for k, (_, (d_low, d_middle, d_high)) in enumerate(row.devices):
+            at = y + (0.09 if k % 2 else -0.09) * (len(row.devices) > 1)
+            axes.plot((d_low, d_high), (at, at), color=INK, linewidth=1)
+            axes.plot(d_middle, at, "o", color=INK, markersize=4)
+    axes.set_xlim(left, right)
+    axes.plot([], [], "o-", color=INK, markersize=4, linewidth=1, label="tested device")
+    axes.plot([], [], color=BLUE, linewidth=8, alpha=0.45, label="new device, 90 %")
+    axes.plot([], [], color=GREY, linewidth=1.4, label="under other assumptions on the spread")
+    axes.set_yticks(np.arange(len(rows)), [_name(row) for row in rows], fontsize=9)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    label(axes, title, "")
+    legend(axes, 3)
+    return svg(figure)
+
+
+def span(rows: Sequence[SetBand]) -> tuple[float, float]:
+    """Range of the sheet: all tested devices and the bands of tested sets, not what is nearly unknown."""
+    tested = [row for row in rows if row.devices] or list(rows)
+    ends = [end for row in tested for end in (row.band[0], row.band[2])]
+    ends += [end for row in tested for _, interval in row.devices for end in interval]
+    low, high = min(ends), max(ends)
+    margin = 0.35 * (high - low) or 1.0
+    return (max(0.0, low - margin) if low >= 0 else low - margin), high + margin
+
+
+def _name(row: SetBand) -> str:
+    """Name of the set, cut to fit and with signs that matplotlib would read as mathematics made plain."""
+    name = row.name if len(row.name) <= MAX_NAME else row.name[: MAX_NAME - 3] + "..."
+    return f"{name} ({row.n_devices})".replace("$", r"\$")
+
+
+def loop(parts: Sequence[LoopBand]) -> str:
+    """Band of the loop of a new device of one set, one colour for each run."""
+    figure, axes = sheet(NARROW, 3.4)
+    for band, colour in zip(parts, SERIES, strict=False):
+        for force in (band.push, band.pull):
+            axes.fill_between(band.displacement_mm, force[0], force[2], color=colour, alpha=0.25, linewidth=0)
+            axes.plot(band.displacement_mm, force[1], color=colour, linewidth=1.4)
+        axes.plot([], [], color=colour, label=f"run {band.run}, median and 90 %")
+    label(axes, "displacement (mm)", "force (kN)")
+    legend(axes, 2)
+    return svg(figure)

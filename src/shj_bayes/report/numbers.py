@@ -1,0 +1,255 @@
+"""The numbers behind the figures: bands, cycles, energy and degradation. Nothing is drawn here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.data import DeviceData, RunData
+
+LEVELS = (0.05, 0.5, 0.95)
+N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
+AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
+SAME_SPEED = 0.2  # peak speeds within this share of one another count as one
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Predicted force of one run, each array of shape (n,), kN: median, and 5 and 95 % of law and of measurement."""
+
+    median: FloatArray = field(repr=False)
+    law_low: FloatArray = field(repr=False)
+    law_high: FloatArray = field(repr=False)
+    force_low: FloatArray = field(repr=False)
+    force_high: FloatArray = field(repr=False)
+
+    def part(self, at: slice) -> Band:
+        """Band of some of the samples."""
+        return Band(self.median[at], self.law_low[at], self.law_high[at], self.force_low[at], self.force_high[at])
+
+    @property
+    def law_width_kN(self) -> float:
+        """Typical width of the band of the law, kN."""
+        return float(np.median(self.law_high - self.law_low))
+
+
+def force_band(run: RunData) -> Band:
+    """Median and 90 % bands of the predicted force.
+
+    Parameters
+    ----------
+    run : RunData
+
+    Returns
+    -------
+    Band
+        The band of the law point by point; that of the measured force evened out over neighbouring samples, since a
+        hundred noisy draws give a ragged edge that says nothing.
+    """
+    low, median, high = np.quantile(run.law_kN, LEVELS, axis=0)
+    n = median.size
+    edges = np.unique(np.linspace(0, n, min(N_BLOCKS, n) + 1).astype(int))
+    off = run.predicted_kN - median
+    pieces = np.array([np.quantile(off[:, a:b], (LEVELS[0], LEVELS[2])) for a, b in pairwise(edges)])
+    centres = 0.5 * (edges[:-1] + edges[1:] - 1)
+    below, above = (np.interp(np.arange(n), centres, pieces[:, i]) for i in (0, 1))
+    return Band(median, low, high, median + below, median + above)
+
+
+def cycle_marks(run: RunData) -> FloatArray:
+    """Where cycles begin and end, as fractional sample numbers.
+
+    A cycle goes from one crossing of mid-stroke to the next in the same direction, beginning with the direction in
+    which the run starts; so a block of sine cycles gives exactly its cycles, as closed loops.
+
+    Parameters
+    ----------
+    run : RunData
+
+    Returns
+    -------
+    array, shape (n_cycles + 1,)
+        Empty when there is no full cycle.
+    """
+    x = run.displacement_mm
+    if run.reversals.size == 0:
+        return np.empty(0)
+    turning = x[run.reversals]
+    toward, middle = int(run.direction[0]), 0.5 * (float(turning.max()) + float(turning.min()))
+    y = toward * (x - middle)
+    before = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0) & (run.direction[:-1] == toward))
+    # Noise can cross mid-stroke several times in one sweep: only the first crossing of each half-cycle counts.
+    before = before[np.unique(run.half_cycle[before], return_index=True)[1]]
+    marks = before + y[before] / (y[before] - y[before + 1])
+    # A run that starts or stops at mid-stroke has its first and last crossing on its very ends.
+    first, last = run.half_cycle[0], run.half_cycle[-1]
+    crossed = run.half_cycle[before]
+    if first not in crossed and abs(y[0]) < AT_REST * abs(toward * (turning[0] - middle)):
+        marks = np.concatenate([[0.0], marks])
+    if last not in crossed and run.direction[-1] == toward and abs(y[-1]) < AT_REST * abs(turning[-1] - middle):
+        marks = np.concatenate([marks, [x.size - 1.0]])
+    return np.asarray(marks, dtype=np.float64) if marks.size > 1 else np.empty(0)
+
+
+def energy_between(force_kN: FloatArray, displacement_mm: FloatArray, marks: FloatArray) -> FloatArray:
+    """Energy, the integral of force over displacement, between neighbouring marks.
+
+    Parameters
+    ----------
+    force_kN : array, shape (..., n)
+        Force, kN.
+    displacement_mm : array, shape (n,)
+        Displacement, mm.
+    marks : array, shape (n_cycles + 1,)
+        Fractional sample numbers.
+
+    Returns
+    -------
+    array, shape (..., n_cycles)
+        Joule (kN mm), by the trapezoidal rule.
+    """
+    piece = 0.5 * (force_kN[..., 1:] + force_kN[..., :-1]) * np.diff(displacement_mm)
+    total = np.concatenate([np.zeros((*piece.shape[:-1], 1)), np.cumsum(piece, axis=-1)], axis=-1)
+    whole = np.minimum(np.floor(marks).astype(int), displacement_mm.size - 2)
+    at = total[..., whole] + (marks - whole) * piece[..., whole]
+    return np.asarray(np.diff(at, axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class CycleEnergy:
+    """Energy per cycle of one run, arrays of shape (n_cycles,).
+
+    Parameters
+    ----------
+    run : int
+        Number of the run.
+    amplitude_mm, peak_speed_mm_s, duration_s : array
+        Of each cycle.
+    measured_J, low_J, median_J, high_J : array
+        Measured, and 5, 50 and 95 % of what the posterior predicts would be measured.
+    """
+
+    run: int
+    amplitude_mm: FloatArray = field(repr=False)
+    peak_speed_mm_s: FloatArray = field(repr=False)
+    duration_s: FloatArray = field(repr=False)
+    measured_J: FloatArray = field(repr=False)
+    low_J: FloatArray = field(repr=False)
+    median_J: FloatArray = field(repr=False)
+    high_J: FloatArray = field(repr=False)
+
+    @property
+    def n_outside(self) -> int:
+        """Cycles whose measured energy lies outside the predicted band."""
+        return int(np.sum((self.measured_J < self.low_J) | (self.measured_J > self.high_J)))
+
+
+def cycle_energy(run: RunData) -> CycleEnergy:
+    """Measured and predicted energy of every full cycle of a run."""
+    marks = cycle_marks(run)
+    x, spans = run.displacement_mm, whole_spans(marks)
+    low, median, high = np.quantile(energy_between(run.predicted_kN, x, marks), LEVELS, axis=0)
+    return CycleEnergy(
+        run.number,
+        np.array([0.5 * np.ptp(x[a:b]) for a, b in spans]),
+        # The largest of many noisy speeds is too large; the 98th percentile of a sine is its peak to 0.1 %.
+        np.array([np.quantile(run.speed_mm_s[a:b], 0.98) for a, b in spans]),
+        np.diff(np.interp(marks, np.arange(x.size), run.time_s)),
+        energy_between(run.force_kN, x, marks),
+        low,
+        median,
+        high,
+    )
+
+
+def whole_spans(marks: FloatArray) -> list[tuple[int, int]]:
+    """Sample ranges of the cycles, first included, last excluded."""
+    whole = np.round(marks).astype(int)
+    return [(int(a), max(int(b) + 1, int(a) + 2)) for a, b in pairwise(whole)]
+
+
+def pick_cycle(run: RunData, share: float = 1.0) -> slice:
+    """Choose the samples of a cycle to show.
+
+    The last of those whose amplitude is near `share` of the largest; cycles that have another of the same amplitude go
+    before those that have none (ramps, where loops do not close). All samples where there is no cycle.
+    """
+    spans = whole_spans(cycle_marks(run))
+    if not spans:
+        return slice(0, run.time_s.size)
+    amplitude = np.array([np.ptp(run.displacement_mm[a:b]) for a, b in spans])
+    alike = np.abs(amplitude[:, None] - amplitude) < 0.05 * amplitude
+    repeated = alike.sum(axis=1) > 1
+    near = np.abs(amplitude - share * amplitude.max()) + np.where(repeated | ~repeated.any(), 0.0, np.inf)
+    return slice(*spans[int(np.flatnonzero(near <= near.min() + 0.03 * amplitude.max())[-1])])
+
+
+def one_peak_speed(energies: tuple[CycleEnergy, ...]) -> float | None:
+    """Return the common peak speed, mm/s, when all cycles have the same; None when they differ."""
+    peaks = np.concatenate([e.peak_speed_mm_s for e in energies])
+    if peaks.size == 0:
+        return None
+    middle = float(np.median(peaks))
+    # A cycle or two may be started or stopped by hand; nine in ten must agree.
+    alike = float(np.mean(np.abs(peaks - middle) <= SAME_SPEED * middle))
+    return middle if alike >= 0.9 else None
+
+
+@dataclass(frozen=True, eq=False)
+class Degradation:
+    """Loss of sliding force from the first run to run `run`, per cent: draws and 5, 50 and 95 %."""
+
+    run: int
+    loss_percent: FloatArray = field(repr=False)
+    q05: float
+    q50: float
+    q95: float
+
+
+def degradation(device: DeviceData) -> tuple[Degradation, ...]:
+    """Loss of sliding force for every run after the first, from the posterior of the ratios."""
+    out = []
+    for run in device.runs[1:]:
+        name = "ratio" if run.number == 2 else f"ratio_{run.number}"
+        loss = 100 * (1 - device.draws[name].ravel())
+        q05, q50, q95 = (float(v) for v in np.quantile(loss, LEVELS))
+        out.append(Degradation(run.number, loss, q05, q50, q95))
+    return tuple(out)
+
+
+def rank_shares(draws: FloatArray, n_effective: float, n_bins: int = 20) -> tuple[FloatArray, float]:
+    """Rank histogram of each ensemble.
+
+    Parameters
+    ----------
+    draws : array, shape (n_ensembles, n_draws)
+        One parameter.
+    n_effective : float
+        Effective sample size of all ensembles together.
+    n_bins : int
+        Bins.
+
+    Returns
+    -------
+    shares : array, shape (n_ensembles, n_bins)
+        1 where an ensemble has exactly its fair share of those ranks.
+    margin : float
+        Three standard deviations of a share if the ensembles agree.
+    """
+    n_ensembles, n_draws = draws.shape
+    ranks = np.argsort(np.argsort(draws, axis=None, kind="stable"), kind="stable").reshape(draws.shape)
+    index = ranks * n_bins // draws.size
+    counts = np.stack([np.bincount(row, minlength=n_bins) for row in index])
+    # Neighbouring draws resemble each other, so the scatter is that of the effective number, not of all draws.
+    expected = max(n_effective, 1.0) / n_ensembles / n_bins
+    return counts * n_bins / n_draws, float(3 * np.sqrt((1 - 1 / n_bins) / expected))
+
+
+def steps_of(draws: FloatArray, n_walkers: int) -> FloatArray:
+    """Mean over the walkers at each stored step, shape (n_ensembles, n_steps)."""
+    n_ensembles, n_draws = draws.shape
+    n_steps = n_draws // n_walkers
+    return np.asarray(draws[:, : n_steps * n_walkers].reshape(n_ensembles, n_steps, n_walkers).mean(axis=2))

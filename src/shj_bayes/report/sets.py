@@ -1,0 +1,196 @@
+"""The numbers of a campaign page: sets side by side, new devices, comparisons. Nothing is drawn here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.population.compare import Comparison, compare
+from shj_bayes.population.loops import LoopBand, loop_band
+from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
+from shj_bayes.population.predict import SECOND_RUN, new_device, new_device_table
+from shj_bayes.population.quantities import QUANTITIES, FloatArray
+
+MEANING = {
+    "Fy": "sliding force, first run",
+    SECOND_RUN: "sliding force, second run",
+    "ratio": "second run / first run",
+    "K": "initial stiffness",
+    "gamma": "speed coefficient 1/dep",
+    "beta": "sharpness of the knee",
+}
+SHOWN = ("Fy", SECOND_RUN, "ratio", "K", "gamma")
+MAX_MATRIX, MAX_PAIRS, MAX_LOOPS = 20, 12, 16
+NEVER = "a set never tested"
+Interval = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SetBand:
+    """A new device of one set in one quantity.
+
+    Parameters
+    ----------
+    set_name : str
+        The set.
+    n_devices : int
+        Tested devices that give the quantity.
+    quantity, unit : str
+        What it is of.
+    band : tuple of float
+        5, 50 and 95 % of a new device.
+    others : mapping of str to (low, high)
+        The 90 % band under each other prior of the spread.
+    devices : tuple of (name, (low, middle, high))
+        The tested devices; low and high equal the middle where only a point is known.
+    """
+
+    set_name: str
+    n_devices: int
+    quantity: str
+    unit: str
+    band: Interval
+    others: Mapping[str, tuple[float, float]] = field(repr=False)
+    devices: tuple[tuple[str, Interval], ...] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the set in words."""
+        return name_of(self.set_name)
+
+    @property
+    def widest(self) -> tuple[float, float]:
+        """Band that holds the band under every prior."""
+        ends = [(self.band[0], self.band[2]), *self.others.values()]
+        return min(low for low, _ in ends), max(high for _, high in ends)
+
+
+@dataclass(frozen=True)
+class Quotient:
+    """A typical device of one set over that of another: 5, 50, 95 %; settled when every prior gives the direction."""
+
+    band: Interval
+    settled: bool
+
+
+def name_of(set_name: str) -> str:
+    """Name of a set in words."""
+    return NEVER if set_name == ANY_SET else set_name
+
+
+def set_bands(
+    result: PopulationResult, intervals: Mapping[tuple[str, str], Mapping[str, Interval]] | None = None
+) -> dict[str, tuple[SetBand, ...]]:
+    """Bands of a new device of every set, by quantity.
+
+    Parameters
+    ----------
+    result : PopulationResult
+        A fitted population.
+    intervals : mapping of (set, device) to mapping of quantity to interval, optional
+        90 % intervals of the tested devices; their points where it says nothing.
+
+    Returns
+    -------
+    dict of str to tuple of SetBand
+        In the order of `SHOWN`; the last band of each is that of a set never tested.
+    """
+    table = new_device_table(result)
+    groups = {group.name: group for group in result.sets}
+    out: dict[str, tuple[SetBand, ...]] = {}
+    for quantity in SHOWN:
+        rows = table[table["quantity"] == quantity].to_dict("records")
+        if rows:
+            out[quantity] = tuple(_band(row, groups.get(str(row["set"])), intervals or {}) for row in rows)
+    return out
+
+
+def _band(
+    row: Mapping[Any, Any], group: DeviceSet | None, intervals: Mapping[tuple[str, str], Mapping[str, Interval]]
+) -> SetBand:
+    labels = [str(key)[4:] for key in row if str(key).startswith("q05_")]
+    quantity = str(row["quantity"])
+    devices = []
+    for index, name in enumerate(group.devices if group else ()):
+        assert group is not None
+        known = intervals.get((group.name, name), {}).get(quantity)
+        point = known or _point(group, index, quantity)
+        if point is not None:
+            devices.append((name, point))
+    return SetBand(
+        str(row["set"]),
+        int(row["n_devices"]),
+        quantity,
+        str(row["unit"]),
+        (float(row["q05"]), float(row["q50"]), float(row["q95"])),
+        {label: (float(row[f"q05_{label}"]), float(row[f"q95_{label}"])) for label in labels},
+        tuple(devices),
+    )
+
+
+def _point(group: DeviceSet, index: int, quantity: str) -> Interval | None:
+    """Point value of a device in natural units; None where it gives none."""
+    if quantity == SECOND_RUN:
+        parts = [_point(group, index, part) for part in ("Fy", "ratio")]
+        value = float(np.prod([part[1] for part in parts if part])) if all(parts) else np.nan
+    else:
+        points = group.points.get(quantity, ())
+        value = float(QUANTITIES[quantity].natural(points[index])) if index < len(points) else np.nan
+    return (value, value, value) if np.isfinite(value) else None
+
+
+def pairs(result: PopulationResult) -> tuple[tuple[str, str], ...]:
+    """Pairs of sets worth a sentence: those that differ in one respect only; all pairs when nothing is said of them."""
+    sets = result.sets
+    apart = {
+        (a.name, b.name): sum(getattr(a.tags, f.name) != getattr(b.tags, f.name) for f in fields(a.tags))
+        for a, b in combinations(sets, 2)
+    }
+    fewest = 1 if any(apart.values()) else 0
+    # What is treated is named first, so that a sentence reads "corroded against not corroded"; large sets come first.
+    size = {group.name: len(group.devices) for group in sets}
+    chosen = [(b, a) for (a, b), n in apart.items() if n == fewest]
+    return tuple(sorted(chosen, key=lambda pair: -min(size[pair[0]], size[pair[1]]))[:MAX_PAIRS])
+
+
+def comparisons(result: PopulationResult) -> tuple[Comparison, ...]:
+    """Comparisons of `pairs`."""
+    return tuple(compare(result, a, b) for a, b in pairs(result))
+
+
+def force_matrix(result: PopulationResult) -> list[list[Quotient | None]]:
+    """Sliding force of a typical device of the row's set over that of the column's.
+
+    Returns
+    -------
+    list of list
+        None on the diagonal; empty when there are too many sets to show, or one.
+    """
+    n = len(result.sets)
+    if not 2 <= n <= MAX_MATRIX or "Fy" not in result.posteriors:
+        return []
+    level = result.posteriors["Fy"].mu
+    others = [fits["Fy"].mu for fits in result.other_priors.values() if "Fy" in fits]
+    return [[_quotient(level, others, i, j) if i != j else None for j in range(n)] for i in range(n)]
+
+
+def _quotient(level: FloatArray, others: list[FloatArray], i: int, j: int) -> Quotient:
+    low, middle, high = (float(v) for v in np.exp(np.quantile(level[:, i] - level[:, j], (0.05, 0.5, 0.95))))
+    ends = [np.quantile(mu[:, i] - mu[:, j], (0.05, 0.95)) for mu in (level, *others)]
+    return Quotient((low, middle, high), not any(a < 0 < b for a, b in ends))
+
+
+def loop_bands(result: PopulationResult, amplitude_mm: float, peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
+    """Band of the loop of a new device of each set, both runs where both are known, of a set never tested last."""
+    out = []
+    for name in (*result.set_names[:MAX_LOOPS], ANY_SET):
+        device = new_device(result, name)
+        if not all(q in device.draws for q in ("K", "Fy", "beta", "gamma")):
+            continue
+        for run in (1, 2) if SECOND_RUN in device.draws else (1,):
+            out.append(loop_band(device, amplitude_mm=amplitude_mm, peak_speed_mm_s=peak_speed_mm_s, run=run))
+    return tuple(out)

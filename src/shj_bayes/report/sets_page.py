@@ -1,0 +1,130 @@
+"""What a page says and shows of a population; the same for a campaign and for the published tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.errors import ShjError
+from shj_bayes.inference.store import read_posterior
+from shj_bayes.population.compare import Comparison
+from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.predict import dep_words, how_wide
+from shj_bayes.report import sets, words
+
+
+def population_content(
+    result: PopulationResult,
+    intervals: Mapping[tuple[str, str], Mapping[str, sets.Interval]],
+    motion: tuple[float, float],
+) -> dict[str, Any]:
+    """Everything about the sets, plain values and pictures."""
+    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
+    from shj_bayes.report.sets_pictures import draw  # noqa: PLC0415
+
+    bands = sets.set_bands(result, intervals)
+    amplitude, speed = motion
+    return {
+        "quantities": [{"name": q, "meaning": sets.MEANING[q], "unit": rows[0].unit} for q, rows in bands.items()],
+        "table": _table(bands),
+        **draw(result, bands, motion),
+        "motion": f"{words.short(amplitude)} mm at a peak speed of {words.short(speed)} mm/s",
+        "wide": [how_wide(result, name, "Fy") for name in (*result.set_names, ANY_SET)] if "Fy" in bands else [],
+        "few": _few(result),
+        "names": list(result.set_names),
+        "matrix": _matrix(result),
+        "contrasts": [_contrast(c) for c in sets.comparisons(result)],
+        "converged": result.converged,
+        "priors": [
+            {"name": name, "source": prior.source, "r_hat": f"{fit.r_hat:.3f}", "ess": f"{fit.ess:.0f}"}
+            for name, prior in result.priors.items()
+            if (fit := result.posteriors.get(name)) is not None
+        ],
+        "seed": result.seed,
+    }
+
+
+def tested_motion(folder: Path) -> tuple[float, float] | None:
+    """Largest amplitude, mm, and peak speed, mm/s, of a fitted device; None where its files cannot be read."""
+    try:
+        data: Any = read_posterior(folder)
+        constant = data.constant_data
+        x, speed = constant["displacement_mm"].to_numpy(), constant["speed_mm_s"].to_numpy()
+    except (ShjError, AttributeError, KeyError):
+        return None
+    amplitude, peak = 0.5 * float(np.ptp(x)), float(np.quantile(speed, 0.99))
+    return (amplitude, peak) if amplitude > 0 and peak > 0 else None
+
+
+def _table(bands: Mapping[str, tuple[sets.SetBand, ...]]) -> list[dict[str, Any]]:
+    """One row per set: a new device in every quantity."""
+    rows: dict[str, dict[str, Any]] = {}
+    for quantity, of_sets in bands.items():
+        for band in of_sets:
+            row = rows.setdefault(band.set_name, {"name": band.name, "n": band.n_devices, "cells": {}})
+            low, middle, high = band.band
+            row["n"] = max(row["n"], band.n_devices)
+            row["cells"][quantity] = {
+                "exact": repr(middle),
+                "middle": _digits(middle),
+                "low": _digits(low),
+                "high": _digits(high),
+                "dep": _dep(low, high) if quantity == "gamma" else "",
+            }
+    return list(rows.values())
+
+
+def _dep(low: float, high: float) -> str:
+    """Band of gamma as dep, short enough for a cell."""
+    return "dep open" if low <= 0 <= high else f"dep {dep_words(low, high)}"
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _few(result: PopulationResult) -> str:
+    """Say plainly when there are too few devices for a band of their own."""
+    counts = [len(group.devices) for group in result.sets]
+    if min(counts) >= 6:
+        return ""
+    few = sum(n <= 2 for n in counts)
+    tail = f" {few} of the {len(counts)} sets here rest on one or two devices." if few else ""
+    return (
+        "Two devices are not a band: the next one need not lie between them. The blue bars are for a new device. They "
+        "hold how much devices of one set differ, which few devices can hardly tell, so most of their width comes from "
+        f"the other sets and from assumptions; the thin grey lines show how far other assumptions move them.{tail}"
+    )
+
+
+def _contrast(comparison: Comparison) -> dict[str, Any]:
+    """One pair of sets: a cell for each quantity, and the sentence on the sliding force."""
+    cells = {}
+    for c in comparison.contrasts:
+        none, form = (1.0, ".2f") if c.kind == "quotient" else (0.0, "+.3g")
+        ends = [(c.q05, c.q95), *c.other_priors.values()]
+        cells[c.quantity] = {
+            "text": f"{c.q50:{form}}",
+            "range": f"{c.q05:{form}} to {c.q95:{form}}",
+            "settled": not any(low < none < high for low, high in ends),
+        }
+    sentence = next((c.sentence for c in comparison.contrasts if c.quantity == "Fy"), "")
+    return {"pair": f"{comparison.set_a} against {comparison.set_b}", "cells": cells, "sentence": sentence}
+
+
+def _matrix(result: PopulationResult) -> list[dict[str, Any]]:
+    """Sliding force of each set over that of each other, as text."""
+    return [
+        {"name": name, "cells": [_cell(cell) for cell in row]}
+        for name, row in zip(result.set_names, sets.force_matrix(result), strict=False)
+    ]
+
+
+def _cell(cell: sets.Quotient | None) -> dict[str, Any] | None:
+    if cell is None:
+        return None
+    low, middle, high = cell.band
+    return {"text": f"{middle:.2f}", "range": f"{low:.2f} to {high:.2f}", "settled": cell.settled}

@@ -1,0 +1,75 @@
+"""The pictures of a population, each with its sentence. Importing this imports matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import groupby
+from typing import Any
+
+from shj_bayes.population.loops import LoopBand
+from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.predict import SECOND_RUN
+from shj_bayes.report import sets
+from shj_bayes.report.figures import population as figures
+from shj_bayes.report.page import Picture
+
+TITLES = {
+    "Fy": "Sliding force of the first run",
+    SECOND_RUN: "Sliding force of the second run",
+    "ratio": "Second run over first run",
+    "K": "Initial stiffness",
+    "gamma": "Speed coefficient",
+}
+
+
+def draw(
+    result: PopulationResult, bands: Mapping[str, tuple[sets.SetBand, ...]], motion: tuple[float, float]
+) -> dict[str, Any]:
+    """All pictures of a population by place; `motion` is the amplitude, mm, and the peak speed, mm/s, of the loops."""
+    return {
+        "first": _bands(bands, "Fy") if "Fy" in bands else None,
+        "bands": [_bands(bands, quantity) for quantity in bands if quantity != "Fy"],
+        "loops": _loops(sets.loop_bands(result, *motion)),
+    }
+
+
+def _bands(bands: Mapping[str, tuple[sets.SetBand, ...]], quantity: str) -> Picture:
+    rows = bands[quantity]
+    unit = "no unit" if rows[0].unit == "1" else rows[0].unit
+    caption = (
+        "Dots are tested devices; how many stands behind the name of the set. The blue bar is where a new device of "
+        "that set lies with a probability of 90 %, its upright line is the middle."
+    )
+    if quantity == "gamma":
+        caption += " 0 means no dependence on speed; a band on both sides of 0 leaves dep = 1/gamma open."
+    low, high = figures.span(rows)
+    if any(row.widest[0] < low or row.widest[1] > high for row in rows):
+        caption += " Lines that end in an arrow run off the sheet: hardly anything is known there."
+    return Picture(
+        figures.bands(rows, f"{sets.MEANING[quantity]} ({unit})"),
+        f"{TITLES[quantity]} of every set: the tested devices, and the band in which a new device is expected.",
+        caption,
+        TITLES[quantity],
+        wide=True,
+    )
+
+
+def _loops(bands: tuple[LoopBand, ...]) -> list[Picture]:
+    out = []
+    for set_name, group in groupby(bands, key=lambda band: band.set_name):
+        parts, name = list(group), sets.name_of(set_name)
+        energy = "; ".join(f"run {b.run}: {_kilojoule(b.energy_kN_mm)}" for b in parts)
+        out.append(
+            Picture(
+                figures.loop(parts),
+                f"Band of the force over displacement of a new device of {name}.",
+                f"Energy of one cycle, middle and 90 %: {energy}. Devices tested: {parts[0].n_devices}.",
+                name,
+            )
+        )
+    return out
+
+
+def _kilojoule(energy: tuple[float, float, float]) -> str:
+    low, middle, high = (value / 1000 for value in energy)
+    return f"{middle:.3g} kJ ({low:.3g} to {high:.3g})"

@@ -1,0 +1,161 @@
+"""Break the package on purpose, one line at a time, and show which tests notice: ``python tests/mutation.py``.
+
+Each breakage is made in a temporary copy of the checkout; the checkout itself is not touched. The tests of the rooms
+concerned run there (a minute or two each on two processors), and a table of the failures is printed. Exit status 1 when
+a breakage goes unnoticed, or when tests fail without one. ``--only NAME`` runs one, ``--list`` shows them.
+Not collected by pytest: it runs pytest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+TOP = Path(__file__).resolve().parents[1]
+TESTS = (
+    "tests/oracle/test_law.py",
+    "tests/oracle/test_loop_energy.py",
+    "tests/unit/model",
+    "tests/unit/inference/test_posterior_density.py",
+    "tests/unit/inference/test_starting_point.py",
+    "tests/contract/test_registered_models.py",
+)
+READER_TESTS = ("tests/unit/recording",)
+IGNORE = r"ignore:\s*ArviZ is undergoing a major refactor:FutureWarning"
+
+
+@dataclass(frozen=True)
+class Breakage:
+    """One line changed."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...] = TESTS
+
+
+BREAKAGES = (
+    Breakage(
+        "law: exponent 1/beta left out",
+        "model/kernel.py",
+        "return e * _exp2(-(max(soft, power) if power > 60.0 else soft) * per_beta)",
+        "return e * _exp2(-(max(soft, power) if power > 60.0 else soft))",
+    ),
+    Breakage(
+        "law: signed v instead of |v|",
+        "model/kernel.py",
+        "_branch_seed(out[a:b], x[a:b], speed[a:b], turning[k], reset, law)",
+        "_branch_seed(out[a:b], x[a:b], sense * speed[a:b], turning[k], reset, law)",
+    ),
+    Breakage(
+        "likelihood: log sqrt(1 - phi^2) left out",
+        "model/noise.py",
+        "+ 0.5 * stretches.n_follow * np.log1p(-(phi**2)))",
+        "+ 0.0 * stretches.n_follow * np.log1p(-(phi**2)))",
+    ),
+    Breakage(
+        "likelihood: AR(1) treated as white",
+        "model/noise.py",
+        "        d = r[i] - phi * before[i]",
+        "        d = r[i] - 0.0 * before[i]",
+    ),
+    Breakage(
+        "prior: Jacobian of the free space left out",
+        "model/priors.py",
+        "return np.asarray(log_expit(z) + log_expit(-z))",
+        "return np.asarray(0.0 * z)",
+    ),
+    Breakage(
+        "reader: kip read as kN",
+        "recording/units.py",
+        "    return float(_registry().Quantity(1.0, unit).to(TARGET[role]).magnitude)",
+        '    return 1.0 if unit == "kip" else float(_registry().Quantity(1.0, unit).to(TARGET[role]).magnitude)',
+        READER_TESTS,
+    ),
+    Breakage(
+        "motion: the sampled extreme instead of the turning point",
+        "recording/protocol.py",
+        "turning_mm=np.concatenate([[0.0], turning])",
+        "turning_mm=np.concatenate([[0.0], (amplitude * np.sin(phase))[start[1:-1] - 1]])",
+    ),
+)
+
+
+def failures(package: Path, tests: tuple[str, ...]) -> tuple[dict[str, int], str]:
+    """Failed tests (function name to number of failed cases) in a copy, and the last line of pytest."""
+    environment = os.environ | {"PYTHONPATH": str(package / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    arguments = ["-q", "--tb=no", "-m", "not slow", "-p", "no:cacheprovider", "-o", f"filterwarnings=error\n{IGNORE}"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *arguments, *tests],
+        cwd=package,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    found: dict[str, int] = {}
+    for name in re.findall(r"^(?:FAILED|ERROR) \S*?::(?:\w+::)?(\w+)", done.stdout, flags=re.MULTILINE):
+        found[name] = found.get(name, 0) + 1
+    if done.returncode not in (0, 1) or (done.returncode == 1 and not found):
+        found[f"pytest itself (exit {done.returncode})"] = 1
+    return found, (done.stdout.strip().splitlines() or ["no output"])[-1]
+
+
+def copy_of_checkout(folder: Path) -> Path:
+    """What the tests need, without caches: a cached compilation would hide a change."""
+    skip = shutil.ignore_patterns("__pycache__", "*.pyc")
+    for part in ("src", "tests", "priors", "data"):
+        shutil.copytree(TOP / part, folder / part, ignore=skip)
+    shutil.copy(TOP / "pyproject.toml", folder)
+    return folder
+
+
+def trial(breakage: Breakage | None) -> tuple[dict[str, int], str]:
+    """Copy, break, test."""
+    with tempfile.TemporaryDirectory() as folder:
+        package = copy_of_checkout(Path(folder))
+        if breakage is None:
+            return failures(package, (*TESTS, *READER_TESTS))
+        path = package / "src" / "shj_bayes" / breakage.file
+        text = path.read_text(encoding="utf-8")
+        if text.count(breakage.old) != 1:
+            return {}, f"the line to break is in {breakage.file} {text.count(breakage.old)} times; mend this script"
+        path.write_text(text.replace(breakage.old, breakage.new), encoding="utf-8")
+        return failures(package, breakage.tests)
+
+
+def main() -> int:
+    """Run the trials and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", metavar="NAME", help="breakages whose name contains this")
+    parser.add_argument("--list", action="store_true", help="show the breakages and stop")
+    options = parser.parse_args()
+    chosen = [b for b in BREAKAGES if not options.only or options.only in b.name]
+    if options.list:
+        print("\n".join(b.name for b in chosen))
+        return 0
+    whole, last = trial(None)
+    print(f"unbroken: {last}", flush=True)
+    missed = bool(whole)
+    for breakage in chosen:
+        found, last = trial(breakage)
+        missed |= not found
+        print(f"\n{breakage.name}  [{breakage.file}]\n  {last if found else 'NOT NOTICED: ' + last}")
+        for name, count in sorted(found.items(), key=lambda item: -item[1])[:6]:
+            print(f"    {name}" + (f"  ({count} cases)" if count > 1 else ""))
+        if len(found) > 6:
+            print(f"    and {len(found) - 6} more")
+        sys.stdout.flush()
+    return int(missed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

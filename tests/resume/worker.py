@@ -1,0 +1,35 @@
+"""A fit in a process of its own, slowed down so that a test can kill it: ``worker.py CHECKPOINT SEED DELAY_S``."""
+
+import runpy
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.start import find_start
+
+PLAN = {"round_steps": 20, "max_steps": 100}
+
+
+def main(path: Path, seed: int, delay_s: float) -> None:
+    """Sample the small device of conftest.py, resting before each evaluation."""
+    problem = runpy.run_path(str(Path(__file__).resolve().parents[1] / "conftest.py"))["small_problem"]()
+
+    class Slow:
+        """The same density, later."""
+
+        def log_posterior_free(self, z: np.ndarray) -> np.ndarray:
+            """Rest, then evaluate."""
+            time.sleep(delay_s)
+            return problem.log_posterior_free(z)
+
+    run_ensembles(
+        Slow(), problem.layout.names, find_start(problem), Plan(seed=seed, **PLAN),
+        fingerprint=problem.fingerprint, path=path,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]))

@@ -1,0 +1,17 @@
+"""One finished fit of the small device, shared by the tests that read its files."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from shj_bayes.inference.fit import Fit, fit
+from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.sampler import Plan
+
+
+@pytest.fixture(scope="session")
+def fitted(make_small: Callable[..., Problem], tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Path]:
+    """A converged fit and the folder it was written to."""
+    folder = tmp_path_factory.mktemp("fit")
+    return fit(make_small(), name="small", key="abc", plan=Plan(seed=3), folder=folder), folder

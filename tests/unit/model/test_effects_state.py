@@ -1,0 +1,118 @@
+"""Effects with a memory of travel, time, heat or rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.history import History, histories
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.protocol import Block, exact_motion
+
+BASES = (Base(18.0, 80.0, 10.0, 0.0, 80.0), Base(18.0, 60.0, 10.0, 0.0, 80.0))
+BLOCKS = (Block(24.0, 0.067, 3), Block(48.0, 0.034, 3))
+
+
+def two_runs() -> tuple[History, ...]:
+    time, motion = exact_motion(BLOCKS, 10.0)
+    return histories([time, time], [motion, motion])
+
+
+def with_pause(seconds: float) -> tuple[History, int, int]:
+    """A pause at a turning point: history, last sample before and last sample of the pause."""
+    motion = exact_motion(BLOCKS, 10.0)[1]
+    cut = int(motion.start[4])
+    n = int(seconds * 10)
+    x = np.insert(motion.displacement_mm, cut, np.full(n, motion.turning_mm[4]))
+    v = np.insert(motion.speed_mm_s, cut, np.zeros(n))
+    start = motion.start + np.where(motion.start > cut, n, 0)
+    paused = Motion(x, v, start, motion.turning_mm, motion.direction)
+    return histories([np.arange(x.size) / 10.0], [paused])[0], cut - 1, cut + n - 1
+
+
+def clamping(name: str, history: History, base: Base = BASES[0], **values: float) -> np.ndarray:
+    factor = catalogue()[name].act(history, values, base).clamping
+    return np.asarray(np.broadcast_to(factor, history.time_s.shape))
+
+
+def test_wear_goes_on_where_the_first_run_ended():
+    first, second = two_runs()
+    a, b = clamping("wear", first, size=0.1), clamping("wear", second, BASES[1], size=0.1)
+    assert a[0] == 1.0
+    assert b[0] == pytest.approx(a[-1], rel=1e-3)
+    assert b[-1] == pytest.approx(np.exp(-0.1 * second.travel_m[-1]))
+
+
+def test_drift_and_bedding_in_go_on_too():
+    first, second = two_runs()
+    drift = [catalogue()["drift"].act(h, {"size": 0.05}, b).added_kN for h, b in zip(two_runs(), BASES, strict=True)]
+    assert drift[1][0] == pytest.approx(drift[0][-1]) == pytest.approx(0.05 * 80.0)
+    rise = [clamping("bedding_in", h, size=0.2, travel=0.3) for h in (first, second)]
+    assert rise[1][0] == pytest.approx(rise[0][-1], rel=1e-3)
+
+
+def test_heat_leaves_in_a_rest_and_wear_does_not():
+    history, before, after = with_pause(600.0)
+    warm = clamping("thermal", history, size=0.2, cooling=100.0)
+    assert warm[0] == 1.0
+    assert warm[before] < 0.98
+    assert 1 - warm[after] == pytest.approx((1 - warm[before]) * np.exp(-6.0), rel=0.02)
+    worn = clamping("wear", history, size=0.1)
+    assert worn[after] == pytest.approx(worn[before], rel=1e-3)
+
+
+def test_heat_does_not_depend_on_the_sampling():
+    even = exact_motion(BLOCKS, 10.0)
+    fine = exact_motion(BLOCKS, 40.0)
+    a, b = (histories([time], [motion])[0] for time, motion in (even, fine))
+    coarse, dense = (clamping("thermal", h, size=0.2, cooling=60.0) for h in (a, b))
+    np.testing.assert_allclose(np.interp(a.time_s, b.time_s, dense), coarse, atol=5e-4)
+
+
+def test_a_weaker_run_heats_less():
+    first, second = two_runs()
+    hot, mild = (
+        1 - clamping("thermal", h, b, size=0.2, cooling=60.0) for h, b in zip((first, second), BASES, strict=True)
+    )
+    np.testing.assert_allclose(mild, 0.75 * hot, rtol=1e-9)
+
+
+def test_breakaway_peaks_where_sliding_starts_and_grows_with_rest():
+    values = {"size": 0.2, "decay": 2.0, "growth": 0.5}
+    history, _, after = with_pause(600.0)
+    factor = clamping("breakaway", history, **values)
+    stroke = slice(history.motion.start[6], history.motion.start[7])
+    begins = 2 * 80.0 / 18.0
+    slid = history.slip_mm[stroke] - begins
+    assert np.all(np.diff(factor[stroke][slid < 0]) == 0)
+    at = int(np.argmin(np.abs(slid - 2.0)))
+    expected = 1 + (factor[stroke][0] - 1) * np.exp(-slid[at] / 2.0)
+    assert factor[stroke][at] == pytest.approx(expected)
+    rested = history.rest_s[after + 1]
+    assert rested > 290
+    assert factor[after + 1] == pytest.approx(1 + 0.2 * (1 + 0.5 * np.log10(1 + rested)))
+    assert factor[after + 1] > factor[stroke][0]
+
+
+def test_tension_step_counts_shares_of_the_testing_time_and_may_be_one_sided():
+    first, second = two_runs()
+    values = {"size": -0.2, "begin": 0.25, "length": 0.4, "side": 0.0}
+    a, b = clamping("tension_step", first, **values), clamping("tension_step", second, **values)
+    share = first.time_s / first.time_s[-1]
+    assert np.all(np.abs(a[share < 0.4] - 1.0) < 1e-4)
+    np.testing.assert_allclose(a[share > 0.6], 0.8, atol=1e-4)
+    np.testing.assert_allclose(b[share < 0.2], 0.8, atol=1e-4)
+    np.testing.assert_allclose(b[share > 0.4], 1.0, atol=1e-4)
+    one_sided = clamping("tension_step", first, **(values | {"side": 1.0}))
+    late = share > 0.6
+    np.testing.assert_allclose(one_sided[late & (first.direction < 0)], 1.0)
+    np.testing.assert_allclose(one_sided[late & (first.direction > 0)], 0.6, atol=1e-3)
+
+
+def test_amplitude_compares_with_the_largest_block():
+    history = two_runs()[0]
+    factor = clamping("amplitude", history, size=0.1)
+    assert factor[10] == pytest.approx(0.9, abs=1e-4)
+    assert factor[-10] == pytest.approx(1.0, abs=1e-4)

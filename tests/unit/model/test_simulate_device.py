@@ -1,0 +1,92 @@
+"""Simulated recordings: reproducible, as stated, and refused where the law is not defined."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from shj_bayes.errors import ModelError, RecordingError
+from shj_bayes.model.law import force
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.protocol import Block, exact_motion, table_1
+
+BLOCKS = (Block(12.0, 0.13, 2), Block(48.0, 0.034, 2))
+
+
+def test_same_seed_same_numbers_other_seed_others() -> None:
+    a, b = (simulate_device(Truth(), seed=5, blocks=BLOCKS) for _ in range(2))
+    other = simulate_device(Truth(), seed=6, blocks=BLOCKS)
+    for first, second, third in zip(a, b, other, strict=True):
+        for channel in ("time_s", "displacement_mm", "force_kN"):
+            assert np.array_equal(getattr(first, channel), getattr(second, channel))
+        assert not np.array_equal(first.force_kN, third.force_kN)
+
+
+def test_first_run_does_not_depend_on_the_number_of_runs() -> None:
+    one = simulate_device(Truth(), seed=5, n_runs=1, blocks=BLOCKS)
+    two = simulate_device(Truth(), seed=5, n_runs=2, blocks=BLOCKS)
+    assert (len(one), len(two)) == (1, 2)
+    assert np.array_equal(one[0].force_kN, two[0].force_kN)
+
+
+@pytest.mark.parametrize("variant", ["seed", "continuous"])
+def test_without_noise_it_is_the_law(variant: str) -> None:
+    truth = Truth(K=10.0, Fy=60.0, beta=30.0, gamma=-0.02, ratio=0.5, sigma=0.0, displacement_noise_mm=0.0)
+    runs = simulate_device(truth, seed=1, blocks=BLOCKS, variant=variant)
+    time, motion = exact_motion(BLOCKS, 20.0)
+    for run, capacity in zip(runs, (60.0, 30.0), strict=True):
+        clean = force(motion, K=10.0, Fy=capacity, beta=30.0, gamma=-0.02, variant=variant)
+        assert np.array_equal(run.force_kN, clean)
+        assert np.array_equal(run.displacement_mm, motion.displacement_mm)
+        assert np.array_equal(run.time_s, time)
+    assert runs[0].source.name == "simulated-run1"
+    assert any("not a measurement" in finding.message for finding in runs[0].findings)
+
+
+def test_noise_is_as_stated() -> None:
+    truth = Truth(sigma=2.0, phi=0.8, displacement_noise_mm=0.05)
+    (run,) = simulate_device(truth, seed=2, n_runs=1)
+    _, motion = exact_motion(table_1(), 20.0)
+    noise = run.force_kN - force(motion, K=truth.K, Fy=truth.Fy, beta=truth.beta, gamma=truth.gamma)
+    n = noise.size
+    # AR(1): the variance of the sample variance is that of n (1 - phi^2)/(1 + phi^2) independent values
+    assert noise.std() == pytest.approx(2.0, rel=4 * math.sqrt((1 + 0.64) / (1 - 0.64) / (2 * n)))
+    assert np.corrcoef(noise[:-1], noise[1:])[0, 1] == pytest.approx(0.8, abs=4 * math.sqrt((1 - 0.64) / n))
+    wobble = run.displacement_mm - motion.displacement_mm
+    assert wobble.std() == pytest.approx(0.05, rel=4 / math.sqrt(2 * n))
+    assert abs(np.corrcoef(wobble, noise)[0, 1]) < 4 / math.sqrt(n / 4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"K": 0.0}, "K = 0: allowed is above 0"),
+        ({"Fy": -1.0}, "Fy = -1: allowed is above 0"),
+        ({"ratio": 0.0}, "ratio = 0: allowed is above 0"),
+        ({"gamma": math.inf}, "gamma = inf: it must be a finite number"),
+        ({"sigma": -1.0}, "noise scales must be 0 or more; got -1 kN"),
+        ({"displacement_noise_mm": -0.1}, "-0.1 mm"),
+        ({"phi": 1.0}, "phi = 1: allowed is above -1 and below 1"),
+    ],
+)
+def test_truths_that_cannot_be(change: dict[str, float], message: str) -> None:
+    with pytest.raises(ModelError, match=re.escape(message)):
+        Truth(**change)
+
+
+def test_what_simulate_refuses() -> None:
+    with pytest.raises(ModelError, match=r"beta = 0\.5: allowed is 1 to 500"):
+        simulate_device(Truth(beta=0.5), seed=1, blocks=BLOCKS)
+    with pytest.raises(ModelError, match="3 runs asked for; simulate makes 1 or 2"):
+        simulate_device(Truth(), seed=1, n_runs=3, blocks=BLOCKS)
+    with pytest.raises(ModelError, match="seed = -1: allowed is 0 or more"):
+        simulate_device(Truth(), seed=-1, blocks=BLOCKS)
+    for rate in (1.0, 2e5, math.nan):
+        with pytest.raises(RecordingError, match=r"rate .* Hz: allowed is 1\.04 Hz .* to 100000 Hz"):
+            simulate_device(Truth(), seed=1, blocks=BLOCKS, rate_Hz=rate)
+
+
+def test_dep_is_only_shown_where_there_is_one() -> None:
+    assert Truth(gamma=0.0).dep_mm_s is None
+    assert Truth(gamma=-0.02).dep_mm_s == -50.0

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
+from shj_bayes.population.hierarchy import _pack
+from shj_bayes.population.kernel import log_likelihood
+from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded, RoundedRatio
+from shj_bayes.population.quantities import quantity
+
+FY, GAMMA, RATIO = quantity("Fy"), quantity("gamma"), quantity("ratio")
+
+
+def test_dep_of_30_stands_for_15_to_45():
+    known = Rounded.gamma_of_dep(30.0, 30.0)
+    assert (known.lower, known.upper) == pytest.approx((1 / 45, 1 / 15))
+    mirrored = Rounded.gamma_of_dep(-30.0, 30.0)
+    assert (mirrored.lower, mirrored.upper) == pytest.approx((-1 / 15, -1 / 45))
+
+
+def test_dep_that_reaches_zero_is_refused():
+    with pytest.raises(PopulationError, match="no bound"):
+        Rounded.gamma_of_dep(10.0, 30.0)
+
+
+def test_decade():
+    known = Rounded.to_decade(100.0)
+    assert (known.lower, known.upper) == pytest.approx((100 / 10**0.5, 100 * 10**0.5))
+
+
+@pytest.mark.parametrize(("mu", "tau"), [(4.4, 0.2), (4.4, 1e-4), (3.0, 0.1), (6.0, 0.1), (4.36, 0.01)])
+def test_rounded_value_is_integrated_exactly(mu, tau):
+    likelihood = Rounded.to_step(80.0, 5.0).likelihood(FY)
+    low, high = np.log([77.5, 82.5])
+    ends = [stats.norm.logsf(low, mu, tau), stats.norm.logsf(high, mu, tau)]
+    if low <= mu:
+        ends = [stats.norm.logcdf(high, mu, tau), stats.norm.logcdf(low, mu, tau)]
+    exact = ends[0] + np.log1p(-np.exp(ends[1] - ends[0]))
+    assert log_likelihood(mu, np.log(tau), _pack([[likelihood]])) == pytest.approx(exact, rel=1e-6)
+
+
+def test_ratio_of_rounded_values_has_the_right_density(rng):
+    measured = RoundedRatio(Rounded.to_step(20.0, 5.0), Rounded.to_step(50.0, 5.0))
+    found = measured.likelihood(RATIO).centre_and_sd
+    u = np.log(rng.uniform(17.5, 22.5, 400_000) / rng.uniform(47.5, 52.5, 400_000))
+    assert found[0] == pytest.approx(u.mean(), abs=2e-3)
+    assert found[1] == pytest.approx(u.std(), rel=0.05)
+
+
+def test_draws_under_a_prior_give_back_the_likelihood(rng):
+    centre, sd, m0, s0 = 4.5, 0.1, 4.0, 0.2
+    precision = 1 / sd**2 + 1 / s0**2
+    draws = rng.normal((centre / sd**2 + m0 / s0**2) / precision, precision**-0.5, 20_000)
+    found = PosteriorDraws(np.exp(draws), lambda x: stats.norm.logpdf(x, m0, s0)).likelihood(FY)
+    assert found.centre_and_sd == pytest.approx((centre, sd), rel=0.05)  # unweighted: 4.4 and 0.089
+    assert found.weight.sum() == pytest.approx(1.0)
+    assert 1000 < found.effective_draws < 20_000
+
+
+def test_skew_of_the_draws_survives(rng):
+    draws = stats.loggamma.rvs(2.0, size=20_000, random_state=rng)
+    found = PosteriorDraws(np.exp(draws), np.zeros(20_000)).likelihood(FY)
+    mean, sd = found.centre_and_sd
+    assert (mean, sd) == pytest.approx((draws.mean(), draws.std()), rel=1e-6)
+
+    def moment(x):
+        return (x - mean) ** 3 * np.sum(found.weight * stats.norm.pdf(x, found.first, found.second))
+
+    skew = integrate.quad(moment, mean - 12 * sd, mean + 12 * sd, limit=200)[0] / sd**3
+    assert skew == pytest.approx(stats.skew(draws), rel=0.25)
+
+
+def test_a_posterior_that_is_only_prior_is_refused(rng):
+    draws = rng.normal(0.0, 1.0, 400)
+    with pytest.raises(PopulationError, match="the prior, not the recording"):
+        PosteriorDraws(np.exp(draws), -20.0 * draws).likelihood(FY)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: PosteriorDraws(np.ones((10, 2)), np.ones((10, 2))), "one column of at least 48"),
+        (lambda: PosteriorDraws(np.ones(100), np.ones(99)), "one log density per draw"),
+        (lambda: PosteriorDraws(np.ones(100), np.zeros(100)).likelihood(FY), "all posterior draws of Fy are equal"),
+        (lambda: PosteriorDraws(np.ones(100), np.full(100, -np.inf)).likelihood(FY), "finite at every posterior draw"),
+        (lambda: PosteriorDraws(-np.ones(100), np.zeros(100)).likelihood(FY), "finite and above zero"),
+        (lambda: Rounded(1.0, 2.0, 2.0), "lower < upper"),
+        (lambda: Rounded(5.0, 1.0, 2.0), "lies outside"),
+        (lambda: Rounded.to_step(2.0, 5.0).likelihood(FY), "finite and above zero"),
+        (lambda: RoundedRatio(Rounded(1, 0.5, 2), Rounded(1, 0.5, 2)).likelihood(GAMMA), "logarithmic scale"),
+        (lambda: Likelihood(True, np.array([0.0, 2.0]), np.array([1.0, 3.0]), np.ones(2)), "adjoin"),
+        (lambda: DeviceEstimate("a", "s", {}), "gives none of"),
+        (lambda: DeviceEstimate(" ", "s", {"Fy": Rounded(80, 75, 85)}), "needs a name"),
+        (lambda: DeviceEstimate("a", "s", {"dep": Rounded(30, 15, 45)}), "dep is never pooled"),
+        (lambda: DeviceEstimate.from_posterior("a", "s", {"Fy": np.ones(99)}, {}), "prior density of Fy is missing"),
+        (lambda: sets_of([]), "no device given"),
+    ],
+)
+def test_what_is_wrong_is_said(make, words):
+    with pytest.raises(PopulationError, match=words):
+        make()
+
+
+def test_sets_refuse_double_names_and_mixed_tags():
+    one = DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85)})
+    with pytest.raises(PopulationError, match="two devices are called 'a'"):
+        sets_of([one, one])
+    other = DeviceEstimate("b", "s", {"Fy": Rounded(80, 75, 85)}, Tags(corroded=True))
+    with pytest.raises(PopulationError, match="not its tags"):
+        sets_of([one, other])
+
+
+def test_values_are_copied_and_frozen():
+    mine = np.linspace(70, 80, 100)
+    device = PosteriorDraws(mine, np.zeros(100))
+    mine[0] = 1.0
+    assert device.values[0] == 70.0
+    with pytest.raises(ValueError, match="read-only"):
+        device.values[0] = 1.0
