@@ -1,9 +1,9 @@
 """Fit a recording simulated from each of the 25 published rows and print where the truth lies.
 
-``python benchmarks/recover.py`` prints one line per row and the share of (row, parameter) pairs whose truth is inside the
-95 % interval. Two runs of Table 1 at 20 Hz, AR(1) force noise of 1 kN and phi 0.8, displacement noise 0.02 mm; half-cycles
-and speed come from the noisy displacement, as for a measured recording. ``--seed`` draws other noise, ``--rows`` takes
-fewer rows, ``--rate`` another sampling rate.
+``python benchmarks/recover.py`` prints one line per row and the share of (row, parameter) pairs whose truth is inside
+the 95 % interval. Two runs of Table 1 at 20 Hz, AR(1) force noise of 1 kN and phi 0.8, displacement noise 0.02 mm;
+half-cycles and speed come from the noisy displacement, as for a measured recording. ``--seed`` draws other noise,
+``--rows`` takes fewer rows, ``--rate`` another sampling rate.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,9 @@ def main() -> None:
     records = [recover(row, arguments.seed + i, arguments.rate) for i, row in enumerate(rows()[: arguments.rows])]
     pairs = [inside for record in records for inside in record["inside"].values()]
     print(f"\ntruth inside the 95 % interval: {sum(pairs)} of {len(pairs)} pairs = {100 * np.mean(pairs):.1f} %")
-    print(f"(target {100 * TARGET:.0f} %); reliable: {sum(r['verdict'] == 'reliable' for r in records)} of {len(records)}")
+    print(
+        f"(target {100 * TARGET:.0f} %); reliable: {sum(r['verdict'] == 'reliable' for r in records)} of {len(records)}"
+    )
     if arguments.json:
         arguments.json.write_text(json.dumps(records, indent=1), encoding="utf-8")
 
@@ -49,14 +52,14 @@ def rows() -> list[tuple[str, Truth]]:
     return out
 
 
-def recover(row: tuple[str, Truth], seed: int, rate: float) -> dict[str, object]:
+def recover(row: tuple[str, Truth], seed: int, rate: float) -> dict[str, Any]:
     """Simulate and fit one row; print its line."""
     name, truth = row
     begin = time.perf_counter()
     result = fit(make_problem(simulate_device(truth, seed=seed, rate_Hz=rate)), name=name, plan=Plan(seed=seed))
     inside, cells = {}, []
     for parameter in ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi"):
-        draws = result.data.posterior[parameter].to_numpy().ravel()
+        draws = result.data["posterior"][parameter].to_numpy().ravel()
         low, high = np.quantile(draws, [0.025, 0.975])
         true = getattr(truth, parameter)
         inside[parameter] = bool(low <= true <= high)

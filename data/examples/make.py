@@ -1,7 +1,7 @@
 """Make the example recordings anew: ``python data/examples/make.py`` (the same files to the last digit).
 
-Two sets of three simulated devices. Their parameters are scattered around two published rows (Bisalloy 500 bare, Table 3;
-zinc 70 %, Table 4) by made-up device-to-device spreads, so that the demo has something to pool and to compare.
+Two sets of three simulated devices. Their parameters are scattered around two published rows (Bisalloy 500 bare,
+Table 3; zinc 70 %, Table 4) by made-up device-to-device spreads, so that the demo has something to pool and to compare.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,17 @@ from shj_bayes.pipeline import DeviceResult, Options, fit_device, folder_name, p
 
 SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
+OPTION_KINDS: dict[str, Any] = {
+    "columns": str,
+    "units": str,
+    "rate_Hz": int | float,
+    "priors": str,
+    "model": str,
+    "noise": str,
+    "free": list,
+    "seed": int,
+    "max_steps": int,
+}
 MAX_TRIES = 2  # a device that was under way when a worker died is tried once more
 
 
@@ -224,7 +235,9 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
             at = f"{where}, device '{name}'"
             files = device.get("recordings")
             if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
-                raise CampaignError(f"{path.name}: {at} needs recordings = [\"run1.csv\", ...] in the order they were run")
+                raise CampaignError(
+                    f'{path.name}: {at} needs recordings = ["run1.csv", ...] in the order they were run'
+                )
             if "\x00" in "".join(files):
                 raise CampaignError(f"{path.name}: {at} names a file with a NUL character")
             recordings = tuple(path.parent / f for f in files)
@@ -242,17 +255,14 @@ def _options(path: Path, where: str, base: Options, entry: Any) -> Options:
     """Options with those of a manifest table put over them."""
     if not isinstance(entry, dict):
         raise CampaignError(f"{path.name}: {where} options must be a table, not {entry!r}")
-    known = {field.name: field for field in fields(Options)}
     values: dict[str, Any] = {}
     for key, value in entry.items():
-        if key not in known:
-            raise CampaignError(f"{path.name}: {where} has the option '{key}'; known are {', '.join(known)}")
-        current = getattr(Options(), key)
-        kinds: tuple[type, ...] = (int, float) if key == "rate_Hz" else (list,) if key == "free" else (type(current),)
-        kinds = (str,) if current is None and key != "rate_Hz" else kinds
-        if not isinstance(value, kinds) or isinstance(value, bool):
-            raise CampaignError(f"{path.name}: {where} option {key} = {value!r}; it needs {kinds[0].__name__}")
-        values[key] = tuple(str(v) for v in value) if key == "free" else value
+        if key not in OPTION_KINDS:
+            raise CampaignError(f"{path.name}: {where} has the option '{key}'; known are {', '.join(OPTION_KINDS)}")
+        if not isinstance(value, OPTION_KINDS[key]) or isinstance(value, bool):
+            words = {str: "a text", list: "a list of texts", int: "a whole number"}.get(OPTION_KINDS[key], "a number")
+            raise CampaignError(f"{path.name}: {where} option {key} = {value!r}; it needs {words}")
+        values[key] = tuple(str(v) for v in value) if isinstance(value, list) else value
     priors = values.get("priors", "")
     if priors.endswith(".toml"):
         values["priors"] = str(path.parent / priors)

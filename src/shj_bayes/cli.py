@@ -65,7 +65,9 @@ SEED = click.option(
     show_default=True,
     help="Same seed and inputs, same numbers.",
 )
-WORKERS = click.option("--workers", type=click.IntRange(1, 256), help="Processors to use; the numbers do not depend on it.")
+WORKERS = click.option(
+    "--workers", type=click.IntRange(1, 256), help="Processors to use; the numbers do not depend on it."
+)
 OUTPUT = _options(
     click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else."),
     click.option("--quiet", is_flag=True, help="Print nothing but errors."),
@@ -152,7 +154,7 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
 @click.option("--name", help="Name of the device; by default that of the first file.")
 @WORKERS
 @OUTPUT
-def fit(  # noqa: PLR0913  one argument per option
+def fit(
     recordings: tuple[Path, ...],
     out: Path,
     name: str | None,
@@ -266,7 +268,7 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
 @main.command()
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else.")
 def doctor(as_json: bool) -> None:
-    """What is installed, whether it works, how fast this machine is."""
+    """Say what is installed, whether it works, how fast this machine is."""
     from shj_bayes.doctor import examine
 
     record, text = examine()

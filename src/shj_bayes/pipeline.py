@@ -96,7 +96,7 @@ class DeviceResult:
         return "\n".join(lines)
 
 
-def fit_device(  # noqa: PLR0913
+def fit_device(
     paths: Sequence[Path],
     folder: Path,
     options: Options,
@@ -133,9 +133,7 @@ def fit_device(  # noqa: PLR0913
     RecordingError
         If a recording cannot be used.
     """
-    recordings = [
-        read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz) for path in paths
-    ]
+    recordings = [read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz) for path in paths]
     for recording in recordings:
         blocking = [f.message for f in recording.findings if f.severity == "unusable"]
         if blocking:
@@ -145,9 +143,7 @@ def fit_device(  # noqa: PLR0913
     key = _key([r.source.sha256 for r in recordings], options, priors.sha256, name)
     finished = _finished(folder, key)
     if finished is None:
-        problem = make_problem(
-            recordings, priors=priors, noise=options.noise, free=options.free, variant=options.model
-        )
+        problem = make_problem(recordings, priors=priors, noise=options.noise, free=options.free, variant=options.model)
         plan = Plan(seed=options.seed, max_steps=options.max_steps)
         result = fit(problem, name=name, key=key, plan=plan, folder=folder, progress=progress, threads=threads)
         finished, fresh = result.record, True
@@ -187,7 +183,7 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
     return to_dict(recording, motion), describe(recording, motion)
 
 
-def write_simulated(  # noqa: PLR0913
+def write_simulated(
     stem: Path,
     *,
     dep_mm_s: float | None,

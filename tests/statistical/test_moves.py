@@ -103,13 +103,13 @@ def test_the_plain_moves_pass_where_the_snooker_fails() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("name", shipped())
 def test_shipped_moves_reproduce_the_spread_closely(name: str, target: str, seed: int) -> None:
-    spread = measure(shipped()[name](), TARGETS[target](), 40_000, seed=10 + seed)
+    spread = measure(shipped()[name](), TARGETS[target](), 20_000, seed=10 + seed)
     assert spread.honest, spread
-    assert spread.error < 0.0015, spread
+    assert spread.error < 0.0025, spread
 
 
 @pytest.mark.slow

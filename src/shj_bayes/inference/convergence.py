@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import arviz as az
 import emcee
 import numpy as np
 
+from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.model.parameters import FloatArray
 
 RHAT_LIMIT, ESS_LIMIT, TAU_LIMIT = 1.01, 1000.0, 50.0
 ACCEPTANCE_LIMIT = 0.05
+_ARVIZ: Any = az  # its functions carry no types
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class Verdict:
 
 
 def burn_in(tau: float, n_total: int) -> int:
-    """Steps to drop: ten autocorrelation times, at most half of what there is."""
+    """Count the steps to drop: ten autocorrelation times, at most half of what there is."""
     return min(int(np.ceil(10 * tau)), n_total // 2)
 
 
@@ -112,9 +114,9 @@ def diagnose_chains(
     rhat, bulk, tail = (np.empty(d) for _ in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
         for i in range(d):
-            rhat[i] = az.rhat(by_ensemble[:, :, i])
-            bulk[i] = min(az.ess(by_walker[:, :, i], method="bulk"), n_ensembles * n_walkers * n_steps / tau[i])
-            tail[i] = az.ess(by_walker[:, :, i], method="tail")
+            rhat[i] = _ARVIZ.rhat(by_ensemble[:, :, i])
+            bulk[i] = min(_ARVIZ.ess(by_walker[:, :, i], method="bulk"), n_ensembles * n_walkers * n_steps / tau[i])
+            tail[i] = _ARVIZ.ess(by_walker[:, :, i], method="tail")
     # A parameter on which all walkers stand still has no variance: its R-hat is not a number, and that is not good.
     rhat = np.where(np.isfinite(rhat), rhat, np.inf)
     bulk, tail = (np.where(np.isfinite(values), values, 0.0) for values in (bulk, tail))
@@ -122,7 +124,7 @@ def diagnose_chains(
 
 
 def converged(d: Diagnostics) -> bool:
-    """True when every criterion of the verdict ``reliable`` holds."""
+    """Say whether every criterion of the verdict ``reliable`` holds."""
     return judge(d).word == "reliable"
 
 

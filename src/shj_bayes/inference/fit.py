@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import arviz as az
 import pandas as pd
 
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
 from shj_bayes.inference.problem import Problem, Run
+from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.parameters import Layout

@@ -67,14 +67,15 @@ def find_start(problem: Problem, n_polish: int = 3) -> Start:
 
 
 def _coarse_candidates(problem: Problem) -> list[FloatArray]:
-    """Parameter sets on a coarse grid, best least squares first, with noise scale and correlation from their residuals."""
+    """List laws on a coarse grid, best least squares first, with sigma and phi from their residuals."""
     run = problem.runs[0]
     peak = [float(np.percentile(np.abs(r.recording.force_kN), 97)) for r in problem.runs]
     stroke = float(np.ptp(run.motion.displacement_mm))
     speed = float(np.percentile(run.motion.speed_mm_s, 95))
     if not (peak[0] > 0 and stroke > 0 and speed > 0):
         raise InferenceError(
-            f"nothing to fit: largest force {peak[0]:.3g} kN, stroke {stroke:.3g} mm, speed {speed:.3g} mm/s; all must be above 0"
+            f"nothing to fit: largest force {peak[0]:.3g} kN, stroke {stroke:.3g} mm, speed "
+            f"{speed:.3g} mm/s; all must be above 0"
         )
     names = problem.layout.names
     fixed = {name: peak[run_of(name) - 1] / peak[0] for name in names if name.startswith("ratio")}
@@ -104,7 +105,7 @@ def _sum_of_squares(problem: Problem, theta: FloatArray) -> FloatArray:
 
 
 def _with_noise(problem: Problem, theta: FloatArray) -> FloatArray:
-    """The same parameter set with sigma and phi read off its residuals."""
+    """Complete a parameter set with sigma and phi read off its residuals."""
     residual = np.concatenate([r[0] for r in _residuals(problem, theta[None])])
     out = theta.copy()
     scale = float(np.std(residual))

@@ -11,10 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import arviz as az
 import numpy as np
 import pandas as pd
-import xarray as xr
 
 import shj_bayes
 from shj_bayes.errors import InferenceError
@@ -22,8 +20,10 @@ from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import Diagnostics, Verdict
 from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles, modelled_force
 from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.model.parameters import FloatArray, describe
 
+_read_netcdf: Any = az.from_netcdf  # carries no types
 SCHEMA = "shj-bayes/fit/1"
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
 N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 2000, 25, 4000, 60  # draws; the first two for each ensemble
@@ -75,7 +75,7 @@ def inference_data(
     prior_loops = _prior_loops(problem, prior)
 
     sample = np.arange(clean.shape[1])
-    data = az.from_dict(
+    data: az.InferenceData = az.from_dict(
         posterior={n: flat[:, :, i] for i, n in enumerate(names)},
         prior={n: prior[None, :, i] for i, n in enumerate(names)},
         posterior_predictive={
@@ -83,7 +83,7 @@ def inference_data(
             "force_model": clean.reshape(shape).astype(np.float32),
         },
         prior_predictive={"force_model": prior_loops[None].astype(np.float32)},
-        log_likelihood={"force": log_likelihood_of_half_cycles(problem, loops).reshape(shape)},
+        log_likelihood={"force_of_half_cycle": log_likelihood_of_half_cycles(problem, loops).reshape(shape)},
         sample_stats={"lp": lp},
         observed_data={"force": np.concatenate([r.recording.force_kN for r in problem.runs])},
         constant_data=_constant(problem),
@@ -91,16 +91,13 @@ def inference_data(
         dims={
             "force": ["sample"],
             "force_model": ["sample"],
+            "force_of_half_cycle": ["half_cycle"],
             **{
                 n: ["sample"]
                 for n in ("time_s", "displacement_mm", "speed_mm_s", "run", "half_cycle_of_sample", "used")
             },
         },
     )
-    # from_dict takes one set of dims for all groups; the likelihood is per half-cycle, not per sample
-    half = xr.Dataset({"force": (("chain", "draw", "half_cycle"), data.log_likelihood["force"].to_numpy())})
-    del data.log_likelihood
-    data.add_groups({"log_likelihood": half})
     for group in ("posterior", "prior"):
         for name in names:
             data[group][name].attrs.update(unit=describe(name).unit, meaning=describe(name).meaning)
@@ -232,7 +229,7 @@ def read_record(folder: Path) -> dict[str, Any]:
 def read_posterior(folder: Path) -> az.InferenceData:
     """Read ``posterior.nc`` of a results folder."""
     try:
-        data = az.from_netcdf(str(folder / "posterior.nc"), engine="h5netcdf")
+        data: az.InferenceData = _read_netcdf(str(folder / "posterior.nc"), engine="h5netcdf")
         data.load()  # and close: an open file cannot be replaced on Windows
         data.close()
     except (OSError, ValueError, KeyError) as error:

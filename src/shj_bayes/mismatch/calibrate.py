@@ -2,8 +2,8 @@
 
 Samples are not independent, so nothing here counts them. Each cycle gives one score per direction looked into; under
 "nothing is missing" the scores are symmetric around 0, so flipping the sign of whole cycles at random gives what the
-largest of all statistics does by chance, whatever the noise is like inside a cycle and however many directions are tried
-(DOMAIN 3.2, 3.3).
+largest of all statistics does by chance, whatever the noise is like inside a cycle and however many directions are
+tried (DOMAIN 3.2, 3.3).
 """
 
 from __future__ import annotations

@@ -94,9 +94,7 @@ def evidence_of(runs: Sequence[Run], max_samples: int = MAX_SAMPLES) -> Evidence
         count += int(own[-1]) + 1
     if count < 4:
         raise InferenceError(f"{n_half} half-cycles are too few to tell misfit from noise; at least 5 are needed")
-    weight = [
-        run.stretches.used[keep].astype(np.float64) for run, (keep, _) in zip(runs, thinned, strict=True)
-    ]
+    weight = [run.stretches.used[keep].astype(np.float64) for run, (keep, _) in zip(runs, thinned, strict=True)]
     return Evidence(
         histories=histories(times, motions),
         force_kN=np.concatenate([run.recording.force_kN[keep] for run, (keep, _) in zip(runs, thinned, strict=True)]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +58,7 @@ class Model:
         for history, start in zip(evidence.histories, evidence.start_force_kN, strict=True):
             capacity = values["Fy"] * (values[run_name("ratio", history.run)] if history.run > 1 else 1.0)
             base = Base(values["K"], capacity, values["beta"], values.get("gamma", 0.0), values["Fy"])
-            out.append(
-                force_with_effects(history, base, self.effects, own, variant=self.variant, start_force_kN=start)
-            )
+            out.append(force_with_effects(history, base, self.effects, own, variant=self.variant, start_force_kN=start))
         return np.concatenate(out)
 
 
@@ -101,7 +99,7 @@ class Refit:
         gram = self.jacobian.T @ self.jacobian + _ridge(self) * np.eye(d)
         out = self.residual_kN.copy()
         edges = np.append(np.flatnonzero(np.diff(evidence.block, prepend=-1)), evidence.block.size)
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges.tolist()):
             j, r = self.jacobian[a:b], self.residual_kN[a:b]
             rest = gram - j.T @ j
             step = np.linalg.lstsq(rest, j.T @ r, rcond=1e-10)[0]
@@ -112,7 +110,7 @@ class Refit:
 def make_model(
     priors: Priors, n_runs: int, effects: Sequence[Effect], *, variant: str = "seed", speed: bool = True
 ) -> Model:
-    """Base law with effects for a device with `n_runs` runs; see `Model`."""
+    """Build the base law with effects for a device with `n_runs` runs; see `Model`."""
     base = [name for name in ("K", "Fy", "beta", "gamma") if speed or name != "gamma"]
     base += [run_name("ratio", run) for run in range(2, n_runs + 1)]
     laws = [priors.of(name) for name in base]
@@ -156,7 +154,7 @@ def refit(
 
 
 def extend_starts(base: Refit, model: Model, effect: Effect) -> list[FloatArray]:
-    """Starts of a larger model: the smaller model's parameters and the effect's own start values."""
+    """List starts of a larger model: the smaller model's parameters and the effect's own start values."""
     head = base.z
     grids = [_start_values(effect, prior) for prior in effect.parameters]
     tails = [np.array(values) for values in product(*grids)]
@@ -236,7 +234,7 @@ def natural_values(fit: Refit) -> Mapping[str, float]:
 
 
 def orthogonal_to(jacobian: FloatArray, columns: FloatArray) -> FloatArray:
-    """What is left of some columns when all that the fitted parameters can follow is taken out."""
+    """Reduce columns to what is left when all that the fitted parameters can follow is taken out."""
     scale = np.linalg.norm(jacobian, axis=0)
     q: NDArray[np.float64] = np.linalg.qr(jacobian[:, scale > 0] / scale[scale > 0])[0]
     return np.asarray(columns - q @ (q.T @ columns))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,12 @@ def regions_of(evidence: Evidence) -> Regions:
     half = evidence.histories[0].half_stroke_mm
     peak = evidence.histories[0].peak_speed_mm_s
     cuts = [
-        ("position", "mm", position, np.array([-1.01, -0.9, -0.7, -0.5, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01]) * half),
+        (
+            "position",
+            "mm",
+            position,
+            np.array([-1.01, -0.9, -0.7, -0.5, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01]) * half,
+        ),
         ("speed", "mm/s", speed, np.array([0.0, 0.1, 0.25, 0.5, 0.75, 0.95, 1.5]) * peak),
         ("slip since reversal", "mm", slip, np.array([0.0, 0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.5, 2.01]) * half),
         ("travel", "m", travel, np.linspace(0.0, travel.max() * (1 + 1e-9), 13)),
@@ -81,7 +87,7 @@ def regions_of(evidence: Evidence) -> Regions:
     ]
     regions, columns = [], []
     for coordinate, unit, values, edges in cuts:
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in pairwise(edges.tolist()):
             inside = (values >= low) & (values < high) & (evidence.weight > 0)
             for direction, column in _directed(inside, sense):
                 if np.count_nonzero(column) >= MIN_SHARE * values.size:

@@ -23,8 +23,7 @@ _TWO_OVER_LN2 = 2.0 / math.log(2.0)
 _LN2 = math.log(2.0)
 
 
-@intrinsic
-def _bits(_typing: Any, _value: Any) -> Any:
+def _bits_code(_typing: Any, _value: Any) -> Any:
     """Reinterpret a double as a 64-bit integer."""
 
     def codegen(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
@@ -33,14 +32,17 @@ def _bits(_typing: Any, _value: Any) -> Any:
     return types.int64(types.float64), codegen
 
 
-@intrinsic
-def _double(_typing: Any, _value: Any) -> Any:
+def _double_code(_typing: Any, _value: Any) -> Any:
     """Reinterpret a 64-bit integer as a double."""
 
     def codegen(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], ir.DoubleType())
 
     return types.float64(types.int64), codegen
+
+
+_bits: Any = intrinsic(_bits_code)
+_double: Any = intrinsic(_double_code)
 
 
 @njit(error_model="numpy", fastmath={"contract"})
@@ -62,7 +64,7 @@ def _log2(u: float) -> float:
     series = series * z + 1.0 / 5.0
     series = series * z + 1.0 / 3.0
     series = series * z + 1.0
-    return exponent + _TWO_OVER_LN2 * s * series
+    return float(exponent + _TWO_OVER_LN2 * s * series)
 
 
 @njit(error_model="numpy", fastmath={"contract"})
@@ -84,7 +86,7 @@ def _exp2(t: float) -> float:
     p = p * f + 0.5
     p = p * f + 1.0
     p = p * f + 1.0
-    return _double(_bits(p) + ((_bits(shifted) - 0x4338000000000000) << 52))
+    return float(_double(_bits(p) + ((_bits(shifted) - 0x4338000000000000) << 52)))
 
 
 @njit(error_model="numpy", fastmath={"contract"})

@@ -53,12 +53,12 @@ class Stretches:
     @cached_property
     def first(self) -> FloatArray:
         """1 for the first sample of each stretch, else 0."""
-        return (self.kind == 1).astype(np.float64)
+        return np.asarray(self.kind == 1, dtype=np.float64)
 
     @cached_property
     def follows(self) -> FloatArray:
         """1 for samples that follow their predecessor, else 0."""
-        return (self.kind == 2).astype(np.float64)
+        return np.asarray(self.kind == 2, dtype=np.float64)
 
     @cached_property
     def n_used(self) -> int:
@@ -186,7 +186,7 @@ def _recurse(z, first, sigma, phi):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _squares_of_row(r, before, weight_first, weight_follow, phi):  # type: ignore[no-untyped-def]
-    """Sums of squares of first residuals and of innovations of one series."""
+    """Sum the squares of first residuals and of innovations of one series."""
     first = 0.0
     innovation = 0.0
     for i in range(r.size):

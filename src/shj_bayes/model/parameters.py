@@ -128,7 +128,7 @@ def run_name(name: str, run: int) -> str:
 
 
 def describe(name: str) -> Parameter:
-    """Unit and meaning of a sampled parameter, also of those with a run number behind them."""
+    """Give unit and meaning of a sampled parameter, also of those with a run number behind them."""
     base, _, run = name.partition("_")
     if base not in BASE or (run and not run.isdigit()):
         raise ModelError(f"'{name}' is not a parameter; known are {', '.join(BASE)}")

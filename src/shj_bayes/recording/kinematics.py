@@ -74,7 +74,11 @@ def motion_of(recording: Recording) -> Motion:
 
 
 def _unsure(
-    time: FloatArray, turn_s: FloatArray, start: FloatArray, velocity_sd: FloatArray, along: FloatArray
+    time: FloatArray,
+    turn_s: FloatArray,
+    start: np.ndarray[tuple[int], np.dtype[np.int64]],
+    velocity_sd: FloatArray,
+    along: FloatArray,
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Mark samples of which it is not known on which side of a reversal they lie.
 

@@ -110,8 +110,8 @@ def test_likelihood_per_half_cycle_adds_up(fitted: Fitted) -> None:
     parts = log_likelihood_of_half_cycles(problem, theta)
     assert parts.shape == (12, sum(run.motion.n_half for run in problem.runs))
     np.testing.assert_allclose(parts.sum(axis=1), problem.log_likelihood(theta), rtol=1e-11)
-    assert data.log_likelihood["force"].dims == ("chain", "draw", "half_cycle")
-    assert data.log_likelihood["force"].shape == (4, store.N_LOOPS, parts.shape[1])
+    assert data.log_likelihood["force_of_half_cycle"].dims == ("chain", "draw", "half_cycle")
+    assert data.log_likelihood["force_of_half_cycle"].shape == (4, store.N_LOOPS, parts.shape[1])
 
 
 @pytest.mark.parametrize("noise", ["independent", "student"])

@@ -32,10 +32,20 @@ def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
     size = max(4.5, 1.25 * len(names))
     figure = Figure(figsize=(size, size))
     corner_package.corner(
-        table, fig=figure, range=spans, bins=24, color=BLUE, plot_datapoints=False, plot_density=True, smooth=1.0,
-        levels=(0.5, 0.9), hist_kwargs={"linewidth": 1.2}, contour_kwargs={"linewidths": 0.9}, quiet=True, labelpad=0.12,
+        table,
+        fig=figure,
+        range=spans,
+        bins=24,
+        color=BLUE,
+        plot_datapoints=False,
+        smooth=1.0,
+        levels=(0.5, 0.9),
+        hist_kwargs={"linewidth": 1.2},
+        contour_kwargs={"linewidths": 0.9},
+        quiet=True,
+        labelpad=0.12,
         max_n_ticks=3,
-    )  # fmt: skip
+    )
     axes = np.array(figure.axes).reshape(len(names), len(names))
     for i, name in enumerate(names):
         unit = "" if units[name] == "1" else f"\n{units[name]}"

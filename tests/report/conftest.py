@@ -1,0 +1,73 @@
+"""Tiny finished fits that every report test shares."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shj_bayes.inference.fit import fit
+from shj_bayes.inference.problem import Problem, Run
+from shj_bayes.inference.sampler import Plan
+from shj_bayes.model.simulate import Truth
+from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.recording import Recording
+from shj_bayes.report.data import DeviceData, read_device
+
+HOSTILE = "<script>alert('x')</script> \"q\" ../../etc/passwd & {{ 7*7 }}"
+QUICK = Plan(max_steps=200, round_steps=200)
+LONG = (Block(24.0, 0.067, 3), Block(48.0, 0.034, 3), Block(95.0, 0.017, 4))
+
+
+def with_force(problem: Problem, change: Callable[[np.ndarray, np.ndarray], np.ndarray], name: str = "") -> Problem:
+    """The same problem with another measured force, change(displacement, force)."""
+    runs = []
+    for run in problem.runs:
+        r = run.recording
+        force = change(run.motion.displacement_mm, np.array(r.force_kN))
+        source = replace(r.source, name=name or r.source.name)
+        runs.append(Run(Recording(r.time_s, r.displacement_mm, force, source=source, findings=r.findings), run.motion))
+    return replace(problem, runs=tuple(runs))
+
+
+@pytest.fixture(scope="session")
+def hostile_name() -> str:
+    return HOSTILE
+
+
+@pytest.fixture(scope="session")
+def fitted(tmp_path_factory: pytest.TempPathFactory, small_device: Problem) -> Path:
+    """Folder of a finished fit whose every name is hostile."""
+    folder = tmp_path_factory.mktemp("device")
+    fit(with_force(small_device, lambda _, f: f, HOSTILE), name=HOSTILE, plan=QUICK, folder=folder)
+    return folder
+
+
+@pytest.fixture
+def copy_of(fitted: Path, tmp_path: Path) -> Path:
+    """A copy of that folder that a test may change."""
+    return Path(shutil.copytree(fitted, tmp_path / "copy"))
+
+
+@pytest.fixture(scope="session")
+def well_specified(tmp_path_factory: pytest.TempPathFactory, make_small: Callable[..., Problem]) -> DeviceData:
+    folder = tmp_path_factory.mktemp("well")
+    fit(make_small(blocks=LONG, seed=5), plan=QUICK, folder=folder)
+    return read_device(folder)
+
+
+@pytest.fixture(scope="session")
+def misspecified(tmp_path_factory: pytest.TempPathFactory, make_small: Callable[..., Problem]) -> DeviceData:
+    """Clamping lost away from mid-stroke: the force falls by 15 % towards 95 mm."""
+    folder = tmp_path_factory.mktemp("miss")
+    clean = make_small(Truth(displacement_noise_mm=0.0, sigma=0.5), blocks=LONG, seed=6)
+    fit(with_force(clean, lambda x, f: f * (1 - 0.15 * (x / 95) ** 2)), plan=QUICK, folder=folder)
+    return read_device(folder)
+
+
+@pytest.fixture(scope="session")
+def summary(fitted: Path) -> list[dict[str, float]]:
+    return list(json.loads((fitted / "summary.json").read_text(encoding="utf-8"))["parameters"])

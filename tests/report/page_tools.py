@@ -1,0 +1,92 @@
+"""What tests ask of a page, read as a browser would read it."""
+
+from html.parser import HTMLParser
+from pathlib import Path
+
+
+class Page(HTMLParser):
+    """Tags, texts and attributes of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.raw = path.read_text(encoding="utf-8")
+        self.tags: list[tuple[str, dict[str, str]]] = []
+        self.words: list[str] = []
+        self.feed(self.raw)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, {key: value or "" for key, value in attrs}))
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def all(self, tag: str) -> list[dict[str, str]]:
+        return [attrs for name, attrs in self.tags if name == tag]
+
+    @property
+    def outside(self) -> list[str]:
+        """Addresses that leave the page or the folder, other than data and places on the page."""
+        found = [a[key] for _, a in self.tags for key in ("src", "href", "action", "srcset", "poster") if key in a]
+        return [address for address in found if not address.startswith(("data:image/", "#"))]
+
+
+ALLOWED_TAGS = set(
+    [
+        "html",
+        "head",
+        "meta",
+        "title",
+        "style",
+        "body",
+        "header",
+        "main",
+        "nav",
+        "footer",
+        "p",
+        "h1",
+        "h2",
+        "h3",
+        "ul",
+        "li",
+        "div",
+        "span",
+        "strong",
+        "small",
+        "data",
+        "a",
+        "figure",
+        "img",
+        "figcaption",
+        "table",
+        "caption",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+        "dl",
+        "dt",
+        "dd",
+    ]
+)
+
+
+def check_safe(page: Page) -> None:
+    """A page that loads nothing, runs nothing and describes its pictures."""
+    assert {name for name, _ in page.tags} <= ALLOWED_TAGS
+    assert not any(key.startswith("on") for _, attrs in page.tags for key in attrs)
+    policy = next(m["content"] for m in page.all("meta") if m.get("http-equiv") == "Content-Security-Policy")
+    assert "default-src 'none'" in policy
+    assert "script" not in policy
+    for image in page.all("img"):
+        assert image["src"].startswith("data:image/")
+        assert len(image["alt"]) > 20
+    assert page.raw.count("<figcaption>") == len(page.all("img"))
+    assert len(page.all("h1")) == 1
+    assert page.all("html")[0]["lang"] == "en-GB"
+    assert "@import" not in page.raw
+    assert "url(" not in page.raw

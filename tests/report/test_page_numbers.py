@@ -1,0 +1,120 @@
+"""Numbers behind the figures against hand calculation."""
+
+import numpy as np
+import pytest
+
+from shj_bayes.model.law import force
+from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.report import numbers, words
+from shj_bayes.report.data import RunData
+
+K, FY, AMPLITUDE = 20.0, 80.0, 40.0
+
+
+def run_of(time: np.ndarray, x: np.ndarray, half: np.ndarray, f: np.ndarray, speed: np.ndarray) -> RunData:
+    draws = np.tile(f, (8, 1))
+    return RunData(1, time, x, speed, f, np.ones(x.size, dtype=bool), half, draws, draws)
+
+
+@pytest.fixture(scope="module")
+def elastoplastic() -> RunData:
+    time, motion = exact_motion((Block(AMPLITUDE, 0.05, 4),), 50.0)
+    f = force(motion, K=K, Fy=FY, beta=500.0, variant="continuous")
+    return run_of(time, motion.displacement_mm, motion.half_cycle, f, motion.speed_mm_s)
+
+
+def test_energy_of_an_elastoplastic_loop(elastoplastic: RunData) -> None:
+    energy = numbers.cycle_energy(elastoplastic)
+    closed_form = 4 * FY * (AMPLITUDE - FY / K)
+    assert energy.measured_J.size == 4
+    # From rest the first cycle leaves out the reloading branch: it holds the stored energy Fy^2 / 2K at its end.
+    assert energy.measured_J[1:] == pytest.approx(closed_form, rel=2e-3)
+    assert energy.measured_J[0] == pytest.approx(closed_form + FY * FY / K, rel=5e-3)
+
+
+def test_energy_between_is_the_area_of_a_triangle() -> None:
+    x = np.array([0.0, 1.0, 2.0, 3.0])
+    assert numbers.energy_between(2 * x, x, np.array([0.0, 3.0])) == pytest.approx([9.0])
+    assert numbers.energy_between(np.ones(4), x, np.array([0.5, 1.25, 3.0])) == pytest.approx([0.75, 1.75])
+
+
+def test_cycles_and_peak_speed(elastoplastic: RunData) -> None:
+    energy = numbers.cycle_energy(elastoplastic)
+    assert energy.amplitude_mm == pytest.approx([AMPLITUDE] * 4, rel=1e-3)
+    assert energy.duration_s == pytest.approx([20.0] * 4, abs=0.1)
+    assert numbers.one_peak_speed((energy,)) == pytest.approx(2 * np.pi * 0.05 * AMPLITUDE, rel=0.01)
+
+
+def test_two_peak_speeds_are_not_one() -> None:
+    time, motion = exact_motion((Block(20.0, 0.05, 3), Block(20.0, 0.2, 3)), 50.0)
+    run = run_of(time, motion.displacement_mm, motion.half_cycle, motion.displacement_mm, motion.speed_mm_s)
+    assert numbers.one_peak_speed((numbers.cycle_energy(run),)) is None
+
+
+def test_cycles_of_a_block_change_and_of_nothing() -> None:
+    time, motion = exact_motion((Block(6.0, 0.27, 3), Block(12.0, 0.13, 3)), 20.0)
+    run = run_of(time, motion.displacement_mm, motion.half_cycle, motion.displacement_mm, motion.speed_mm_s)
+    energy = numbers.cycle_energy(run)
+    assert energy.amplitude_mm == pytest.approx([6, 6, 6, 12, 12, 12], rel=0.02)
+    assert energy.measured_J == pytest.approx(np.zeros(6), abs=1.0)  # a spring gives back what it took
+    ramp = np.linspace(0.0, 5.0, 30)
+    still = run_of(np.arange(30.0), ramp, np.zeros(30, dtype=np.int64), ramp, np.ones(30))
+    assert numbers.cycle_energy(still).measured_J.size == 0
+    assert numbers.pick_cycle(still) == slice(0, 30)
+
+
+def test_band_of_known_noise() -> None:
+    rng = np.random.default_rng(3)
+    n = 4000
+    law = np.zeros((100, n))
+    predicted = rng.standard_normal((100, n))
+    x = np.sin(np.arange(n) / 50)
+    run = RunData(
+        1, np.arange(float(n)), x, np.ones(n), predicted[0], np.ones(n, bool), np.zeros(n, int), law, predicted
+    )
+    band = numbers.force_band(run)
+    assert band.median == pytest.approx(np.zeros(n))
+    assert np.median(band.force_high) == pytest.approx(1.645, abs=0.05)
+    assert np.median(band.force_low) == pytest.approx(-1.645, abs=0.05)
+
+
+def test_ranks_of_equal_and_of_shifted_ensembles() -> None:
+    rng = np.random.default_rng(4)
+    draws = rng.standard_normal((4, 5000))
+    shares, margin = numbers.rank_shares(draws, 20_000)
+    assert np.all(np.abs(shares - 1) < 1.4 * margin)
+    assert shares.mean(axis=1) == pytest.approx(np.ones(4))
+    draws[0] += 1.0
+    shares, margin = numbers.rank_shares(draws, 20_000)
+    assert shares[0, -1] > 1 + 3 * margin
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0.0168, 0.0172, "dep between +58.1 and +59.5 mm/s"),
+        (-0.0125, -0.0100, "dep between -100 and -80 mm/s"),
+        (-0.001, 0.002, "dep not bounded: no speed dependence is inside the interval"),
+        (0.0, 0.002, "dep not bounded"),
+    ],
+)
+def test_dep_is_said_beside_gamma(low: float, high: float, expected: str) -> None:
+    assert expected in words.dep_words({"q05": low, "q95": high})
+
+
+def test_unbounded_dep_says_where_it_could_be() -> None:
+    assert "below -1000 or above +500 mm/s" in words.dep_words({"q05": -0.001, "q95": 0.002})
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "expected"),
+    [
+        (17.97122, 0.01578, "17.971"),
+        (0.875477, 0.00041, "0.87548"),
+        (331.2, 94.0, "331"),
+        (2.0, 0.0, "2"),
+        (5.0, float("inf"), "5"),
+    ],
+)
+def test_digits_follow_the_spread(value: float, spread: float, expected: str) -> None:
+    assert words.rounded(value, spread) == expected
