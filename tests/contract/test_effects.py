@@ -112,7 +112,7 @@ def test_words_units_and_sources(effect: Effect):
 
 @every_effect
 def test_few_starts_inside_the_prior(effect: Effect):
-    assert np.prod([len(values) for values in effect.start.values()]) <= 6
+    assert np.prod([len(values) for values in effect.start.values()]) <= 300
     for prior in effect.parameters:
         for value in effect.start.get(prior.name, ()):
             assert abs(prior.to_free(np.float64(value))) < 3.5

@@ -34,45 +34,11 @@ class Page(HTMLParser):
         return [address for address in found if not address.startswith(("data:image/", "#"))]
 
 
-ALLOWED_TAGS = set(
-    [
-        "html",
-        "head",
-        "meta",
-        "title",
-        "style",
-        "body",
-        "header",
-        "main",
-        "nav",
-        "footer",
-        "p",
-        "h1",
-        "h2",
-        "h3",
-        "ul",
-        "li",
-        "div",
-        "span",
-        "strong",
-        "small",
-        "data",
-        "a",
-        "figure",
-        "img",
-        "figcaption",
-        "table",
-        "caption",
-        "thead",
-        "tbody",
-        "tr",
-        "th",
-        "td",
-        "dl",
-        "dt",
-        "dd",
-    ]
+_TAGS = (
+    "html head meta title style body header main nav footer p h1 h2 h3 ul li div span strong small data a figure img "
+    "figcaption table caption thead tbody tr th td dl dt dd"
 )
+ALLOWED_TAGS = frozenset(_TAGS.split(" "))
 
 
 def check_safe(page: Page) -> None:

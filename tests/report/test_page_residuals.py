@@ -5,8 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 from shj_bayes.report import words
+from shj_bayes.report.binned import stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
-from shj_bayes.report.residuals import repeat_p, stroke_profiles, structure
+from shj_bayes.report.residuals import repeat_p, structure
 
 
 def toy(rng: np.random.Generator, *, phi: float, shape_kN: float = 0.0, fitted_phi: float | None = None) -> DeviceData:
@@ -46,10 +47,10 @@ def test_misspecified_is_flagged(misspecified: DeviceData) -> None:
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.8, 0.95])
-def test_correlated_noise_is_rarely_flagged(phi: float) -> None:
+def test_false_alarms_are_rare(phi: float) -> None:
+    """About 3 in 100 by calibration over 250 devices each; more than 10 in 100 here would be a fault."""
     rng = np.random.default_rng(17)
-    flags = [structure(toy(rng, phi=phi)) for _ in range(20)]
-    assert sum(f.seen for f in flags) <= 2
+    assert sum(structure(toy(rng, phi=phi)).seen for _ in range(40)) <= 4
 
 
 def test_shape_is_found_and_placed() -> None:
@@ -61,7 +62,7 @@ def test_shape_is_found_and_placed() -> None:
 
 
 def test_noise_model_that_swallowed_the_shape_is_named() -> None:
-    """Correlation time 5 s in cycles of 20 s: the noise band is so wide that nothing leaves it, yet shape comes again."""
+    """Correlation time 5 s in cycles of 20 s: the noise band is so wide that nothing leaves it; yet shape returns."""
     device = toy(np.random.default_rng(3), phi=0.8, shape_kN=1.5, fitted_phi=0.99)
     found = structure(device)
     assert found.absorbed

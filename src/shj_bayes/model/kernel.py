@@ -3,7 +3,7 @@
 Everything here works on plain arrays; `law` gives it names, units and checks.
 The saturation ``e / (1 + |e/Fy|^beta)^(1/beta)`` is evaluated with base-2 logarithms and exponentials written as
 polynomials on the bits of a double, because the compiler turns such loops into vector instructions and a call of the
-mathematics library stops it from doing so (about six times slower, measured by ``benchmarks/law.py``).
+mathematics library stops it from doing so (three to four times slower, measured by ``benchmarks/law.py``).
 Tried and rejected: the power form of the equation, which overflows for beta above about 150 where the elastic branch
 runs far ahead of Fy.
 """

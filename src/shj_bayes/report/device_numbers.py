@@ -8,8 +8,9 @@ import numpy as np
 
 from shj_bayes.report import numbers as n
 from shj_bayes.report.beforehand import Beforehand, beforehand
+from shj_bayes.report.binned import StrokeProfile, stroke_profiles
 from shj_bayes.report.data import DeviceData
-from shj_bayes.report.residuals import StrokeProfile, Structure, stroke_profiles, structure
+from shj_bayes.report.residuals import Structure, structure
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,11 @@ import numpy as np
 
 from shj_bayes.report import numbers as n
 from shj_bayes.report import words
+from shj_bayes.report.binned import residual
 from shj_bayes.report.data import DeviceData, RunData
 from shj_bayes.report.device_numbers import Numbers
 from shj_bayes.report.figures import loops, posterior, residuals
 from shj_bayes.report.page import Picture
-from shj_bayes.report.residuals import residual
 
 
 def draw(device: DeviceData, numbers: Numbers) -> dict[str, Any]:

@@ -105,8 +105,8 @@ class Effect:
     source : str
         Equation or paper.
     start : mapping of str to tuple of float
-        Values to start a search from, per parameter; every combination is one start (six at most). A parameter that is
-        not named starts at the middle of its prior.
+        Values to start a search from, per parameter; every combination is one start (a few, or a grid of up to 300
+        that is scanned to first order). A parameter that is not named starts at the middle of its prior.
     """
 
     id: str

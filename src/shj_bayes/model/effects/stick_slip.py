@@ -37,5 +37,5 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     source="DOMAIN E03.",
-    start={"size": (0.03,), "wave": (0.5, 1.0, 2.5, 5.0, 10.0, 20.0)},
+    start={"size": (0.03,), "wave": tuple(round(0.5 * 1.03**i, 3) for i in range(130))},
 )

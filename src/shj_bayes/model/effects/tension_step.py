@@ -44,5 +44,10 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     source="DOMAIN 1.4 (bolt rupture step); brfd-lehigh ds4_step, where the band was moved in one direction only.",
-    start={"size": (0.1,), "begin": (0.15, 0.4, 0.7), "length": (0.2, 1.0), "side": (0.0,)},
+    start={
+        "size": (0.1,),
+        "begin": tuple(round(0.03 + 0.04 * i, 2) for i in range(24)),
+        "length": (0.05, 0.15, 0.3, 1.5),
+        "side": (-0.9, 0.0, 0.9),
+    },
 )

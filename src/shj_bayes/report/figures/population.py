@@ -54,7 +54,7 @@ def span(rows: Sequence[SetBand]) -> tuple[float, float]:
     ends = [end for row in tested for end in (row.band[0], row.band[2])]
     ends += [end for row in tested for _, interval in row.devices for end in interval]
     low, high = min(ends), max(ends)
-    margin = 0.35 * (high - low) or 1.0
+    margin = 0.5 * (high - low) or 1.0
     return (max(0.0, low - margin) if low >= 0 else low - margin), high + margin
 
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.binned import StrokeProfile
 from shj_bayes.report.data import IntArray
 from shj_bayes.report.figures.canvas import BLUE, GREY, INK, NARROW, RED, WIDE, label, legend, sheet, svg
-from shj_bayes.report.residuals import StrokeProfile
 
 LEFT_OVER = "measured minus model (kN)"
 MAX_POINTS = 4000

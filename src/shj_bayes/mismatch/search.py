@@ -1,0 +1,228 @@
+"""Find the effects that were left out, one after another, and re-test the earlier ones when a later one enters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from shj_bayes.mismatch.calibrate import Alarm, look
+from shj_bayes.mismatch.evidence import Evidence
+from shj_bayes.mismatch.name import Candidate, Ranking, rank, try_all
+from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
+from shj_bayes.mismatch.regions import Regions
+from shj_bayes.mismatch.thresholds import ALPHA, GAIN_SE, MAX_EFFECTS, PRACTICAL
+from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Priors
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One round of the search.
+
+    Parameters
+    ----------
+    before : Refit
+        Model at the start of the round.
+    alarm : Alarm
+        What the calibrated look found in it (regions first, then effects).
+    ranking : Ranking
+        Every further effect, fitted.
+    p_value : float
+        Of "nothing more is missing": twice the smaller of the look's and the held-out gains' (Bonferroni over both,
+        and over the effects).
+    taken : str
+        Id of the effect that entered, empty when none did.
+    why : str
+        Reason in words.
+    """
+
+    before: Refit
+    alarm: Alarm
+    ranking: Ranking
+    p_value: float
+    taken: str
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """End of the search.
+
+    Parameters
+    ----------
+    base, final : Refit
+        Model without effects, and with those that were found.
+    steps : tuple of Step
+        Rounds in order; the last one took nothing.
+    rankings : dict of str to Ranking
+        For each effect found, its rivals given the other effects.
+    """
+
+    base: Refit
+    final: Refit
+    steps: tuple[Step, ...]
+    rankings: dict[str, Ranking]
+
+    @property
+    def found(self) -> tuple[str, ...]:
+        """Ids of the effects in the final model."""
+        return tuple(effect.id for effect in self.final.model.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What stays the same during a search: recordings, regions, priors, catalogue, reversal rule, randomness."""
+
+    evidence: Evidence
+    regions: Regions
+    priors: Priors
+    catalogue: tuple[Effect, ...]
+    variant: str
+    seed: int
+    tell: Tell
+
+    def rng(self, *key: int) -> np.random.Generator:
+        """Stream of random numbers that belongs to one place of the search."""
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+
+def search(setting: Setting, base: Refit) -> Search:
+    """Add effects while the residual holds more than noise.
+
+    Parameters
+    ----------
+    setting : Setting
+        Recordings and catalogue.
+    base : Refit
+        Base law, fitted.
+
+    Returns
+    -------
+    Search
+    """
+    current, steps = base, []
+    for number in range(MAX_EFFECTS + 1):
+        setting.tell(f"looking for misfit beyond {', '.join(e.id for e in current.model.effects) or 'the base law'}")
+        alarm = look(setting.evidence, current, _directions(setting, current), setting.rng(1, number))
+        rest = [e for e in setting.catalogue if e.id not in {own.id for own in current.model.effects}]
+        tried = try_all(setting.evidence, current, setting.priors, rest, variant=setting.variant)
+        ranking = rank(setting.evidence, tried, setting.rng(2, number))
+        p_value = min(1.0, 2.0 * min(alarm.p_value, _p_of_gains(setting, ranking, current)))
+        best = ranking.candidates[0]
+        if p_value >= ALPHA / 2**number:
+            why = f"p = {p_value:.4f}: nothing more than noise explains"
+        elif number == MAX_EFFECTS:
+            why = f"no more than {MAX_EFFECTS} effects are looked for"
+        else:
+            why = _refusal(ranking, current)
+        steps.append(
+            Step(current, alarm, ranking, p_value, "" if why else best.effect.id, why or "best on held-out cycles")
+        )
+        if why:
+            break
+        current = best.fit
+        if number > 0:
+            current = _revise(setting, current, number)
+    return Search(base, current, tuple(steps), _rivals(setting, base, current))
+
+
+def _p_of_gains(setting: Setting, ranking: Ranking, current: Refit) -> float:
+    """Chance of a held-out gain like the largest, over all effects of a size that matters.
+
+    Flipping whole cycles cannot show an effect that sits in a few of them, however large; its gain on held-out cycles
+    can. Under "nothing is missing" the mean gain of a cycle is below 0, so Student's t is on the safe side.
+    """
+    floor = PRACTICAL * current.model.values(current.z)["Fy"]
+    t = [c.t for c in ranking.candidates if c.size_kN >= floor]
+    tail = float(stats.t.sf(max(t), setting.evidence.n_blocks - 1)) if t else 1.0
+    return min(1.0, len(ranking.candidates) * tail)
+
+
+def _refusal(ranking: Ranking, current: Refit) -> str:
+    """Why the best candidate must not enter; empty when it may."""
+    best = ranking.candidates[0]
+    capacity = current.model.values(current.z)["Fy"]
+    if best.t < GAIN_SE:
+        return f"the best effect ({best.effect.id}) gains t = {best.t:.1f} on held-out cycles: not beyond chance"
+    if best.size_kN < PRACTICAL * capacity:
+        return f"the best effect ({best.effect.id}) is {best.size_kN:.2g} kN, below {100 * PRACTICAL:.0f} % of Fy: negligible"
+    return ""
+
+
+def _revise(setting: Setting, current: Refit, number: int) -> Refit:
+    """Exchange or drop effects that entered earlier, when another one is better now."""
+    for position in range(len(current.model.effects) - 1):
+        kept = [e for i, e in enumerate(current.model.effects) if i != position]
+        without = _fit_with(setting, current, kept)
+        taken = {e.id for e in kept}
+        candidates = try_all(
+            setting.evidence,
+            without,
+            setting.priors,
+            [e for e in setting.catalogue if e.id not in taken],
+            variant=setting.variant,
+        )
+        ranking = rank(setting.evidence, candidates, setting.rng(3, number, position))
+        if _refusal(ranking, without):
+            return _revise(setting, without, number) if len(kept) > 1 else without
+        current = ranking.candidates[0].fit
+    return current
+
+
+def _rivals(setting: Setting, base: Refit, final: Refit) -> dict[str, Ranking]:
+    """For each effect of the final model, how every other one would do in its place."""
+    out = {}
+    for position, effect in enumerate(final.model.effects):
+        kept = [e for i, e in enumerate(final.model.effects) if i != position]
+        without = _fit_with(setting, final, kept) if kept else base
+        taken = {e.id for e in kept}
+        candidates: list[Candidate] = try_all(
+            setting.evidence,
+            without,
+            setting.priors,
+            [e for e in setting.catalogue if e.id not in taken],
+            variant=setting.variant,
+        )
+        out[effect.id] = rank(setting.evidence, candidates, setting.rng(4, position))
+    return out
+
+
+def _fit_with(setting: Setting, current: Refit, effects: Sequence[Effect]) -> Refit:
+    """Fit the base law with some of the current effects, from the current parameters."""
+    model = make_model(
+        setting.priors,
+        len(setting.evidence.histories),
+        effects,
+        variant=setting.variant,
+        speed=current.model.speed,
+    )
+    values = dict(zip(current.model.names, current.z, strict=True))
+    start = np.array([values[name] for name in model.names])
+    return refit(setting.evidence, model, [start], sigma_kN=current.rmse_kN)
+
+
+def _directions(setting: Setting, current: Refit) -> FloatArray:
+    """Regions, and the change each further effect would make from its start values."""
+    columns = [setting.regions.columns]
+    own = {e.id for e in current.model.effects}
+    for effect in setting.catalogue:
+        if effect.id in own:
+            continue
+        model = make_model(
+            setting.priors,
+            len(setting.evidence.histories),
+            (*current.model.effects, effect),
+            variant=setting.variant,
+            speed=current.model.speed,
+        )
+        # All starts, not the promising ones: those were chosen by looking at the residual that is being tested.
+        for start in extend_starts(current, model, effect):
+            change = model.force(setting.evidence, start) - current.force_kN
+            columns.append((change * setting.evidence.weight)[:, None])
+    return np.concatenate(columns, axis=1)

@@ -1,0 +1,13 @@
+"""Every number on which a diagnosis turns, with its reason; fixed on development seeds, never on proof seeds.
+
+How they were set, and what they give on development trials, stands in ``docs/decisions/0005-mismatch.md``.
+"""
+
+ALPHA = 0.02  # of a false alarm in a recording with nothing missing; halved for each effect already found
+PRACTICAL = 0.01  # of Fy: a smaller effect is negligible for design and is reported with its size, not raised
+GAIN_SE = 3.0  # standard errors by which the held-out gain of an effect must exceed 0
+RIVAL_SE = 2.0  # standard errors by which the best effect must beat another one to exclude it
+RIVAL_PROBABILITY = 0.05  # a rival that wins in this share of resampled cycle sets is not excluded
+MAX_EFFECTS = 3
+EXPLAINED = 0.9  # of the explainable misfit: with less, and an alarm that is left, the catalogue has not explained it
+ALIAS = 0.9  # cosine above which two effects cannot be told apart by this displacement history

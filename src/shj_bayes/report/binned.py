@@ -1,0 +1,127 @@
+"""Binned means of the residual: over stroke, over distance since reversal, over time. Numbers only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import sparse
+
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.data import BoolArray, IntArray, RunData
+
+N_STROKE, N_START, N_TIME = 20, 10, 40
+N_SHIFTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class StrokeProfile:
+    """Mean residual over stroke of one run and direction, arrays of shape (n_bins,).
+
+    Parameters
+    ----------
+    run, direction : int
+        Number of the run; +1 push, -1 pull.
+    centre_mm, mean_kN : array
+        Middle of the bin and mean residual there.
+    low_kN, high_kN : array
+        5 and 95 % of what noise alone would give.
+    """
+
+    run: int
+    direction: int
+    centre_mm: FloatArray = field(repr=False)
+    mean_kN: FloatArray = field(repr=False)
+    low_kN: FloatArray = field(repr=False)
+    high_kN: FloatArray = field(repr=False)
+
+
+def residual(run: RunData) -> FloatArray:
+    """Measured force less the posterior mean of the law, kN, shape (n,)."""
+    return np.asarray(run.force_kN - run.law_kN.mean(axis=0), dtype=np.float64)
+
+
+def counted(run: RunData) -> BoolArray:
+    """Mark the samples that count: evidence, and not within two samples of a reversal.
+
+    There the published law jumps, and a reversal placed one sample off leaves a residual that is neither noise nor
+    physics.
+    """
+    keep = run.used.copy()
+    for shift in (-2, -1, 0, 1):
+        at = run.reversals + shift
+        keep[at[(at >= 0) & (at < keep.size)]] = False
+    return keep
+
+
+def stroke_profiles(run: RunData, n_bins: int = N_STROKE) -> tuple[StrokeProfile, StrokeProfile]:
+    """Mean residual over stroke for push and pull, beside what noise alone would give."""
+    x, direction = run.displacement_mm, run.direction
+    edges, index = _stroke_bins(x, n_bins)
+    out = []
+    for sign in (1, -1):
+        label = np.where(counted(run) & (direction == sign), index, -1)
+        weights, present = means(label)
+        low, high = np.quantile(noise_means(run, weights), (0.05, 0.95), axis=1)
+        centre = 0.5 * (edges[:-1] + edges[1:])[present]
+        out.append(StrokeProfile(run.number, sign, centre, weights @ residual(run), low, high))
+    return out[0], out[1]
+
+
+def noise_means(run: RunData, weights: sparse.csr_array, n_shifts: int = N_SHIFTS) -> FloatArray:
+    """Binned means of noise alone, from the posterior predictive.
+
+    Parameters
+    ----------
+    run : RunData
+    weights : sparse array, shape (n_bins, n)
+        As `means` gives it.
+    n_shifts : int
+        The fitted noise is stationary, so each draw may be moved in time to give several.
+
+    Returns
+    -------
+    array, shape (n_bins, m n_shifts)
+    """
+    noise = run.predicted_kN - run.law_kN
+    steps = np.linspace(0, noise.shape[1], n_shifts, endpoint=False).astype(int)
+    # One shift after the other: all at once would take gigabytes for a long recording.
+    return np.concatenate([weights @ np.roll(noise, step, axis=1).T for step in steps], axis=1)
+
+
+def features(run: RunData) -> sparse.csr_array:
+    """Binned means as one sparse matrix: stroke and distance since reversal by direction, and half-cycles in time."""
+    keep, direction = counted(run), run.direction
+    stroke, _ = repeating_labels(run)
+    per = max(1, int(np.ceil((run.half_cycle.max() + 1) / N_TIME)))
+    time = np.where(keep, run.half_cycle // per, -1)
+    plain, signed = means(time)[0], means(time, direction)[0]
+    return sparse.csr_array(sparse.vstack([means(stroke)[0], means(_start_labels(run))[0], plain, signed]))
+
+
+def repeating_labels(run: RunData) -> tuple[IntArray, int]:
+    """Stroke bin by direction of each counted sample (else -1), and the number of bins."""
+    index = _stroke_bins(run.displacement_mm, N_STROKE)[1] + N_STROKE * (run.direction > 0)
+    return np.where(counted(run), index, -1).astype(np.int64), 2 * N_STROKE
+
+
+def _stroke_bins(x: FloatArray, n_bins: int) -> tuple[FloatArray, IntArray]:
+    """Edges of even bins over the stroke, mm, and the bin of each sample."""
+    edges = np.linspace(float(x.min()), float(x.max()), n_bins + 1)
+    return edges, np.clip(np.digitize(x, edges) - 1, 0, n_bins - 1).astype(np.int64)
+
+
+def _start_labels(run: RunData) -> IntArray:
+    """Bin of the distance since reversal by direction: even in number of samples, finest near the reversal."""
+    keep = counted(run)
+    distance = np.abs(run.displacement_mm - run.displacement_mm[run.starts][run.half_cycle - run.half_cycle[0]])
+    edges = np.unique(np.quantile(distance[keep], np.linspace(0, 1, N_START + 1)[1:-1]))
+    return np.where(keep, np.digitize(distance, edges) + N_START * (run.direction > 0), -1).astype(np.int64)
+
+
+def means(label: IntArray, sign: IntArray | None = None) -> tuple[sparse.csr_array, IntArray]:
+    """Matrix that takes the mean over the samples of each label (those of -1 left out), and the labels present."""
+    inside = np.flatnonzero(label >= 0)
+    present, row, count = np.unique(label[inside], return_inverse=True, return_counts=True)
+    value = (1.0 if sign is None else sign[inside]) / count[row]
+    return sparse.csr_array((value, (row, inside)), shape=(present.size, label.size)), present

@@ -1,0 +1,165 @@
+"""The campaign page and the page of the published tables."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_tools import Page, check_safe
+
+from shj_bayes.errors import ShjError
+from shj_bayes.population.device import Tags
+from shj_bayes.population.paper_claims import paper_claims
+from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.predict import new_device_table
+from shj_bayes.population.priors import other_priors, population_prior
+from shj_bayes.report import sets
+from shj_bayes.report.campaign import render_campaign, render_tables, safe_folder
+from shj_bayes.report.device import render_device
+
+LEVEL = {"K": np.log(18.0), "Fy": np.log(80.0), "ratio": np.log(0.8), "gamma": 0.01, "beta": np.log(10.0)}
+
+
+def population(names: tuple[str, ...], seed: int = 1, shift: float = 0.0) -> PopulationResult:
+    """A population made by hand: each set `shift` higher than the one before, two devices each."""
+    rng = np.random.default_rng(seed)
+
+    def fits(spread: float) -> dict[str, QuantityPosterior]:
+        out = {}
+        for name, level in LEVEL.items():
+            scale = 0.1 if name == "gamma" else 1.0
+            mu = level + scale * (0.05 * rng.standard_normal((400, len(names))) + shift * np.arange(len(names)))
+            tau = np.full((400, len(names)), scale * spread)
+            hyper = np.tile([level, scale * 0.2, scale * spread, 0.1], (400, 1))
+            out[name] = QuantityPosterior(name, mu, tau, hyper, (2,) * len(names), 1.0, 900.0, 4)
+        return out
+
+    groups = tuple(
+        DeviceSet(name, (f"{name} a", f"{name} b"), Tags(), {q: (v - 0.02, v + 0.02) for q, v in LEVEL.items()})
+        for name in names
+    )
+    priors = {name: population_prior(name) for name in LEVEL}
+    others = {label: fits(0.3) for label in other_priors(priors["Fy"])}
+    return PopulationResult(groups, fits(0.15), others, priors, dict.fromkeys(LEVEL, np.inf), seed)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory, fitted: Path, hostile_name: str) -> Path:
+    root = tmp_path_factory.mktemp("campaign")
+    folder = root / "devices" / "one-12ab34"
+    folder.mkdir(parents=True)
+    for name in ("posterior.nc", "fit.json", "summary.json"):
+        shutil.copy(fitted / name, folder / name)
+    render_device(folder)
+    done = {
+        "name": hostile_name,
+        "folder": "devices/one-12ab34",
+        "status": "done",
+        "reason": "",
+        "verdict": "tentative",
+    }
+    failed = {
+        "name": "b",
+        "folder": "devices/b",
+        "status": "failed",
+        "reason": "<img src=x onerror=1> is 80000 kN",
+        "verdict": "",
+    }
+    strange = {"name": "c", "folder": "javascript:alert(1)", "status": "done", "reason": "", "verdict": "reliable"}
+    upward = {"name": "d", "folder": "../../etc", "status": "done", "reason": "", "verdict": "reliable"}
+    record = {
+        "schema": "shj-bayes/campaign/1",
+        "name": hostile_name,
+        "simulated": True,
+        "sets": [{"name": hostile_name, "devices": [done, failed]}, {"name": "other", "devices": [strange, upward]}],
+    }
+    (root / "campaign.json").write_text(json.dumps(record), encoding="utf-8")
+    return root
+
+
+@pytest.fixture(scope="module")
+def page(campaign: Path, hostile_name: str) -> Page:
+    return Page(render_campaign(campaign, population((hostile_name, "other"))))
+
+
+def test_page_is_safe_and_links_stay_below(page: Page, hostile_name: str) -> None:
+    check_safe(page)
+    assert page.outside == ["devices/one-12ab34/report.html"]
+    assert " ".join(hostile_name.split()) in page.text
+    assert "<img src=x onerror=1> is 80000 kN" in page.text
+    assert "<script" not in page.raw
+
+
+def test_new_device_bands_are_those_of_the_population(page: Page, hostile_name: str) -> None:
+    result = population((hostile_name, "other"))
+    exact = {attrs["value"] for attrs in page.all("data")}
+    for row in new_device_table(result).to_dict("records"):
+        if row["quantity"] in sets.SHOWN:
+            assert repr(float(row["q50"])) in exact
+
+
+def test_devices_and_failures_are_counted(page: Page) -> None:
+    assert "3 of 4 devices were fitted" in page.text
+    assert "1 failed" in page.text
+    assert "Simulated data." in page.text
+    assert "Two devices are not a band" in page.text
+
+
+def test_campaign_without_a_population(campaign: Path) -> None:
+    page = Page(render_campaign(campaign))
+    check_safe(page)
+    assert "No device could be used" in page.text
+
+
+def test_no_campaign_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(ShjError, match=r"no readable campaign\.json"):
+        render_campaign(tmp_path)
+    (tmp_path / "campaign.json").write_text('{"name": "x", "sets": [{"name": 3}]}', encoding="utf-8")
+    with pytest.raises(ShjError, match=r"no readable campaign\.json"):
+        render_campaign(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("place", "safe"),
+    [
+        ("devices/a-1", True),
+        ("a", True),
+        ("../x", False),
+        ("devices/../../x", False),
+        ("/etc", False),
+        ("javascript:alert(1)", False),
+        ("a\\b", False),
+        ("", False),
+        ("devices//x", False),
+        ("a\n", False),
+    ],
+)
+def test_only_folders_below_are_linked(place: str, safe: bool) -> None:
+    assert safe_folder(place) is safe
+
+
+def test_matrix_is_settled_only_when_sets_are_apart() -> None:
+    close, apart = (sets.force_matrix(population(("a", "b"), shift=s)) for s in (0.0, 0.8))
+    assert close[0][0] is None
+    assert close[0][1] is not None
+    assert not close[0][1].settled
+    assert apart[1][0] is not None
+    assert apart[1][0].settled
+    assert apart[1][0].band[1] == pytest.approx(np.exp(0.8), rel=0.02)
+
+
+def test_bands_hold_the_other_priors_and_the_devices() -> None:
+    band = sets.set_bands(population(("a", "b")))["Fy"][0]
+    assert band.widest[0] <= band.band[0] < band.band[1] < band.band[2] <= band.widest[1]
+    assert [round(middle, 1) for _, (_, middle, _) in band.devices] == [78.4, 81.6]
+
+
+def test_tables_page(tmp_path: Path) -> None:
+    claims = paper_claims()
+    page = Page(render_tables(tmp_path / "new", population(("a", "b", "c")), claims))
+    check_safe(page)
+    assert page.outside == []
+    for claim in claims:
+        assert " ".join(claim.sentence.split()) in page.text
+    assert "With one peak speed" in page.text
