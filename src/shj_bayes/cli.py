@@ -184,6 +184,50 @@ def fit(
 
 
 @main.command()
+@RECORDINGS
+@_out()
+@READING
+@click.option("--priors", default="afc", show_default=True, help="Family that ships (afc, general) or TOML file.")
+@MODEL
+@click.option("--without", multiple=True, metavar="EFFECT", help="velocity: base law without it; others: not tried.")
+@click.option("--quick", is_flag=True, help="A first look: approximate intervals, no sampling.")
+@SEED
+@click.option("--name", help="Name of the device; by default that of the first file.")
+@WORKERS
+@OUTPUT
+def diagnose(
+    recordings: tuple[Path, ...],
+    out: Path,
+    without: tuple[str, ...],
+    quick: bool,
+    name: str | None,
+    workers: int | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Fit, then locate, name, model and show what the base law leaves out."""
+    from shj_bayes.pipeline import Options, diagnose_device
+
+    speak = not (as_json or quiet)
+    result = diagnose_device(
+        recordings,
+        out,
+        Options(**options),
+        without=without,
+        name=name,
+        quick=quick,
+        progress=speak,
+        threads=workers or 0,
+        tell=(lambda line: click.echo(f"  {line}", err=True)) if speak else (lambda _: None),
+    )
+    if as_json:
+        click.echo(json.dumps(result.record, indent=1))
+    elif speak:
+        click.echo(result.text)
+
+
+@main.command()
 @click.argument("manifest", type=click.Path(path_type=Path))
 @_out()
 @SEED

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from shj_bayes.errors import InferenceError, ModelError, RecordingError
 from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.inference.store import read_record, write_text
+from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.parameters import BASE
 from shj_bayes.model.parameters import describe as describe_parameter
 from shj_bayes.model.priors import read_priors
@@ -23,8 +24,10 @@ from shj_bayes.recording.check import describe, to_dict
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.protocol import table_1
 from shj_bayes.recording.reader import read
+from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.device import render_device
+from shj_bayes.report.diagnosis import render_diagnosis
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,41 @@ class Options:
     free: tuple[str, ...] = ()
     seed: int = 1
     max_steps: int = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisResult:
+    """A finished diagnosis.
+
+    Parameters
+    ----------
+    folder : Path
+        Where its files are.
+    record : dict
+        Content of ``diagnosis.json``.
+    page : Path
+        The page.
+    """
+
+    folder: Path
+    record: dict[str, Any]
+    page: Path
+
+    @property
+    def text(self) -> str:
+        """What a person wants to read at the end of a diagnosis."""
+        record = self.record
+        lines = [f"{record['device']}: {record['verdict']} (p = {record['p_value']:.2g} of nothing missing)"]
+        lines += [f"  {sentence}" for sentence in record["words"]]
+        lines += ["", "  before -> after"]
+        for name, row in record["shift"].items():
+            before, after = row["before"], row["after"]
+            lines.append(
+                f"  {name:8}{before['mean']:11.5g} +- {before['sd']:<9.2g} -> {after['mean']:11.5g} +- {after['sd']:.2g}"
+            )
+        old, new = record["before"], record["after"]
+        lines.append(f"  held-out error {old['heldout_rmse_kN']:.3g} -> {new['heldout_rmse_kN']:.3g} kN")
+        return "\n".join([*lines, "", f"report: {self.page}"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +171,8 @@ def fit_device(
     RecordingError
         If a recording cannot be used.
     """
-    recordings = [read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz) for path in paths]
-    for recording in recordings:
-        blocking = [f.message for f in recording.findings if f.severity == "unusable"]
-        if blocking:
-            raise RecordingError(f"{recording.source.name} cannot be used: {'; '.join(blocking)}")
-    name = name or plain_name(Path(recordings[0].source.name).name.split(".")[0])
+    recordings = _usable(paths, options)
+    name = name or _default_name(recordings[0])
     priors = read_priors(options.priors)
     key = _key([r.source.sha256 for r in recordings], options, priors.sha256, name)
     finished = _finished(folder, key)
@@ -249,6 +283,54 @@ def write_simulated(
     return [*paths, path]
 
 
+def diagnose_device(  # noqa: PLR0913
+    paths: Sequence[Path],
+    folder: Path,
+    options: Options,
+    *,
+    without: Sequence[str] = (),
+    name: str | None = None,
+    quick: bool = False,
+    progress: bool = False,
+    threads: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> DiagnosisResult:
+    """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
+
+    Parameters
+    ----------
+    paths, folder, options, name, progress, threads
+        As for `fit_device`.
+    without : sequence of str
+        ``velocity`` runs the base law without speed dependence; other ids are taken out of the catalogue.
+    quick : bool
+        A first look without sampling the posterior.
+    tell : callable
+        Gets one line for each step.
+
+    Returns
+    -------
+    DiagnosisResult
+    """
+    recordings = _usable(paths, options)
+    name = name or _default_name(recordings[0])
+    problem = make_problem(recordings, priors=read_priors(options.priors), variant=options.model)
+    diagnosis = diagnose(
+        problem.runs,
+        problem.priors,
+        name=name,
+        variant=options.model,
+        without=without,
+        seed=options.seed,
+        quick=quick,
+        progress=progress,
+        threads=threads,
+        tell=tell,
+    )
+    diagnosis.write(folder)
+    return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
+
+
 def plain_name(name: str) -> str:
     """Name without control characters, at most 80 characters long."""
     return re.sub(r"[\x00-\x1f\x7f]+", " ", name).strip()[:80] or "device"
@@ -269,6 +351,23 @@ def dep_words(row: dict[str, Any]) -> str:
         return "  (dep unbounded: no speed dependence is within the interval)"
     first, second = sorted((1 / low, 1 / high))
     return f"  (dep {first:.4g} to {second:.4g} mm/s)"
+
+
+def _usable(paths: Sequence[Path], options: Options) -> list[Recording]:
+    """Read recordings; refuse those that must not be fitted."""
+    recordings = [read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz) for path in paths]
+    for recording in recordings:
+        blocking = [f.message for f in recording.findings if f.severity == "unusable"]
+        if blocking:
+            raise RecordingError(f"{recording.source.name} cannot be used: {'; '.join(blocking)}")
+    return recordings
+
+
+def _default_name(recording: Recording) -> str:
+    """Name of the first file without its endings (a dot inside the name stays)."""
+    return plain_name(
+        re.sub(r"(\.(csv|tsv|txt|xlsx|mat|h5|hdf5|tdms|gz))+$", "", recording.source.name, flags=re.IGNORECASE)
+    )
 
 
 def _key(digests: list[str], options: Options, priors: str, name: str) -> str:

@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import emcee
 import numpy as np
@@ -17,18 +16,10 @@ from shj_bayes.errors import InferenceError
 from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import Diagnostics, converged, diagnose_chains
-from shj_bayes.inference.start import Start
+from shj_bayes.inference.start import Density, Start
 from shj_bayes.model.parameters import FloatArray
 
 MIN_STEPS = 50  # fewer say nothing about convergence
-
-
-class Density(Protocol):
-    """What the sampler needs: a log density of many points at once."""
-
-    def log_posterior_free(self, z: FloatArray) -> FloatArray:
-        """Log density of points of shape (m, d), shape (m,)."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize
@@ -13,6 +15,14 @@ from shj_bayes.inference.problem import Problem
 from shj_bayes.model.parameters import FloatArray
 
 CHUNK = 16  # parameter sets evaluated in one call while searching
+
+
+class Density(Protocol):
+    """What a search or a sampler needs: a log density of many points at once."""
+
+    def log_posterior_free(self, z: FloatArray) -> FloatArray:
+        """Log density of points of shape (m, d), shape (m,)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,17 +63,40 @@ def find_start(problem: Problem, n_polish: int = 3) -> Start:
     InferenceError
         If no parameters give a finite posterior density.
     """
+    candidates = [problem.free(theta[None])[0] for theta in _coarse_candidates(problem)[:n_polish]]
+    return polish(problem, candidates)
+
+
+def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
+    """Climb from each candidate to the top of the density; return the highest, with the curvature there.
+
+    Parameters
+    ----------
+    density : Density
+        Log density in the unbounded space.
+    candidates : sequence of array, shape (d,)
+        Where to start.
+
+    Returns
+    -------
+    Start
+
+    Raises
+    ------
+    InferenceError
+        If no candidate has a finite density.
+    """
     best: tuple[float, FloatArray] | None = None
-    for theta in _coarse_candidates(problem)[:n_polish]:
-        z = np.clip(problem.free(theta[None])[0], -8.0, 8.0)
+    for candidate in candidates:
+        z = np.clip(candidate, -8.0, 8.0)
         result = minimize(
-            _negative_with_gradient, z, args=(problem,), jac=True, method="BFGS", options={"maxiter": 300}
+            _negative_with_gradient, z, args=(density,), jac=True, method="BFGS", options={"maxiter": 300}
         )
         if np.isfinite(result.fun) and (best is None or result.fun < best[0]):
             best = (float(result.fun), result.x)
     if best is None:
         raise InferenceError("no parameters within the priors give a finite likelihood; look at `shj-bayes check`")
-    return Start(best[1], _covariance(problem, best[1]), -best[0])
+    return Start(best[1], _covariance(density, best[1]), -best[0])
 
 
 def _coarse_candidates(problem: Problem) -> list[FloatArray]:
@@ -118,30 +151,30 @@ def _with_noise(problem: Problem, theta: FloatArray) -> FloatArray:
     return out
 
 
-def _negative_with_gradient(z: FloatArray, problem: Problem, step: float = 1e-5) -> tuple[float, FloatArray]:
+def _negative_with_gradient(z: FloatArray, density: Density, step: float = 1e-5) -> tuple[float, FloatArray]:
     """Negative log posterior and its central-difference gradient, all points in one call."""
     shifts = step * np.vstack([np.zeros(z.size), np.eye(z.size), -np.eye(z.size)])
-    value = problem.log_posterior_free(z + shifts)
+    value = density.log_posterior_free(z + shifts)
     if not np.all(np.isfinite(value)):
         return 1e300, np.zeros(z.size)
     gradient = (value[1 : 1 + z.size] - value[1 + z.size :]) / (2 * step)
     return -float(value[0]), -gradient
 
 
-def _covariance(problem: Problem, z: FloatArray) -> FloatArray:
+def _covariance(density: Density, z: FloatArray) -> FloatArray:
     """Inverse of the negative Hessian, by differences of about half a posterior standard deviation."""
     d = z.size
-    top = float(problem.log_posterior_free(z[None])[0])
+    top = float(density.log_posterior_free(z[None])[0])
     width = np.full(d, 1e-4)
     for _ in range(3):  # find the scale on which the log density falls by about 1/8
-        both = problem.log_posterior_free(z + np.vstack([np.diag(width), -np.diag(width)]))
+        both = density.log_posterior_free(z + np.vstack([np.diag(width), -np.diag(width)]))
         fall = np.maximum(2 * top - both[:d] - both[d:], 1e-10)
         width = np.clip(width * np.sqrt(0.25 / fall), 1e-7, 0.5)
     pairs = [(i, j) for i in range(d) for j in range(i, d)]
     points = [
         z + s * width * np.eye(d)[i] + t * width * np.eye(d)[j] for i, j in pairs for s in (1, -1) for t in (1, -1)
     ]
-    value = problem.log_posterior_free(np.array(points)).reshape(-1, 4)
+    value = density.log_posterior_free(np.array(points)).reshape(-1, 4)
     hessian = np.zeros((d, d))
     for (i, j), (pp, pm, mp, mm) in zip(pairs, value, strict=True):
         hessian[i, j] = hessian[j, i] = (pp - pm - mp + mm) / 4

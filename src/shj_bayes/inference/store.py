@@ -271,5 +271,5 @@ def _constant(problem: Problem) -> dict[str, Any]:
         "speed_mm_s": np.concatenate([r.motion.speed_mm_s for r in runs]),
         "run": np.concatenate([np.full(r.recording.n_samples, i) for i, r in enumerate(runs, start=1)]),
         "half_cycle_of_sample": np.concatenate([r.motion.half_cycle for r in runs]),
-        "used": np.concatenate([np.asarray(r.recording.used) for r in runs]).astype(np.int8),
+        "used": np.concatenate([r.stretches.used for r in runs]).astype(np.int8),
     }

@@ -9,6 +9,7 @@ import numpy as np
 
 from shj_bayes.mismatch.evidence import Evidence
 from shj_bayes.mismatch.refit import Refit, make_model, promising_starts, refit
+from shj_bayes.mismatch.thresholds import RIVAL_PROBABILITY, RIVAL_SE
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors
@@ -75,11 +76,15 @@ class Ranking:
     probability: FloatArray
 
     def excluded(self) -> list[bool]:
-        """For each candidate, whether the best one beats it by more than two standard errors."""
-        return [
-            bool(i > 0 and b > 2.0 * s and p < 0.05)
-            for i, (b, s, p) in enumerate(zip(self.behind, self.behind_se, self.probability, strict=True))
-        ]
+        """For each candidate, whether the best one beats it beyond chance, by gain or by relative gain."""
+        best = self.candidates[0].relative
+        out = []
+        for i, candidate in enumerate(self.candidates):
+            apart = best - candidate.relative
+            spread = float(apart.std(ddof=1)) / np.sqrt(apart.size)
+            beaten = self.behind[i] > RIVAL_SE * self.behind_se[i] or float(apart.mean()) > RIVAL_SE * spread
+            out.append(bool(i > 0 and beaten and self.probability[i] < RIVAL_PROBABILITY))
+        return out
 
 
 def try_all(

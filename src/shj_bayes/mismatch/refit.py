@@ -149,6 +149,11 @@ def refit(
     best = [short[i] for i in np.argsort(costs, kind="stable")[:2]]
     ends = [_descend(evidence, model, z, rounds, sigma_kN) for z in best]
     z = ends[int(np.argmin([_cost(evidence, model, end, sigma_kN or 1.0) for end in ends]))]
+    return linearise(evidence, model, z)
+
+
+def linearise(evidence: Evidence, model: Model, z: FloatArray) -> Refit:
+    """Evaluate a model at given parameters: force, residual and derivatives."""
     force = model.force(evidence, z)
     residual = (evidence.force_kN - force) * evidence.weight
     return Refit(model, z, force, residual, _jacobian(evidence, model, z, force))
@@ -164,7 +169,7 @@ def extend_starts(base: Refit, model: Model, effect: Effect) -> list[FloatArray]
 
 
 def promising_starts(evidence: Evidence, base: Refit, model: Model, effect: Effect) -> list[FloatArray]:
-    """Starts of a larger model, at most `N_STARTS`: those whose change of the force goes best with the residual.
+    """Choose starts of a larger model, at most `N_STARTS`: those whose change of the force goes best with the residual.
 
     A moment in time or a wave length has a narrow basin; its grid is scanned to first order, not descended from.
     """

@@ -151,7 +151,7 @@ def _refusal(ranking: Ranking, current: Refit) -> str:
     if best.t < GAIN_SE:
         return f"the best effect ({best.effect.id}) gains t = {best.t:.1f} on held-out cycles: not beyond chance"
     if best.size_kN < PRACTICAL * capacity:
-        return f"the best effect ({best.effect.id}) is {best.size_kN:.2g} kN, below {100 * PRACTICAL:.0f} % of Fy: negligible"
+        return f"the best effect ({best.effect.id}) is {best.size_kN:.2g} kN, below {100 * PRACTICAL:.0f} % of Fy"
     return ""
 
 

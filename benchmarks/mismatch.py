@@ -1,0 +1,170 @@
+"""Development trials of the diagnosis: false alarms under several kinds of noise, and right names for each effect.
+
+``python benchmarks/mismatch.py null -n 20`` and ``python benchmarks/mismatch.py names -n 3`` print the tables of
+docs/decisions/0005-mismatch.md; ``outside`` tries effects that are not in the catalogue, ``pairs`` two at once. The
+trials simulate with the catalogue's own formulas on the paper's Table 1 (5 Hz, AR(1) noise of 1 kN, displacement noise
+0.02 mm) and use development seeds: they set thresholds and prove nothing. The proof, with other simulators and sealed
+keys, is a command of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.inference.problem import Run
+from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.history import History, histories
+from shj_bayes.model.noise import Stretches, simulate_noise
+from shj_bayes.model.priors import read_priors
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.recording import Recording
+
+RATE_HZ = 5.0
+Values = dict[str, dict[str, float]]
+Shape = Callable[[History], NDArray[np.float64]]
+
+EFFECTS: Values = {
+    "prying": {"size": 0.08, "power": 2.0},
+    "centre_wear": {"size": 0.08, "width": 0.3},
+    "velocity_law": {"size": 0.08, "power": 0.2},
+    "stribeck": {"size": 0.12, "speed": 2.0},
+    "breakaway": {"size": 0.15, "decay": 4.0, "growth": 0.3},
+    "two_stage": {"size": 0.3, "delay": 3.0},
+    "slack": {"size": 0.8},
+    "sensor_lag": {"size": 0.08},
+    "end_bearing": {"size": 0.03, "contact": 0.9, "side": 0.0},
+    "wear": {"size": 0.02},
+    "bedding_in": {"size": 0.1, "travel": 0.5},
+    "thermal": {"size": 0.1, "cooling": 120.0},
+    "tension_step": {"size": -0.08, "begin": 0.3, "length": 1.0, "side": 0.0},
+    "amplitude": {"size": 0.03},
+    "drift": {"size": 0.08},
+    "asymmetry": {"size": 0.08},
+    "load_offset": {"size": 0.08},
+    "taper": {"size": 0.08},
+    "restoring": {"size": 0.08},
+    "friction_memory": {"size": 0.08},
+    "stick_slip": {"size": 0.08, "wave": 8.0},
+}
+PAIRS = (("slack", "asymmetry"), ("wear", "prying"), ("breakaway", "taper"))
+NOISES = ("white", "ar1 0.8", "ar1 0.95", "student", "heteroscedastic", "slow drift", "quantised")
+OUTSIDE: dict[str, Shape] = {
+    "screw ripple, 25 mm": lambda h: 0.08 * h.direction * np.sin(2 * np.pi * h.position_mm / 25.0),
+    "bumps at two places": lambda h: (
+        0.12 * h.direction * (np.exp(-(((h.position_mm - 30) / 6) ** 2)) - np.exp(-(((h.position_mm + 45) / 6) ** 2)))
+    ),
+    "mains wave, 40 s": lambda h: 0.08 * np.sin(2 * np.pi * h.time_s / 40.0),
+    "kink at a quarter": lambda h: 0.1 * h.direction * (np.abs(h.position_mm - 24) < 12),
+}
+
+
+def main() -> None:
+    """Run one table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("table", choices=["null", "names", "pairs", "outside"])
+    parser.add_argument("-n", type=int, default=3, help="trials for each line")
+    parser.add_argument("--seed", type=int, default=1000, help="first development seed")
+    parser.add_argument("--only", help="one line of the table")
+    arguments = parser.parse_args()
+    lines: dict[str, Callable[[int], str]]
+    if arguments.table == "null":
+        lines = {noise: partial(null_trial, noise) for noise in NOISES}
+    elif arguments.table == "names":
+        lines = {name: partial(effect_trial, (name,)) for name in EFFECTS}
+    elif arguments.table == "pairs":
+        lines = {" + ".join(pair): partial(effect_trial, pair) for pair in PAIRS}
+    else:
+        lines = {name: partial(outside_trial, name) for name in OUTSIDE}
+    if arguments.only:
+        lines = {arguments.only: lines[arguments.only]}
+    seeds = range(arguments.seed, arguments.seed + arguments.n)
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        for name, trial in lines.items():
+            counts = Counter(pool.map(trial, seeds))
+            print(f"{name:24}" + ", ".join(f"{n} x {words}" for words, n in counts.most_common()), flush=True)
+
+
+def null_trial(noise: str, seed: int) -> str:
+    """Verdict on a device without any effect."""
+    return _verdict(simulate({}, seed, noise=noise), ())
+
+
+def effect_trial(names: tuple[str, ...], seed: int) -> str:
+    """Verdict on a device with effects of the catalogue."""
+    return _verdict(simulate({name: EFFECTS[name] for name in names}, seed), names)
+
+
+def outside_trial(name: str, seed: int) -> str:
+    """Verdict on a device with an effect that the catalogue does not hold."""
+    return _verdict(simulate({}, seed, shape=OUTSIDE[name]), ())
+
+
+def simulate(values: Values, seed: int, *, noise: str = "ar1 0.8", shape: Shape | None = None) -> list[Recording]:
+    """Two runs of Table 1 of a device drawn from the range of the published tables."""
+    rng = np.random.default_rng(seed)
+    stiffness, capacity = rng.uniform(8, 22), rng.uniform(50, 95)
+    beta, ratio = float(rng.choice([10.0, 100.0])), rng.uniform(0.6, 0.95)
+    gamma = float(rng.choice([-1.0, 0.0, 1.0])) / rng.uniform(30, 150)
+    time, motion = exact_motion(table_1(), RATE_HZ)
+    stretches = Stretches(np.ones(time.size, dtype=np.bool_), np.zeros(1, dtype=np.int64))
+    known = catalogue()
+    out = []
+    for history in histories([time, time], [motion, motion]):
+        base = Base(stiffness, capacity * (ratio if history.run == 2 else 1.0), beta, gamma, capacity)
+        force = force_with_effects(history, base, [known[name] for name in values], values)
+        if shape is not None:
+            force = force + capacity * shape(history)
+        force = force + _noise(noise, stretches, motion.speed_mm_s, rng)
+        if noise == "quantised":
+            force = np.round(force / 2.0) * 2.0
+        wobble = 0.02 * rng.standard_normal(time.size)
+        out.append(Recording(time, motion.displacement_mm + wobble, force))
+    return out
+
+
+def _noise(
+    kind: str, stretches: Stretches, speed: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Force noise of about 1 kN."""
+    if kind == "white":
+        return simulate_noise("independent", stretches, rng, sigma=1.0)
+    if kind == "student":
+        return simulate_noise("student", stretches, rng, sigma=1.0, phi=0.8, nu=4.0)
+    series = simulate_noise("ar1", stretches, rng, sigma=1.0, phi=0.95 if kind == "ar1 0.95" else 0.8)
+    if kind == "heteroscedastic":  # four times the variance near reversals, heavy tails
+        return series + (speed < 4.0) * simulate_noise("student", stretches, rng, sigma=1.7, phi=0.8, nu=4.0)
+    if kind == "slow drift":
+        return series + simulate_noise("ar1", stretches, rng, sigma=1.0, phi=0.99)
+    return series
+
+
+def _verdict(recordings: list[Recording], truth: tuple[str, ...]) -> str:
+    """Outcome of a quick diagnosis in a few words: right name, right family, wrong, unknown, adequate."""
+    runs = [Run(recording, motion_of(recording)) for recording in recordings]
+    record = diagnose(runs, read_priors("afc"), quick=True).record
+    found = {effect["id"] for effect in record["effects"]}
+    members = {member["id"] for member in record["family"]}
+    if not truth:
+        words = f" ({', '.join(sorted(found))})" if record["verdict"] in ("named", "family") else ""
+        return f"{record['verdict']}{words}"
+    if record["verdict"] == "named" and found == set(truth):
+        return "right name"
+    if record["verdict"] == "family" and set(truth) <= found | members:
+        return "right family"
+    return f"{record['verdict']} ({', '.join(sorted(found)) or 'nothing'})"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,219 @@
+"""The diagnosis: fit, locate, name, model, and what to show; the content of ``diagnosis.json`` and ``diagnosis.nc``."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from shj_bayes.errors import ModelError
+from shj_bayes.inference.problem import Run
+from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.store import versions, write_text
+from shj_bayes.mismatch import content
+from shj_bayes.mismatch.alias import alias_table
+from shj_bayes.mismatch.evidence import Evidence, evidence_of
+from shj_bayes.mismatch.locate import largest_region
+from shj_bayes.mismatch.posterior import augmented_posterior, sample
+from shj_bayes.mismatch.refit import Refit, make_model, refit
+from shj_bayes.mismatch.regions import regions_of
+from shj_bayes.mismatch.search import Search, Setting, search
+from shj_bayes.mismatch.unknown import describe_unknown
+from shj_bayes.mismatch.verdict import judge
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Priors
+
+SAMPLED = 4000  # samples for the posterior with effects; denser ones are correlated and cost time
+N_QUICK = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """A finished diagnosis.
+
+    Parameters
+    ----------
+    record : dict
+        Content of ``diagnosis.json``.
+    channels : xarray.Dataset
+        Content of ``diagnosis.nc``: measured and modelled force, before and after.
+    """
+
+    record: dict[str, Any]
+    channels: xr.Dataset
+
+    def write(self, folder: Path) -> None:
+        """Write both files, the JSON last."""
+        folder.mkdir(parents=True, exist_ok=True)
+        part = folder / "diagnosis.nc.part"
+        self.channels.to_netcdf(part, engine="h5netcdf")
+        part.replace(folder / "diagnosis.nc")
+        write_text(folder / "diagnosis.json", json.dumps(self.record, indent=1, allow_nan=False))
+
+
+def diagnose(
+    runs: Sequence[Run],
+    priors: Priors,
+    *,
+    name: str = "device",
+    variant: str = "seed",
+    without: Sequence[str] = (),
+    seed: int = 1,
+    quick: bool = False,
+    progress: bool = False,
+    threads: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Find what the base law leaves out of the recordings of one device.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Consecutive runs.
+    priors : Priors
+        Of the base parameters.
+    name : str
+        Name of the device.
+    variant : {"seed", "continuous"}
+        Reversal rule.
+    without : sequence of str
+        ``velocity`` runs the base law without speed dependence; any other effect id is taken out of the catalogue.
+    seed : int
+        Same seed and recordings, same numbers.
+    quick : bool
+        A first look: fewer samples, no sampling of the posterior, approximate intervals.
+    progress : bool
+        Show a progress bar while sampling.
+    threads : int
+        Ensembles at a time.
+    tell : callable
+        Gets one line for each step.
+
+    Returns
+    -------
+    Diagnosis
+    """
+    begin = time.perf_counter()
+    effects = _catalogue(without)
+    speed = "velocity" not in without
+    evidence = evidence_of(runs, N_QUICK) if quick else evidence_of(runs)
+    tell("comparing what the displacement history can tell apart")
+    aliases = alias_table(evidence, priors, tuple(catalogue().values()), variant)
+    tell("fitting the base law")
+    base = _fit_base(evidence, priors, variant, speed)
+    regions = regions_of(evidence)
+    setting = Setting(evidence, regions, priors, effects, variant, seed, tell)
+    result = search(setting, base)
+    left, _ = largest_region(evidence, result.final, regions, result.steps[-1].alarm)
+    noise = result.final.rmse_kN
+    judgement = judge(result, left, _explained(evidence, result))
+    shown = result.final if result.found else base
+    tell("sampling the posterior" if not quick else "approximating the posterior")
+    draws, sampled = _posterior(runs, evidence, shown, priors, seed, (quick, progress, threads))
+    record = {
+        "schema": content.SCHEMA,
+        "device": name,
+        "verdict": judgement.word,
+        "reason": judgement.reason,
+        "p_value": result.steps[0].p_value,
+        "effects": content.effects(evidence, result, judgement, draws),
+        "family": content.family(result, judgement),
+        "location": content.locations(evidence, base, regions, result, noise),
+        "unknown": describe_unknown(evidence, result, regions) if judgement.word == "unknown" else None,
+        "before": content.quality(evidence, base, noise),
+        "after": content.quality(evidence, shown, noise),
+        "heldout": content.heldout(evidence, result, shown),
+        "shift": content.shift(evidence, base, shown, draws),
+        "aliases": [{"pair": list(a.pair), "correlation": a.correlation} for a in aliases],
+        "next_test": content.next_test(result, judgement),
+        "candidates": content.candidates(result),
+        "energy": content.energy(evidence, base, shown),
+        "fy_kN": base.model.values(base.z)["Fy"],
+        "seed": seed,
+        "quick": quick,
+        "sampling": sampled,
+        "model": {"variant": variant, "priors": priors.family, "without": list(without)},
+        "inputs": [{"name": r.recording.source.name, "sha256": r.recording.source.sha256} for r in runs],
+        "versions": versions(),
+    }
+    record["words"] = content.words(record)
+    record["seconds"] = time.perf_counter() - begin
+    return Diagnosis(record, content.channels(evidence, base, shown))
+
+
+def _catalogue(without: Sequence[str]) -> tuple[Effect, ...]:
+    """Effects to try: all, less those taken out; ``velocity`` only where the base law runs without it."""
+    known = catalogue()
+    for name in without:
+        if name not in known:
+            raise ModelError(f"--without {name}: not an effect; known are {', '.join(known)}")
+    hidden = {name for name in without if name != "velocity"}
+    if "velocity" not in without:
+        hidden.add("velocity")
+    return tuple(effect for effect in known.values() if effect.id not in hidden)
+
+
+def _fit_base(evidence: Evidence, priors: Priors, variant: str, speed: bool) -> Refit:
+    """Fit the base law from a grid of starts."""
+    model = make_model(priors, len(evidence.histories), (), variant=variant, speed=speed)
+    force = np.abs(evidence.force_kN)
+    run = evidence.run
+    peaks = [float(np.percentile(force[run == h.run], 90)) for h in evidence.histories]
+    half = evidence.histories[0].half_stroke_mm
+    starts = []
+    for knee in (5.0, 15.0, 50.0):
+        for beta in (6.0, 60.0):
+            for share in (0.7, 1.0):
+                values = {"K": knee * peaks[0] / half / 2, "Fy": share * peaks[0], "beta": beta, "gamma": 0.0}
+                values |= {n: peaks[int(n.partition("_")[2] or 2) - 1] / peaks[0] for n in model.names if "ratio" in n}
+                starts.append(
+                    np.array(
+                        [
+                            float(p.to_free(np.asarray(values[n])))
+                            for n, p in zip(model.names, model.priors, strict=True)
+                        ]
+                    )
+                )
+    return refit(evidence, model, starts)
+
+
+def _explained(evidence: Evidence, result: Search) -> float:
+    """Share of the misfit above the innovations' level that the effects take up."""
+    before, after = result.base.rmse_kN**2, result.final.rmse_kN**2
+    floor = min(_innovation_variance(evidence, result.final.residual_kN), after)
+    return float((before - after) / max(before - floor, 1e-300)) if before > after else 0.0
+
+
+def _innovation_variance(evidence: Evidence, residual: FloatArray) -> float:
+    """Stationary variance of AR(1) noise with the residual's short-term scatter and correlation."""
+    follows = (evidence.weight[1:] > 0) & (evidence.weight[:-1] > 0)
+    step = np.diff(residual)[follows]
+    phi = float(np.clip(np.corrcoef(residual[:-1][follows], residual[1:][follows])[0, 1], 0.0, 0.95))
+    return float(np.median(step**2) / 0.4549 / (2 * (1 - phi)))
+
+
+def _posterior(
+    runs: Sequence[Run], evidence: Evidence, fit: Refit, priors: Priors, seed: int, how: tuple[bool, bool, int]
+) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """Draws of the shown model: sampled with emcee, or from the jackknife over cycles in a quick look."""
+    quick, progress, threads = how
+    if quick:
+        spread = content.jackknife(evidence, fit)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+        z = fit.z + rng.standard_normal((2000, fit.z.size)) * spread
+        return content.natural(fit, z), {"how": "jackknife over cycles (first look)", "verdict": "tentative"}
+    thin = evidence_of(runs, SAMPLED)
+    start = refit(thin, fit.model, [fit.z])
+    draws, verdict = sample(
+        augmented_posterior(thin, start, priors), start, Plan(seed=seed), progress=progress, threads=threads
+    )
+    how_words = f"emcee on every {thin.stride}. sample; {'; '.join(verdict.reasons)}"
+    return draws, {"how": how_words, "verdict": verdict.word}

@@ -1,0 +1,72 @@
+"""From a search to one word: adequate, named, family or unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from shj_bayes.mismatch.name import Ranking
+from shj_bayes.mismatch.search import Search
+from shj_bayes.mismatch.thresholds import EXPLAINED, PRACTICAL
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdict with its reason.
+
+    Parameters
+    ----------
+    word : {"adequate", "named", "family", "unknown"}
+        As in INTERFACE.
+    reason : str
+        One plain sentence.
+    rivals : dict of str to tuple of str
+        For each effect found, those that this recording does not exclude in its place.
+    """
+
+    word: str
+    reason: str
+    rivals: dict[str, tuple[str, ...]]
+
+
+def judge(result: Search, left_kN: float, explained: float) -> Judgement:
+    """Weigh a search.
+
+    Parameters
+    ----------
+    result : Search
+        Effects found, and their rivals.
+    left_kN : float
+        Largest mean residual that is left in a region where chance is excluded, kN.
+    explained : float
+        Share of the explainable misfit that the effects take up.
+
+    Returns
+    -------
+    Judgement
+    """
+    capacity = result.base.model.values(result.base.z)["Fy"]
+    last = result.steps[-1]
+    alarm = last.why and not last.why.startswith("p =")
+    rivals = {name: _rivals(ranking) for name, ranking in result.rankings.items()}
+    matters = left_kN >= PRACTICAL * capacity
+    if not result.found:
+        if alarm and matters:
+            return Judgement("unknown", f"misfit of up to {left_kN:.2g} kN is left; {last.why}", rivals)
+        bound = f"; what is there stays below {100 * PRACTICAL:.0f} % of Fy" if alarm else ""
+        return Judgement("adequate", f"nothing beyond noise of a size that matters{bound} ({last.why})", rivals)
+    if alarm and matters and explained < EXPLAINED:
+        words = (
+            f"{', '.join(result.found)} would take up {100 * explained:.0f} % of the misfit and leave {left_kN:.2g} kN"
+        )
+        return Judgement("unknown", f"the catalogue does not explain the misfit: {words}", rivals)
+    if any(rivals.values()):
+        return Judgement(
+            "family", "effects that this recording cannot tell apart would each explain the misfit", rivals
+        )
+    return Judgement("named", "each effect is separable from its rivals with this recording", rivals)
+
+
+def _rivals(ranking: Ranking) -> tuple[str, ...]:
+    """Effects that are not excluded in the place of the best one."""
+    pairs = zip(ranking.candidates[1:], ranking.excluded()[1:], strict=True)
+    return tuple(candidate.effect.id for candidate, out in pairs if not out and candidate.t > 0)

@@ -1,0 +1,155 @@
+"""The files of a diagnosis as plain values for the page."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from shj_bayes.errors import ReportError
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.data import BoolArray, IntArray
+
+SCHEMA = "shj-bayes/diagnosis/1"
+VERDICTS = ("adequate", "named", "family", "unknown")
+KEYS = (
+    "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Samples of all runs, one after the other; arrays have shape (n,).
+
+    Parameters
+    ----------
+    position_mm, speed_mm_s, slip_mm, travel_m : array
+        Displacement from mid-stroke, speed, distance since the last reversal, distance in all.
+    direction : array of int
+        +1 while displacement grows (push), -1 while it falls.
+    run, block : array of int
+        Number of the run, and of the cycle counted through all runs.
+    used : array of bool
+        Samples that are evidence.
+    force_kN, before_kN, after_kN : array
+        Measured, modelled by the base law, modelled by the law with what was found.
+    """
+
+    position_mm: FloatArray = field(repr=False)
+    speed_mm_s: FloatArray = field(repr=False)
+    slip_mm: FloatArray = field(repr=False)
+    travel_m: FloatArray = field(repr=False)
+    direction: IntArray = field(repr=False)
+    run: IntArray = field(repr=False)
+    block: IntArray = field(repr=False)
+    used: BoolArray = field(repr=False)
+    force_kN: FloatArray = field(repr=False)
+    before_kN: FloatArray = field(repr=False)
+    after_kN: FloatArray = field(repr=False)
+
+    @property
+    def changed(self) -> bool:
+        """True when something was added to the base law."""
+        return not np.array_equal(self.before_kN, self.after_kN)
+
+    @property
+    def residuals(self) -> tuple[FloatArray, FloatArray]:
+        """Measured less modelled force, before and after, kN."""
+        return self.force_kN - self.before_kN, self.force_kN - self.after_kN
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisData:
+    """What a diagnosis left in its folder.
+
+    Parameters
+    ----------
+    record : mapping
+        Content of ``diagnosis.json``.
+    channels : Channels
+        Content of ``diagnosis.nc``.
+    """
+
+    record: Mapping[str, Any]
+    channels: Channels = field(repr=False)
+
+    @property
+    def capacity_kN(self) -> float:
+        """Sliding force of the base law, kN; from the measured force where the record does not say."""
+        stated = number(self.record.get("fy_kN"))
+        return stated if stated > 0 else float(np.quantile(np.abs(self.channels.force_kN), 0.9)) or 1.0
+
+
+def number(value: Any) -> float:
+    """Return a number of a record; nan where there is none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return math.nan
+    return float(value)
+
+
+def read_diagnosis(folder: Path) -> DiagnosisData:
+    """Read ``diagnosis.json`` and ``diagnosis.nc``.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder.
+
+    Returns
+    -------
+    DiagnosisData
+
+    Raises
+    ------
+    ReportError
+        If either file is missing, damaged or of another kind.
+    """
+    try:
+        record = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ReportError(f"{folder.name} holds no diagnosis.json; run shj-bayes diagnose first") from error
+    except ValueError as error:
+        raise ReportError(f"diagnosis.json in {folder.name} cannot be read: {error}") from error
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise ReportError(f"diagnosis.json in {folder.name} is not of schema {SCHEMA}; run the diagnosis again")
+    if record.get("verdict") not in VERDICTS:
+        raise ReportError(f"diagnosis.json in {folder.name}: the verdict is none of {', '.join(VERDICTS)}")
+    missing = [key for key in KEYS if key not in record]
+    if missing:
+        raise ReportError(f"diagnosis.json in {folder.name} lacks {', '.join(missing)}; run the diagnosis again")
+    return DiagnosisData(record, _read_channels(folder))
+
+
+def _read_channels(folder: Path) -> Channels:
+    try:
+        with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
+            channels = Channels(
+                **{
+                    name: np.asarray(data[name].to_numpy(), dtype=np.float64)
+                    for name in ("position_mm", "speed_mm_s", "slip_mm", "travel_m")
+                },
+                direction=_whole(np.sign(data["direction"].to_numpy())),
+                run=_whole(data["run"].to_numpy()),
+                block=_whole(data["block"].to_numpy()),
+                used=np.asarray(data["weight"].to_numpy() > 0),
+                **{
+                    name: np.asarray(data[name].to_numpy(), dtype=np.float64)
+                    for name in ("force_kN", "before_kN", "after_kN")
+                },
+            )
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise ReportError(f"diagnosis.nc in {folder.name} cannot be read: {error}; run the diagnosis again") from error
+    if not channels.used.any():
+        raise ReportError(f"diagnosis.nc in {folder.name} holds no sample that is evidence")
+    return channels
+
+
+def _whole(values: NDArray[Any]) -> IntArray:
+    return np.asarray(values, dtype=np.int64)

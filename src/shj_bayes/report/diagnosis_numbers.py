@@ -1,0 +1,215 @@
+"""Residual maps and the parity decomposition of a diagnosis page. Numbers only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.data import BoolArray, IntArray
+from shj_bayes.report.diagnosis_data import Channels
+
+N_BINS, N_POSITION, MAX_TRAVEL = 24, 24, 40
+FEWEST = 3  # samples of a bin that is drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Mean direction-signed residual over one coordinate, arrays of shape (n_bins,); nan where there is no sample.
+
+    Parameters
+    ----------
+    centre : array
+        Middle of each bin.
+    push_kN, pull_kN : array
+        Mean residual; positive where the device resists more than the law says.
+    """
+
+    centre: FloatArray = field(repr=False)
+    push_kN: FloatArray = field(repr=False)
+    pull_kN: FloatArray = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """Mean direction-signed residual over stroke position and travel.
+
+    Parameters
+    ----------
+    position_mm, travel_m : array, shape (n + 1,), (m + 1,)
+        Edges.
+    push_kN, pull_kN : array, shape (m, n)
+        Mean residual, nan where there is no sample.
+    """
+
+    position_mm: FloatArray = field(repr=False)
+    travel_m: FloatArray = field(repr=False)
+    push_kN: FloatArray = field(repr=False)
+    pull_kN: FloatArray = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Parity:
+    """Root mean square of the parts of a residual over stroke, kN.
+
+    Two reflections: the loop turned about its centre (position and direction change sign), and the two sides of
+    mid-stroke exchanged at the same direction.
+
+    Parameters
+    ----------
+    odd_even : float
+        Odd in the first, even in the second: speed laws, prying, worn centre.
+    odd_odd : float
+        Odd in both: stiffness after sliding, inertia, friction memory, the start of the stroke.
+    even_even : float
+        Even in both: load offset, push and pull differ.
+    even_odd : float
+        Even, odd: force grows towards one end of the slot.
+    rest : float
+        What does not repeat over the stroke: noise, and change from cycle to cycle.
+    """
+
+    odd_even: float
+    odd_odd: float
+    even_even: float
+    even_odd: float
+    rest: float
+
+
+def profile(
+    values: FloatArray, residual_kN: FloatArray, direction: IntArray, used: BoolArray, n_bins: int = N_BINS
+) -> Profile:
+    """Average the direction-signed residual in even bins of a coordinate.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        Coordinate.
+    residual_kN : array, shape (n,)
+        Measured less modelled force.
+    direction : array of int, shape (n,)
+        +1 push, -1 pull.
+    used : array of bool, shape (n,)
+        Samples that count.
+    n_bins : int
+        Number of bins.
+
+    Returns
+    -------
+    Profile
+    """
+    edges = _edges(values[used], n_bins)
+    signed = residual_kN * direction
+    means = [_binned(values, edges, signed, used & (direction == sign)) for sign in (1, -1)]
+    return Profile(0.5 * (edges[:-1] + edges[1:]), means[0], means[1])
+
+
+def position_travel(channels: Channels, residual_kN: FloatArray) -> Map:
+    """Average the direction-signed residual over position and travel, about one row for each large cycle."""
+    used = channels.used
+    position, travel = channels.position_mm, channels.travel_m
+    across = _edges(position[used], N_POSITION)
+    rows = travel_bins(channels)
+    along = _edges(travel[used], rows)
+    cell = _index(travel, along) * N_POSITION + _index(position, across)
+    parts = [
+        _means(cell, residual_kN * channels.direction, used & (channels.direction == sign), rows * N_POSITION, 1)
+        for sign in (1, -1)
+    ]
+    return Map(across, along, parts[0].reshape(rows, N_POSITION), parts[1].reshape(rows, N_POSITION))
+
+
+def travel_bins(channels: Channels) -> int:
+    """About one bin for each large cycle, so that push and pull are both in it."""
+    used = channels.used
+    cycle_m = 2 * float(np.ptp(channels.position_mm[used])) / 1000
+    return int(np.clip(round(float(np.ptp(channels.travel_m[used])) / max(cycle_m, 1e-9)), 4, MAX_TRAVEL))
+
+
+def parity(
+    position_mm: FloatArray,
+    direction: IntArray,
+    residual_kN: FloatArray,
+    group: IntArray | None = None,
+    n_bins: int = 2 * (N_BINS // 2),
+) -> Parity:
+    """Split a residual by its symmetry over stroke and direction.
+
+    Parameters
+    ----------
+    position_mm : array, shape (n,)
+        Displacement from mid-stroke.
+    direction : array of int, shape (n,)
+        +1 push, -1 pull.
+    residual_kN : array, shape (n,)
+        Measured less modelled force.
+    group : array of int, shape (n,), optional
+        Parts that are averaged apart, the runs; by default all samples together.
+    n_bins : int
+        Even number of bins over the whole stroke.
+
+    Returns
+    -------
+    Parity
+        The squares add up to the mean square of the residual at the places that were passed on both sides of
+        mid-stroke in both directions.
+    """
+    reach = float(np.abs(position_mm).max()) or 1.0
+    edges = np.linspace(-reach, reach, n_bins + 1)
+    cell = 2 * _index(position_mm, edges) + (direction > 0)
+    total = np.zeros(5)
+    weight = 0.0
+    for name in np.unique(group) if group is not None else (None,):
+        mine = np.ones(cell.size, dtype=np.bool_) if name is None or group is None else group == name
+        count = np.bincount(cell[mine], minlength=2 * n_bins).reshape(n_bins, 2)
+        sums = np.bincount(cell[mine], weights=residual_kN[mine], minlength=2 * n_bins).reshape(n_bins, 2)
+        squares = np.bincount(cell[mine], weights=residual_kN[mine] ** 2, minlength=2 * n_bins).reshape(n_bins, 2)
+        # A place, its three reflections: only where all four were visited can the parts be told apart.
+        whole = np.all((count > 0) & (count[::-1] > 0), axis=1)[:, None]
+        mean = np.where(whole, sums / np.maximum(count, 1), 0.0)
+        # Equal weight for the four reflections keeps the parts orthogonal.
+        four = np.where(whole, count + count[::-1] + count[:, ::-1] + count[::-1, ::-1], 0) / 4
+        turned, mirrored, swapped = mean[::-1, ::-1], mean[::-1], mean[:, ::-1]
+        parts = [
+            (mean + c * turned + m * mirrored + c * m * swapped) / 4 for c, m in ((-1, 1), (-1, -1), (1, 1), (1, -1))
+        ]
+        total[:4] += [float((four * part**2).sum()) for part in parts]
+        spread = np.where(whole, squares / np.maximum(count, 1) - mean**2, 0.0)
+        total[4] += float((four * np.maximum(spread, 0.0)).sum())
+        weight += float(four.sum())
+    return Parity(*(float(v) for v in np.sqrt(total / max(weight, 1.0))))
+
+
+def shown_cycle(channels: Channels, run: int) -> slice:
+    """Choose the samples of one cycle of a run to show: its last two neighbouring half-cycles of the largest stroke."""
+    mine = np.flatnonzero(channels.run == run)
+    turns = mine[1:][np.diff(channels.direction[mine]) != 0]
+    ends = [int(mine[0]), *turns.tolist(), int(mine[-1]) + 1]
+    halves = list(pairwise(ends))
+    strokes = [float(np.ptp(channels.position_mm[a:b])) for a, b in halves]
+    large = [s >= 0.95 * max(strokes) for s in strokes]
+    pairs = [i for i in range(len(halves) - 1) if large[i] and large[i + 1]]
+    if not pairs:
+        return slice(ends[0], ends[-1])
+    return slice(halves[pairs[-1]][0], halves[pairs[-1] + 1][1])
+
+
+def _edges(values: FloatArray, n_bins: int) -> FloatArray:
+    low, high = float(values.min()), float(values.max())
+    return np.linspace(low, high if high > low else low + 1.0, n_bins + 1)
+
+
+def _index(values: FloatArray, edges: FloatArray) -> IntArray:
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2).astype(np.int64)
+
+
+def _binned(values: FloatArray, edges: FloatArray, what: FloatArray, inside: BoolArray) -> FloatArray:
+    return _means(_index(values, edges), what, inside, edges.size - 1, FEWEST)
+
+
+def _means(index: IntArray, what: FloatArray, inside: BoolArray, size: int, fewest: int) -> FloatArray:
+    count = np.bincount(index[inside], minlength=size)
+    total = np.bincount(index[inside], weights=what[inside], minlength=size)
+    return np.where(count >= fewest, total / np.maximum(count, 1), np.nan)

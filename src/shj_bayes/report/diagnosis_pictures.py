@@ -1,0 +1,189 @@
+"""The pictures of a diagnosis page, each with its sentence. Importing this imports matplotlib."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.report import diagnosis_words as say
+from shj_bayes.report import words
+from shj_bayes.report.diagnosis_data import DiagnosisData, number
+from shj_bayes.report.diagnosis_numbers import (
+    N_BINS,
+    Map,
+    Parity,
+    parity,
+    position_travel,
+    profile,
+    shown_cycle,
+    travel_bins,
+)
+from shj_bayes.report.figures import diagnosis as draw_
+from shj_bayes.report.page import Picture
+
+FIRST = 2  # loops on the first screen
+MOST = 6  # runs that are drawn
+COORDINATES = (
+    ("position_mm", "Stroke position", "distance from mid-stroke (mm)"),
+    ("speed_mm_s", "Speed", "speed (mm/s)"),
+    ("slip_mm", "Slip since reversal", "slip since the last reversal (mm)"),
+    ("travel_m", "Travel", "distance moved in all, through all runs (m)"),
+)
+HINTS = {
+    "position_mm": "A droop to both ends is clamping lost off centre, or speed; a slope alike in push and pull is a taper, "
+    "opposite slopes are elastic.",
+    "speed_mm_s": "A trend here that has no counterpart over position is speed dependence.",
+    "slip_mm": "A spike near 0 is the start of the stroke: slack, breakaway, elastic parts.",
+    "travel_m": "A slope is wear or bedding in; a step is a sudden change of clamping.",
+}
+
+
+def draw(data: DiagnosisData, parts: tuple[Parity, Parity]) -> dict[str, Any]:
+    """All pictures of a diagnosis page by place."""
+    loops = _loops(data)
+    return {
+        "first": loops[:FIRST],
+        "loops": loops[FIRST:],
+        "profiles": [_profile(data, *row) for row in COORDINATES],
+        "maps": [_map(data)],
+        "parity": _parity(data, parts),
+        "quality": _quality(data),
+        "energy": _energy(data),
+        "shape": _shape(data),
+    }
+
+
+def parities(data: DiagnosisData) -> tuple[Parity, Parity]:
+    """Decompose the residual before and after by symmetry, each run by itself."""
+    c = data.channels
+    before, after = (parity(c.position_mm[c.used], c.direction[c.used], r[c.used], c.run[c.used]) for r in c.residuals)
+    return before, after
+
+
+def _loops(data: DiagnosisData) -> list[Picture]:
+    c = data.channels
+    out = []
+    for run in np.unique(c.run)[:MOST]:
+        at = shown_cycle(c, int(run))
+        after = c.after_kN[at] if c.changed else None
+        before_rms, after_rms = (_rms(r[at]) for r in c.residuals)
+        error = f"The base law misses these points by {words.short(before_rms)} kN in root mean square"
+        error += f", the law with what was found by {words.short(after_rms)} kN." if c.changed else "."
+        out.append(
+            Picture(
+                draw_.loop(c.position_mm[at], c.force_kN[at], c.before_kN[at], after),
+                f"Force over displacement for one large cycle of run {run}: measured points, the base law"
+                + (" and the law with what was found." if c.changed else "."),
+                error,
+                f"Run {run}, one cycle of the largest stroke",
+            )
+        )
+    return out
+
+
+def _profile(data: DiagnosisData, name: str, title: str, axis: str) -> Picture:
+    c = data.channels
+    values = getattr(c, name)
+    bins = travel_bins(c) if name == "travel_m" else N_BINS
+    sides = [profile(values, r, c.direction, c.used, bins) for r in c.residuals]
+    parts = [("before", sides[0]), ("after", sides[1])] if c.changed else [("", sides[0])]
+    largest = [float(np.nanmax(np.abs([p.push_kN, p.pull_kN]), initial=0.0)) for p in sides]
+    text = f"The mean misfit reaches {_size(largest[0], data)}"
+    text += f" before and {_size(largest[1], data)} after. " if c.changed else ". "
+    return Picture(
+        draw_.profiles(parts, axis, data.capacity_kN),
+        f"Mean of what is left over against {axis.partition(' (')[0]}, push and pull"
+        + (", before and after on the same axes." if c.changed else "."),
+        text + HINTS[name],
+        title,
+        wide=True,
+    )
+
+
+def _map(data: DiagnosisData) -> Picture:
+    c = data.channels
+    parts: list[tuple[str, Map]] = [
+        (name, position_travel(c, r)) for name, r in zip(("before", "after"), c.residuals, strict=True)
+    ]
+    if not c.changed:
+        parts = [("", parts[0][1])]
+    return Picture(
+        draw_.maps(parts),
+        "Coloured maps of what is left over against stroke position and travel, push and pull"
+        + (", before and after on one colour scale." if c.changed else "."),
+        "Red: the device resists more than the law says; blue: less; white: no difference; grey: not visited. Stripes "
+        "along the travel axis come from place, stripes across it from wear, heat or the amplitude block.",
+        "Position and travel",
+        wide=True,
+    )
+
+
+def _parity(data: DiagnosisData, parts: tuple[Parity, Parity]) -> Picture:
+    rows = [[getattr(p, key) for key, _, _ in say.PARITY] for p in parts]
+    return Picture(
+        draw_.bars([name for _, name, _ in say.PARITY], rows[0], rows[1] if data.channels.changed else None,
+                   "root mean square of the part (kN)"),
+        "Bars: size of the parts of the residual by their symmetry over stroke and direction.",
+        say.parity_words(parts[0], data.capacity_kN),
+        "What kind of misfit",
+    )  # fmt: skip
+
+
+def _quality(data: DiagnosisData) -> Picture:
+    keys = (("rmse_kN", "all samples"), ("heldout_rmse_kN", "held-out cycles"), ("noise_kN", "noise floor"))
+    before, after = ([number(data.record[k].get(key)) for key, _ in keys] for k in ("before", "after"))
+    return Picture(
+        draw_.bars([name for _, name in keys], before, after if data.channels.changed else None, "error (kN)"),
+        "Bars: error of the law on all samples and on held-out cycles, beside the noise floor.",
+        "Where the error on held-out cycles comes down to the noise floor, nothing is left to explain.",
+        "Error and noise",
+    )
+
+
+def _energy(data: DiagnosisData) -> Picture | None:
+    e = data.record.get("energy") or {}
+    columns = [np.array([number(v) for v in e.get(k, ())]) for k in ("cycle", "measured_J", "before_J", "after_J")]
+    cycle, measured, before, after = columns
+    if not cycle.size or len({column.size for column in columns}) > 1 or not np.isfinite(measured).any():
+        return None
+    errors = [100 * (np.nansum(v) / np.nansum(measured) - 1) for v in (before, after)]
+    text = f"In all, the base law predicts {_more(errors[0])}"
+    text += f"; with what was found, {_more(errors[1])}." if data.channels.changed else "."
+    return Picture(
+        draw_.energy(cycle, measured, before, after if data.channels.changed else None),
+        "Energy of each cycle, measured and modelled, and the error of the models in per cent.",
+        text,
+        wide=True,
+    )
+
+
+def _shape(data: DiagnosisData) -> Picture | None:
+    u = data.record.get("unknown") or {}
+    columns = say.shape_columns(u.get("shape"))
+    if columns is None:
+        return None
+    coordinate = str(u.get("coordinate") or columns[0])
+    return Picture(
+        draw_.shape(columns[1], [(_name(n), v) for n, v in columns[2]], coordinate),
+        f"What no effect explains, against {coordinate}.",
+        "Mean of measured less modelled force; the numbers are in diagnosis.json.",
+        wide=True,
+    )
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _size(kN: float, data: DiagnosisData) -> str:
+    return f"{words.short(kN)} kN ({say.per_cent(kN / data.capacity_kN)} % of Fy)"
+
+
+def _name(column: str) -> str:
+    """Name of a column without the unit that the axis carries."""
+    return column.removesuffix("_kN")
+
+
+def _more(error: float) -> str:
+    return f"{abs(error):.1f} % {'more' if error > 0 else 'less'} energy than was measured"

@@ -1,0 +1,446 @@
+"""What a diagnosis page says: rows of its tables and its sentences, as plain values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.errors import ModelError
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.parameters import FloatArray, describe
+from shj_bayes.report import words
+from shj_bayes.report.diagnosis_data import DiagnosisData, number
+from shj_bayes.report.diagnosis_numbers import Parity
+
+# Word and sign first; the colour only repeats them.
+VERDICTS = {
+    "adequate": ("✓", "holds", "The model describes these recordings: nothing beyond noise was found."),
+    "named": ("●", "part", "The model left something out, and these recordings say what it is."),
+    "family": ("◐", "part", "The model left something out; these recordings cannot tell which of a family it is."),
+    "unknown": ("?", "failed", "The model left something out that no effect of the catalogue explains."),
+}
+FAMILIES = {
+    "even_in_position": "alike on both sides of mid-stroke",
+    "low_speed": "at low speed",
+    "start_of_stroke": "after a reversal",
+    "end_of_stroke": "at the end of the stroke",
+    "slow_change": "changing slowly",
+    "even_in_direction": "push and pull differ",
+    "odd_in_position": "growing to one side",
+    "oscillation": "oscillation",
+}
+PARITY = (
+    ("odd_even", "speed, or distance\nfrom mid-stroke", "speed laws, prying, a worn centre"),
+    ("odd_odd", "one half of each\nstroke", "start of the stroke, elastic parts, inertia, friction memory"),
+    ("even_even", "push and pull\ndiffer", "asymmetry, a load offset"),
+    ("even_odd", "one end of\nthe slot", "a tapered slot or plate"),
+    ("rest", "does not repeat", "noise, or a change from cycle to cycle such as wear or heating"),
+)
+DIRECTIONS = {"push": "push", "pull": "pull", "both": "push and pull alike"}
+SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a normal law
+MAX_SHAPE_ROWS = 40
+
+
+def title_of(name: Any) -> str:
+    """Plain name of an effect, the id itself where the catalogue does not know it."""
+    effect = catalogue().get(str(name))
+    return effect.title if effect else str(name)
+
+
+def headline(data: DiagnosisData) -> str:
+    """Give the verdict in one sentence."""
+    return VERDICTS[data.record["verdict"]][2]
+
+
+def first_lines(data: DiagnosisData) -> list[str]:
+    """Sentences under the verdict: what was left out, its likely cause, what follows."""
+    record = data.record
+    if record.get("words"):
+        return [str(line) for line in record["words"][1:]]
+    out = [f"{e['statement']}{_cause(e)}" for e in record["effects"]]
+    out += [f"Next test: {record['next_test']}"] if record.get("next_test") else []
+    return out
+
+
+def size_words(data: DiagnosisData) -> str:
+    """Say how much the law misses, and what is left when what was found is added."""
+    before, after = data.record["before"], data.record["after"]
+    capacity = data.capacity_kN
+    text = (
+        f"The base law misses the force by {words.short(number(before.get('rmse_kN')))} kN in root mean square "
+        f"({per_cent(number(before.get('rmse_kN')) / capacity)} % of the sliding force)"
+    )
+    if not data.channels.changed:
+        return f"{text}."
+    return f"{text}; with what was found, by {words.short(number(after.get('rmse_kN')))} kN."
+
+
+def p_words(p: Any) -> str:
+    """Say a p value as a chance, or that there is none."""
+    value = number(p)
+    if not math.isfinite(value):
+        return "not known"
+    return "below 0.001" if value < 1e-3 else f"{value:.2g}"
+
+
+def cards(data: DiagnosisData) -> list[dict[str, str]]:
+    """Give the numbers of the first screen: parameters before and after, held-out error, chance."""
+    out = []
+    for name in ("gamma", "Fy"):
+        row = data.record["shift"].get(name)
+        if row is None:
+            continue
+        unit = _unit(name)
+        note = f"spread {spread(row['before'])} before, {spread(row['after'])} after."
+        if name == "gamma":
+            note = f"Before: {dep(row['before'])}. After: {dep(row['after'])}."
+        out.append(_card(f"{name}: {describe(name).meaning}", value(row["before"]), value(row["after"]), unit, note))
+    before, after = (number(data.record[k].get("heldout_rmse_kN")) for k in ("before", "after"))
+    floor = words.short(number(data.record["after"].get("noise_kN")))
+    out.append(
+        _card(
+            "Error on cycles that were held out", words.short(before), words.short(after), "kN", f"Noise: {floor} kN."
+        )
+    )
+    if not data.channels.changed:
+        out = [card | {"before": "", "note": _one_note(card["note"])} for card in out]
+    note = "Corrected for everything that was tried. Small: something is missing."
+    out.append(
+        _card("Chance of so large a misfit if nothing were missing", "", p_words(data.record["p_value"]), "", note)
+    )
+    return out
+
+
+def effects(data: DiagnosisData) -> list[dict[str, Any]]:
+    """Describe the effects found."""
+    out = []
+    for e in data.record["effects"]:
+        known = catalogue().get(str(e["id"]))
+        size = number(e.get("size_kN"))
+        out.append(
+            {
+                "id": e["id"],
+                "title": e.get("title") or title_of(e["id"]),
+                "family": family_of(e.get("family")),
+                "statement": e["statement"],
+                "cause": e.get("cause") or (known.cause if known else ""),
+                "shows": e.get("shows") or (known.shows if known else ""),
+                "equation": e.get("equation") or "",
+                "partial": bool(e.get("partial")),
+                "probability": percent(e.get("probability")),
+                "size": f"up to {words.short(size)} kN, {per_cent(size / data.capacity_kN)} % of the sliding force"
+                if math.isfinite(size)
+                else "not known",
+                "rivals": [title_of(name) for name in e.get("rivals") or ()],
+                "parameters": [
+                    {
+                        "name": name,
+                        "unit": "" if p.get("unit") in (None, "1") else p["unit"],
+                        "mean": value(p),
+                        "exact": repr(number(p.get("mean"))),
+                        "sd": spread(p),
+                        "interval": f"{_like(p, 'q05')} to {_like(p, 'q95')}",
+                    }
+                    for name, p in (e.get("parameters") or {}).items()
+                ],
+            }
+        )
+    return out
+
+
+def family(data: DiagnosisData) -> list[dict[str, str]]:
+    """List the members of the family, most probable first."""
+    out = []
+    for member in data.record["family"] or ():
+        if isinstance(member, Mapping):
+            name, p = member.get("id"), member.get("probability")
+        elif isinstance(member, (list, tuple)):
+            name, p = member[0], member[1] if len(member) > 1 else None
+        else:
+            name, p = member, None
+        known = catalogue().get(str(name))
+        out.append(
+            {
+                "id": str(name),
+                "title": title_of(name),
+                "probability": percent(p),
+                "shows": known.shows if known else "",
+                "next_test": known.next_test if known else "",
+            }
+        )
+    return out
+
+
+def shift(data: DiagnosisData) -> list[dict[str, str]]:
+    """Tabulate every base parameter before and after."""
+    out = []
+    for name, row in data.record["shift"].items():
+        before, after = row["before"], row["after"]
+        moved = number(after.get("mean")) - number(before.get("mean"))
+        out.append(
+            {
+                "name": name,
+                "meaning": _meaning(name),
+                "unit": _unit(name),
+                "before": value(before),
+                "before_exact": repr(number(before.get("mean"))),
+                "before_sd": spread(before),
+                "after": value(after),
+                "after_exact": repr(number(after.get("mean"))),
+                "after_sd": spread(after),
+                "before_dep": dep(before) if name.partition("_")[0] == "gamma" else "",
+                "after_dep": dep(after) if name.partition("_")[0] == "gamma" else "",
+                "change": _change(moved, number(before.get("mean")), gamma=name.partition("_")[0] == "gamma"),
+            }
+        )
+    return out
+
+
+def locations(data: DiagnosisData) -> list[dict[str, str]]:
+    """Tabulate where the base law fails."""
+    out = []
+    for where in data.record["location"]:
+        low, high = (number(v) for v in where["interval"])
+        # Along the motion everywhere on the page; the record keeps the sign of the force for one direction alone.
+        size = number(where["size_kN"]) * (-1 if where["direction"] == "pull" else 1)
+        unit = "" if where["unit"] == "1" else f" {where['unit']}"
+        span = f"{words.short(low)} to {words.short(high)}{unit}"
+        if where["coordinate"] == "run":
+            span = ", ".join(str(i) for i in range(math.ceil(low), math.ceil(high)))
+        out.append(
+            {
+                "coordinate": where["coordinate"],
+                "span": span,
+                "direction": DIRECTIONS.get(where["direction"], where["direction"]),
+                "runs": ", ".join(str(run) for run in where["runs"]),
+                "size": f"{size:+.3g}",
+                "exact": repr(size),
+                "percent": f"{'+' if size > 0 else ''}{per_cent(size / data.capacity_kN)}",
+                "share": percent(where.get("share")),
+                "p": p_words(where["p_value"]),
+            }
+        )
+    return out
+
+
+def aliases(data: DiagnosisData) -> list[dict[str, str]]:
+    """Say in words what the displacement history cannot separate."""
+    out = []
+    for alias in data.record["aliases"]:
+        if isinstance(alias, Mapping):
+            first, second = alias["pair"] if "pair" in alias else (alias["first"], alias["second"])
+            correlation = number(alias.get("correlation"))
+        else:
+            first, second, correlation = alias[0], alias[1], number(alias[2])
+        if second == "base law":
+            text = f"This displacement history cannot show “{title_of(first)}”: the base law takes it up."
+        else:
+            text = f"This displacement history cannot tell “{title_of(first)}” from “{title_of(second)}”."
+            if correlation < 0:
+                text += " One with more is like the other with less."
+        out.append({"ids": f"{first}, {second}", "text": text, "correlation": f"{correlation:+.2f}"})
+    return out
+
+
+def candidates(data: DiagnosisData) -> list[dict[str, str]]:
+    """Tabulate every effect tried."""
+    return [
+        {
+            "id": c["id"],
+            "title": c.get("title") or title_of(c["id"]),
+            "gain": f"{number(c.get('elpd_gain')):+.1f}",
+            "exact": repr(number(c.get("elpd_gain"))),
+            "score": words.short(number(c.get("t", c.get("score")))),
+            "probability": percent(c.get("probability")),
+            "size": words.short(number(c.get("size_kN"))),
+            "reason": c.get("reason") or "",
+            "kept": "kept" if str(c.get("reason") or "").startswith("kept") else "",
+        }
+        for c in data.record["candidates"]
+    ]
+
+
+def quality(data: DiagnosisData) -> list[dict[str, str]]:
+    """Tabulate errors before and after."""
+    rows = (
+        ("rmse_kN", "Error on all samples (root mean square, kN)"),
+        ("heldout_rmse_kN", "Error on cycles that were held out (kN)"),
+        ("noise_kN", "Noise floor (kN)"),
+        ("energy_error_percent", "Error of the energy of a cycle (mean, %)"),
+    )
+    before, after = data.record["before"], data.record["after"]
+    return [
+        {"name": name, "before": words.short(number(before.get(key))), "after": words.short(number(after.get(key)))}
+        for key, name in rows
+    ]
+
+
+def heldout_words(data: DiagnosisData) -> str:
+    """Say how much better held-out cycles are predicted."""
+    h = data.record["heldout"] or {}
+    gain, error, blocks = number(h.get("elpd_gain")), number(h.get("se")), number(h.get("n_blocks"))
+    scheme = str(h.get("scheme", "not stated")).replace("_", " ")
+    if not math.isfinite(gain):
+        return f"Held out: {scheme}."
+    text = f"Held out: {scheme}, {blocks:.0f} blocks." if math.isfinite(blocks) else f"Held out: {scheme}."
+    if not data.channels.changed:
+        return f"{text} Nothing was added, so there is nothing to gain."
+    return (
+        f"{text} With what was found, held-out cycles are predicted better by {gain:.1f} units of log density "
+        f"(standard error {error:.1f})."
+    )
+
+
+def parity_words(before: Parity, capacity_kN: float) -> str:
+    """Say which symmetry holds most of the misfit."""
+    sizes = [(getattr(before, key), name.replace("\n", " "), causes) for key, name, causes in PARITY]
+    size, name, causes = max(sizes)
+    return (
+        f"The largest part of what the base law leaves over, {words.short(size)} kN or "
+        f"{per_cent(size / capacity_kN)} % of the sliding force, is of the kind “{name}”: {causes}."
+    )
+
+
+def unknown(data: DiagnosisData) -> dict[str, Any] | None:
+    """Describe what no effect explains."""
+    u = data.record.get("unknown")
+    if not u:
+        return None
+    header, rows = shape_table(u.get("shape"))
+    period = u.get("period", u.get("scale"))
+    if isinstance(period, Mapping):
+        where = f" of {period['coordinate']}" if period.get("coordinate") else ""
+        period = f"{words.short(number(period.get('length')))} {period.get('unit', '')}{where}"
+    elif isinstance(period, (int, float)):
+        period = words.short(number(period))
+    size = number(u.get("size_kN"))
+    return {
+        "coordinate": u.get("coordinate") or "not known",
+        "size": f"{words.short(size)} kN, {per_cent(size / data.capacity_kN)} % of the sliding force",
+        "formula": u.get("formula") or "",
+        "period": period or "",
+        "words": u.get("words") or "",
+        "header": header,
+        "rows": [[_cell(v) for v in row] for row in rows[:MAX_SHAPE_ROWS]],
+        "more": max(0, len(rows) - MAX_SHAPE_ROWS),
+    }
+
+
+def shape_table(shape: Any) -> tuple[list[str], list[list[Any]]]:
+    """Read a table given as rows of names and values, as columns by name, or as bare rows."""
+    if isinstance(shape, Mapping):
+        columns = {str(k): v for k, v in shape.items() if isinstance(v, (list, tuple))}
+        return list(columns), [list(row) for row in zip(*columns.values(), strict=False)]
+    if not isinstance(shape, (list, tuple)) or not shape:
+        return [], []
+    if isinstance(shape[0], Mapping):
+        names = [str(k) for k in shape[0]]
+        return names, [[row.get(k) for k in names] for row in shape if isinstance(row, Mapping)]
+    rows = [list(row) for row in shape if isinstance(row, (list, tuple))]
+    return [f"column {i + 1}" for i in range(len(rows[0]))] if rows else [], rows
+
+
+def shape_columns(shape: Any) -> tuple[str, FloatArray, list[tuple[str, FloatArray]]] | None:
+    """Give a table of numbers as a coordinate and its columns; None when it is not one."""
+    header, rows = shape_table(shape)
+    if len(header) < 2 or len(rows) < 2 or any(len(row) != len(header) for row in rows):
+        return None
+    table = np.array([[number(v) for v in row] for row in rows])
+    if not np.isfinite(table[:, 0]).all() or not np.isfinite(table[:, 1:]).any():
+        return None
+    return header[0], table[:, 0], [(name, table[:, i]) for i, name in enumerate(header) if i]
+
+
+def percent(share: Any) -> str:
+    """Return a share as per cent."""
+    p = number(share)
+    if not math.isfinite(p):
+        return "not known"
+    return "below 1 %" if 0 < p < 0.005 else f"{100 * p:.0f} %"
+
+
+def per_cent(share: float) -> str:
+    """Return a share times 100 to two digits, without exponents."""
+    if not math.isfinite(share):
+        return "not known"
+    return f"{100 * share:.2g}" if abs(share) < 0.1 else f"{100 * share:.0f}"
+
+
+def value(row: Mapping[str, Any]) -> str:
+    """Mean with the digits that its spread makes meaningful."""
+    return words.rounded(number(row.get("mean")), number(row.get("sd")))
+
+
+def spread(row: Mapping[str, Any]) -> str:
+    """Return a standard deviation to two digits."""
+    sd = number(row.get("sd"))
+    return words.rounded(sd, sd) if math.isfinite(sd) else "not known"
+
+
+def dep(row: Mapping[str, Any]) -> str:
+    """Say the 90 % interval of gamma as dep."""
+    mean, sd = number(row.get("mean")), number(row.get("sd"))
+    low, high = number(row.get("q05")), number(row.get("q95"))
+    if not (math.isfinite(low) and math.isfinite(high)):
+        low, high = mean - SIGMA_90 * sd, mean + SIGMA_90 * sd
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "dep not known"
+    return words.dep_words({"q05": low, "q95": high})
+
+
+def family_of(name: Any) -> str:
+    """Plain name of a family."""
+    return FAMILIES.get(str(name), str(name) if name else "not known")
+
+
+def _cause(effect: Mapping[str, Any]) -> str:
+    return f" Likely cause: {effect['cause']}" if effect.get("cause") else ""
+
+
+def _card(what: str, before: str, after: str, unit: str, note: str) -> dict[str, str]:
+    return {"what": what, "before": before, "after": after, "unit": unit, "note": note}
+
+
+def _one_note(note: str) -> str:
+    """Note of a card when before and after are the same law."""
+    if note.startswith("Before: "):
+        return note.partition(". After: ")[2].capitalize()
+    return note if note.startswith("Noise") else ""
+
+
+def _meaning(name: str) -> str:
+    """Meaning of a parameter; a name that this version does not know is shown without one."""
+    try:
+        return describe(name).meaning
+    except ModelError:
+        return ""
+
+
+def _unit(name: str) -> str:
+    try:
+        unit = describe(name).unit
+    except ModelError:
+        return ""
+    return "" if unit == "1" else unit
+
+
+def _like(row: Mapping[str, Any], key: str) -> str:
+    return words.rounded(number(row.get(key)), number(row.get("sd")))
+
+
+def _change(moved: float, before: float, *, gamma: bool) -> str:
+    """Change of a parameter: per cent, but of gamma, which may be 0, the difference."""
+    if not math.isfinite(moved):
+        return "not known"
+    if gamma or before == 0:
+        return f"{moved:+.2g}"
+    return f"{100 * moved / before:+.1f} %"
+
+
+def _cell(entry: Any) -> str:
+    if entry is None:
+        return ""
+    return words.short(number(entry)) if isinstance(entry, (int, float)) else str(entry)

@@ -1,0 +1,174 @@
+"""Before and after: loops, residual maps, parity, energy, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.diagnosis_numbers import Map, Profile
+from shj_bayes.report.figures.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    NARROW,
+    ORANGE,
+    PALE,
+    RED,
+    WIDE,
+    label,
+    legend,
+    sheet,
+    svg,
+    tidy,
+)  # fmt: skip
+
+BASE, MORE = RED, BLUE  # the base law, the law with what was found
+# White in the middle; red and blue stay apart with every common form of colour blindness. Grey: not visited.
+MAP = mpl.colormaps["RdBu_r"].with_extremes(bad="#D9D9D9")
+
+
+def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None) -> str:
+    """One cycle: measured points, base law, and the law with what was found (None where nothing was)."""
+    figure, axes = sheet(NARROW, 3.9)
+    axes.plot(x, measured, ".", color=INK, markersize=2.6, alpha=0.75, markeredgewidth=0, rasterized=True)
+    axes.plot([], [], ".", color=INK, markersize=6, label="measured")
+    axes.plot(x, before, color=BASE, linewidth=1.4, linestyle="--" if after is not None else "-", label="base law")
+    if after is not None:
+        axes.plot(x, after, color=MORE, linewidth=1.5, label="with what was found")
+    label(axes, "distance from mid-stroke (mm)", "force (kN)")
+    legend(axes, 3)
+    return svg(figure)
+
+
+def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float) -> str:
+    """Mean direction-signed residual over one coordinate, panels side by side on the same axes."""
+    figure, panels = _panels(len(parts), 2.9)
+    reach = 1.12 * max(_reach(p.push_kN, p.pull_kN) for _, p in parts)
+    for axes, (title, p) in zip(panels, parts, strict=True):
+        axes.axhline(0, color=INK, linewidth=0.8)
+        for mean, colour, marker, name in ((p.push_kN, BLUE, "o", "push"), (p.pull_kN, RED, "s", "pull")):
+            seen = np.isfinite(mean)
+            axes.plot(p.centre[seen], mean[seen], marker + "-", color=colour, markersize=3.8, linewidth=1.2, label=name)
+        axes.set_ylim(-reach, reach)
+        axes.set_title(title, fontsize=10, loc="right", color=INK)
+        label(axes, axis, "left over (kN)" if axes is panels[0] else "")
+        legend(axes, 2)
+    share = panels[-1].secondary_yaxis(
+        "right", functions=(lambda v: 100 * v / capacity_kN, lambda v: v * capacity_kN / 100)
+    )
+    share.set_ylabel("% of Fy", fontsize=10.5, color=INK)
+    share.tick_params(labelsize=9.5, colors=INK)
+    share.spines["right"].set_visible(True)
+    return svg(figure)
+
+
+def maps(parts: Sequence[tuple[str, Map]]) -> str:
+    """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
+    figure, panels = _panels(2 * len(parts), 3.6)
+    reach = float(np.nanquantile(np.abs(np.concatenate([_flat(m) for _, m in parts])), 0.99)) or 1.0
+    image = None
+    for k, (title, m) in enumerate(parts):
+        for j, (values, name) in enumerate(((m.push_kN, "push"), (m.pull_kN, "pull"))):
+            axes = panels[2 * k + j]
+            axes.grid(visible=False)
+            image = axes.pcolormesh(
+                m.position_mm,
+                m.travel_m,
+                np.ma.masked_invalid(values),
+                cmap=MAP,
+                vmin=-reach,
+                vmax=reach,
+                rasterized=True,
+            )
+            axes.set_title(f"{title}, {name}" if title else name, fontsize=10, color=INK)
+            axes.set_xlabel("position (mm)", fontsize=10, color=INK)
+    panels[0].set_ylabel("travel (m)", fontsize=10.5, color=INK)
+    if image is not None:
+        bar = figure.colorbar(image, ax=panels, aspect=28, pad=0.01, extend="both")
+        bar.set_label("left over (kN)", fontsize=10, color=INK)
+        bar.ax.tick_params(labelsize=9)
+    return svg(figure)
+
+
+def bars(names: Sequence[str], before: Sequence[float], after: Sequence[float] | None, title: str) -> str:
+    """Pairs of horizontal bars with their values, the first name on top."""
+    figure, axes = sheet(NARROW, 0.95 + (0.56 if after is not None else 0.42) * len(names))
+    at = np.arange(len(names))
+    series = [(before, PALE if after is not None else BLUE, "before")]
+    series += [(after, BLUE, "after")] if after is not None else []
+    height = 0.8 / len(series)
+    longest = max((v for values, _, _ in series for v in values if np.isfinite(v)), default=1.0) or 1.0
+    for k, (values, colour, name) in enumerate(series):
+        y = at + (k - (len(series) - 1) / 2) * height
+        shown = np.nan_to_num(np.asarray(values, dtype=float))
+        axes.barh(y, shown, height * 0.92, color=colour, edgecolor=INK, linewidth=0.5, label=name)
+        for one, value in zip(y, values, strict=True):
+            text = f"{value:.3g}" if np.isfinite(value) else "not known"
+            axes.text(max(np.nan_to_num(value), 0) + 0.015 * longest, one, text, va="center", fontsize=8.5, color=INK)
+    axes.set_yticks(at, names, fontsize=9)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlim(0, 1.18 * longest)
+    axes.grid(visible=False, axis="y")
+    label(axes, title, "")
+    if after is not None:
+        legend(axes, 2)
+    return svg(figure)
+
+
+def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, after_J: FloatArray | None) -> str:
+    """Energy of each cycle, and below it the error of the models."""
+    figure = Figure(figsize=(WIDE, 4.6), layout="constrained")
+    grid = figure.add_gridspec(2, 1, height_ratios=(3, 2))
+    top = tidy(figure.add_subplot(grid[0]))
+    low = tidy(figure.add_subplot(grid[1], sharex=top))
+    unit, factor = ("kJ", 1e-3) if np.nanmax(np.abs(measured_J)) >= 1000 else ("J", 1.0)
+    top.plot(number, factor * measured_J, "o", color=INK, markersize=5.5, markerfacecolor="none", label="measured")
+    models = [(before_J, BASE, "x", "base law")]
+    models += [(after_J, MORE, "+", "with what was found")] if after_J is not None else []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for values, colour, marker, name in models:
+            top.plot(number, factor * values, marker, color=colour, markersize=6, label=name)
+            low.plot(number, 100 * (values / measured_J - 1), marker + "-", color=colour, markersize=5, linewidth=0.9)
+    top.set_ylim(bottom=0)
+    top.tick_params(labelbottom=False)
+    low.axhline(0, color=INK, linewidth=0.8)
+    label(top, "", f"energy ({unit})")
+    label(low, "cycle, in the order they were made", "model minus\nmeasured (%)")
+    legend(top, 3)
+    return svg(figure)
+
+
+def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str) -> str:
+    """Shape of what no effect explains."""
+    figure, axes = sheet(WIDE, 2.9)
+    axes.axhline(0, color=INK, linewidth=0.8)
+    for (name, values), colour, marker in zip(columns, (BLUE, RED, ORANGE, GREY), "os^D", strict=False):
+        axes.plot(x, values, marker + "-", color=colour, markersize=4, linewidth=1.2, label=_plain(name))
+    label(axes, _plain(axis), "left over (kN)")
+    legend(axes, 4)
+    return svg(figure)
+
+
+def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(WIDE if n > 1 else 0.75 * WIDE, height), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, n, sharey=True, squeeze=True))
+    return figure, [tidy(axes) for axes in panels]
+
+
+def _reach(*values: FloatArray) -> float:
+    whole = np.abs(np.concatenate(values))
+    return float(np.nanmax(whole)) if np.isfinite(whole).any() else 1.0
+
+
+def _flat(m: Map) -> FloatArray:
+    return np.concatenate([m.push_kN.ravel(), m.pull_kN.ravel()])
+
+
+def _plain(name: str) -> str:
+    """Signs that matplotlib would read as mathematics made plain, and not too long."""
+    return (name if len(name) <= 40 else name[:37] + "...").replace("$", r"\$")
