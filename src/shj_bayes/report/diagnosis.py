@@ -9,7 +9,7 @@ from typing import Any
 
 from shj_bayes.errors import ReportError
 from shj_bayes.report import diagnosis_words as say
-from shj_bayes.report.diagnosis_data import DiagnosisData, read_diagnosis
+from shj_bayes.report.diagnosis_data import DiagnosisData, number, read_diagnosis
 from shj_bayes.report.page import write_page
 
 PAGE = "diagnosis.html"
@@ -81,7 +81,7 @@ def content(data: DiagnosisData) -> dict[str, Any]:
         "capacity": f"{data.capacity_kN:.3g}",
         "inputs": record.get("inputs") or [],
         "seed": record.get("seed"),
-        "seconds": f"{say.number(record.get('seconds')):.0f}" if record.get("seconds") is not None else "",
+        "seconds": f"{number(record.get('seconds')):.0f}" if record.get("seconds") is not None else "",
         "model": record.get("model") or {},
         "sampling": record.get("sampling") or {},
         "versions": record.get("versions") or {},

@@ -68,7 +68,7 @@ class Parity:
     even_odd : float
         Even, odd: force grows towards one end of the slot.
     rest : float
-        What does not repeat over the stroke: noise, and change from cycle to cycle.
+        What does not repeat over the stroke: noise, change from cycle to cycle, detail finer than a bin.
     """
 
     odd_even: float
@@ -146,7 +146,7 @@ def parity(
     residual_kN : array, shape (n,)
         Measured less modelled force.
     group : array of int, shape (n,), optional
-        Parts that are averaged apart, the runs; by default all samples together.
+        Parts that are averaged apart; by default all samples together.
     n_bins : int
         Even number of bins over the whole stroke.
 
@@ -180,6 +180,19 @@ def parity(
         total[4] += float((four * np.maximum(spread, 0.0)).sum())
         weight += float(four.sum())
     return Parity(*(float(v) for v in np.sqrt(total / max(weight, 1.0))))
+
+
+def amplitude_groups(channels: Channels) -> IntArray:
+    """Mark samples of one run and about one amplitude with one number.
+
+    The start of a stroke moves with the amplitude; averaged over amplitudes it would be smeared.
+    """
+    turn = (np.diff(channels.direction) != 0) | (np.diff(channels.run) != 0)
+    half = np.concatenate([[0], np.cumsum(turn)]).astype(np.int64)
+    first = np.flatnonzero(np.diff(half, prepend=-1))
+    stroke = np.maximum.reduceat(channels.position_mm, first) - np.minimum.reduceat(channels.position_mm, first)
+    level = np.round(8 * stroke / max(float(stroke.max()), 1e-12)).astype(np.int64)
+    return np.asarray(16 * channels.run + level[half], dtype=np.int64)
 
 
 def shown_cycle(channels: Channels, run: int) -> slice:

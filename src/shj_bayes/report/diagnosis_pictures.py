@@ -13,6 +13,7 @@ from shj_bayes.report.diagnosis_numbers import (
     N_BINS,
     Map,
     Parity,
+    amplitude_groups,
     parity,
     position_travel,
     profile,
@@ -31,8 +32,8 @@ COORDINATES = (
     ("travel_m", "Travel", "distance moved in all, through all runs (m)"),
 )
 HINTS = {
-    "position_mm": "A droop to both ends is clamping lost off centre, or speed; a slope alike in push and pull is a taper, "
-    "opposite slopes are elastic.",
+    "position_mm": "A droop to both ends is clamping lost off centre, or speed; a slope alike in push and pull is a "
+    "taper, opposite slopes are elastic.",
     "speed_mm_s": "A trend here that has no counterpart over position is speed dependence.",
     "slip_mm": "A spike near 0 is the start of the stroke: slack, breakaway, elastic parts.",
     "travel_m": "A slope is wear or bedding in; a step is a sudden change of clamping.",
@@ -55,9 +56,10 @@ def draw(data: DiagnosisData, parts: tuple[Parity, Parity]) -> dict[str, Any]:
 
 
 def parities(data: DiagnosisData) -> tuple[Parity, Parity]:
-    """Decompose the residual before and after by symmetry, each run by itself."""
+    """Decompose the residual before and after by symmetry, runs and amplitudes each by themselves."""
     c = data.channels
-    before, after = (parity(c.position_mm[c.used], c.direction[c.used], r[c.used], c.run[c.used]) for r in c.residuals)
+    group = amplitude_groups(c)[c.used]
+    before, after = (parity(c.position_mm[c.used], c.direction[c.used], r[c.used], group) for r in c.residuals)
     return before, after
 
 
@@ -97,7 +99,7 @@ def _profile(data: DiagnosisData, name: str, title: str, axis: str) -> Picture:
         + (", before and after on the same axes." if c.changed else "."),
         text + HINTS[name],
         title,
-        wide=True,
+        wide=c.changed,
     )
 
 
@@ -152,7 +154,7 @@ def _energy(data: DiagnosisData) -> Picture | None:
     text += f"; with what was found, {_more(errors[1])}." if data.channels.changed else "."
     return Picture(
         draw_.energy(cycle, measured, before, after if data.channels.changed else None),
-        "Energy of each cycle, measured and modelled, and the error of the models in per cent.",
+        "Energy of each cycle or half-cycle, measured and modelled, and the error of the models in per cent.",
         text,
         wide=True,
     )
@@ -186,4 +188,6 @@ def _name(column: str) -> str:
 
 
 def _more(error: float) -> str:
+    if abs(error) < 0.05:
+        return "the measured energy to better than 0.1 %"
     return f"{abs(error):.1f} % {'more' if error > 0 else 'less'} energy than was measured"

@@ -296,11 +296,12 @@ def heldout_words(data: DiagnosisData) -> str:
 
 def parity_words(before: Parity, capacity_kN: float) -> str:
     """Say which symmetry holds most of the misfit."""
-    sizes = [(getattr(before, key), name.replace("\n", " "), causes) for key, name, causes in PARITY]
+    sizes = [(getattr(before, key), name.replace("\n", " "), causes) for key, name, causes in PARITY if key != "rest"]
     size, name, causes = max(sizes)
     return (
-        f"The largest part of what the base law leaves over, {words.short(size)} kN or "
-        f"{per_cent(size / capacity_kN)} % of the sliding force, is of the kind “{name}”: {causes}."
+        f"Of what the base law leaves over and what comes again over the stroke, the largest part, "
+        f"{words.short(size)} kN or {per_cent(size / capacity_kN)} % of the sliding force, is of the kind “{name}”: "
+        f"{causes}. {words.short(before.rest)} kN do not repeat."
     )
 
 

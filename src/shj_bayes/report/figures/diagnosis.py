@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from shj_bayes.model.parameters import FloatArray
@@ -58,12 +59,11 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
         axes.set_title(title, fontsize=10, loc="right", color=INK)
         label(axes, axis, "left over (kN)" if axes is panels[0] else "")
         legend(axes, 2)
-    share = panels[-1].secondary_yaxis(
-        "right", functions=(lambda v: 100 * v / capacity_kN, lambda v: v * capacity_kN / 100)
-    )
+    share = panels[-1].twinx()
+    share.set_ylim(-100 * reach / capacity_kN, 100 * reach / capacity_kN)
+    share.spines[["top", "left"]].set_visible(False)
     share.set_ylabel("% of Fy", fontsize=10.5, color=INK)
     share.tick_params(labelsize=9.5, colors=INK)
-    share.spines["right"].set_visible(True)
     return svg(figure)
 
 
@@ -71,20 +71,13 @@ def maps(parts: Sequence[tuple[str, Map]]) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
     figure, panels = _panels(2 * len(parts), 3.6)
     reach = float(np.nanquantile(np.abs(np.concatenate([_flat(m) for _, m in parts])), 0.99)) or 1.0
-    image = None
+    scale, image = Normalize(-reach, reach), None
     for k, (title, m) in enumerate(parts):
         for j, (values, name) in enumerate(((m.push_kN, "push"), (m.pull_kN, "pull"))):
             axes = panels[2 * k + j]
             axes.grid(visible=False)
-            image = axes.pcolormesh(
-                m.position_mm,
-                m.travel_m,
-                np.ma.masked_invalid(values),
-                cmap=MAP,
-                vmin=-reach,
-                vmax=reach,
-                rasterized=True,
-            )
+            shown = np.ma.masked_invalid(values)
+            image = axes.pcolormesh(m.position_mm, m.travel_m, shown, cmap=MAP, norm=scale, rasterized=True)
             axes.set_title(f"{title}, {name}" if title else name, fontsize=10, color=INK)
             axes.set_xlabel("position (mm)", fontsize=10, color=INK)
     panels[0].set_ylabel("travel (m)", fontsize=10.5, color=INK)
@@ -138,7 +131,7 @@ def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, aft
     top.tick_params(labelbottom=False)
     low.axhline(0, color=INK, linewidth=0.8)
     label(top, "", f"energy ({unit})")
-    label(low, "cycle, in the order they were made", "model minus\nmeasured (%)")
+    label(low, "cycle (half-cycle where there are few), in the order they were made", "model minus\nmeasured (%)")
     legend(top, 3)
     return svg(figure)
 
@@ -155,7 +148,7 @@ def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str) -
 
 
 def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDE if n > 1 else 0.75 * WIDE, height), layout="constrained")
+    figure = Figure(figsize=(WIDE if n > 1 else NARROW, height), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, n, sharey=True, squeeze=True))
     return figure, [tidy(axes) for axes in panels]
 

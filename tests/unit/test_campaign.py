@@ -1,0 +1,101 @@
+"""Campaigns: one bad device never stops the rest, a second call does only what is missing or changed."""
+
+import json
+
+import pytest
+
+from shj_bayes.campaign import read_manifest, run_campaign
+from shj_bayes.errors import CampaignError
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.pipeline import folder_name
+from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.writer import write_csv
+from shj_bayes.summary import compare_sets, summarise_campaign
+
+BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
+HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """Three devices in two sets, one of them with a broken recording, run once."""
+    folder = tmp_path_factory.mktemp("campaign")
+    text = HEAD
+    for number, (set_name, capacity) in enumerate((("bare", 80.0), ("bare", 85.0), ("coated <b>", 60.0)), start=1):
+        runs = simulate_device(Truth(Fy=capacity, phi=0.3), seed=number, rate_Hz=4.0, blocks=BLOCKS)
+        names = [write_csv(folder / f"d{number}-{i}.csv", r).name for i, r in enumerate(runs, start=1)]
+        if number != 2:
+            text += f'[[set]]\nname = "{set_name}"\n'
+        text += f'[[set.device]]\nname = "device {number}"\nrecordings = {json.dumps(names)}\n'
+    (folder / "broken.csv").write_text("time_s,force_kN\n1,2\n2,3\n3,4\n", encoding="utf-8")
+    text += '[[set.device]]\nname = "../../broken"\nrecordings = ["broken.csv"]\n'
+    path = folder / "campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    manifest = read_manifest(path)
+    return manifest, folder / "out", run_campaign(manifest, folder / "out", workers=2)
+
+
+def test_good_devices_are_done_and_the_bad_one_is_named(campaign):
+    manifest, out, outcomes = campaign
+    assert [o.status for o in outcomes] == ["done", "done", "done", "failed"]
+    assert "displacement" in outcomes[3].reason
+    assert {p.name for p in out.iterdir()} == {"devices", "campaign.json"}
+    assert not list(out.parent.parent.glob("broken*/fit.json"))
+    record = json.loads((out / "campaign.json").read_text(encoding="utf-8"))
+    assert [s["name"] for s in record["sets"]] == ["bare", "coated <b>"]
+    assert len(manifest.devices) == 4
+
+
+def test_second_call_keeps_what_is_unchanged(campaign):
+    manifest, out, _ = campaign
+    stamps = {p: p.stat().st_mtime_ns for p in out.glob("devices/*/posterior.nc")}
+    assert [o.status for o in run_campaign(manifest, out, workers=1)] == ["kept", "kept", "kept", "failed"]
+    assert {p: p.stat().st_mtime_ns for p in out.glob("devices/*/posterior.nc")} == stamps
+
+
+def test_summary_pools_compares_and_writes_a_page(campaign):
+    manifest, out, outcomes = campaign
+    result = summarise_campaign(manifest, outcomes, out, seed=1)
+    assert result.usable
+    assert "failed" in result.text
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "coated &lt;b&gt;" in page
+    assert "<b>" not in page.replace("coated &lt;b&gt;", "")
+    assert (out / "population.csv").exists()
+    record, text = compare_sets(out, "bare", "coated <b>")
+    force = next(row for row in record["contrasts"] if row["quantity"] == "Fy")
+    assert force["q50"] == pytest.approx(82.5 / 60, rel=0.15)
+    assert "no effect" not in text
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "schema is None"),
+        ("not = [toml", "not valid TOML"),
+        (HEAD, "no [[set]] table"),
+        (HEAD + "[[set]]\nname = 3\n", "name = 3"),
+        (HEAD + '[[set]]\nname = "a"\n', "names 0 devices"),
+        (HEAD + '[[set]]\nname = "a"\n[[set.device]]\nname = "d"\n', "recordings = "),
+        (HEAD + 'speed = 3\n[[set]]\nname = "a"\n', "option 'speed'"),
+        (HEAD.replace("200", '"many"') + '[[set]]\nname = "a"\n', "needs a whole number"),
+        (HEAD + '[[set]]\nname = "a"\n' + '[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n' * 2, "stands twice"),
+    ],
+)
+def test_manifest_mistakes_are_named(tmp_path, text, words):
+    path = tmp_path / "m.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignError) as error:
+        read_manifest(path)
+    assert words in str(error.value)
+
+
+def test_folder_names_stay_inside_and_differ():
+    names = ["../../x", "..", "CON", "a/b", "a\\b", "ü" * 300, "x\x00y", "a b", "a-b"]
+    folders = [folder_name(name) for name in names]
+    assert len(set(folders)) == len(names)
+    for folder in folders:
+        assert folder
+        assert not set(folder) & set('/\\:*?"<>|\x00')
+        assert not folder.startswith(".")
+        assert len(folder) < 80

@@ -1,0 +1,194 @@
+"""The commands as users script them: exit status, one clear line for each mistake, JSON and nothing else."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from shj_bayes.cli import main
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.writer import write_csv
+
+BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
+
+
+def run(*arguments: object):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory) -> list[Path]:
+    """Two short runs of one device."""
+    folder = tmp_path_factory.mktemp("recordings")
+    runs = simulate_device(Truth(gamma=0.01, phi=0.3), seed=1, rate_Hz=4.0, blocks=BLOCKS)
+    return [write_csv(folder / f"run{i}.csv", r, comment="SIMULATED") for i, r in enumerate(runs, start=1)]
+
+
+@pytest.fixture(scope="module")
+def fitted(recordings, tmp_path_factory) -> Path:
+    """Results folder of a short fit."""
+    folder = tmp_path_factory.mktemp("fit")
+    result = run("fit", *recordings, "-o", folder, "--max-steps", 200, "--quiet")
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def test_help_answers_at_once_and_names_the_commands():
+    before = set(sys.modules)
+    result = run("--help")
+    assert result.exit_code == 0
+    for command in ("campaign", "check", "compare", "demo", "diagnose", "doctor", "fit", "simulate", "tables"):
+        assert command in result.output
+    assert "numba" not in set(sys.modules) - before
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys, shj_bayes.cli; print([m for m in ('numba', 'scipy', 'pandas', 'arviz') if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_fit_writes_the_files_of_the_contract(fitted):
+    assert {p.name for p in fitted.iterdir()} >= {
+        "posterior.nc",
+        "summary.csv",
+        "summary.json",
+        "fit.json",
+        "report.html",
+    }
+    record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
+    assert record["schema"] == "shj-bayes/fit/1"
+    assert record["verdict"] in ("reliable", "tentative", "unusable")
+    assert record["reasons"]
+    assert all(len(source["sha256"]) == 64 for source in record["inputs"])
+    header = (fitted / "summary.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.startswith("name,unit,mean,sd,q05,q50,q95,ess_bulk,ess_tail,rhat")
+
+
+def test_unchanged_fit_is_kept_and_json_is_alone_on_standard_output(fitted, recordings):
+    stamp = (fitted / "posterior.nc").stat().st_mtime_ns
+    result = CliRunner().invoke(main, ["fit", *map(str, recordings), "-o", str(fitted), "--max-steps", "200", "--json"])
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["device"] == "run1"
+    assert (fitted / "posterior.nc").stat().st_mtime_ns == stamp
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.csv", "", "empty"),
+        ("words.csv", "time_s,displacement_mm,force_kN\na,b,c\nd,e,f\n", "words.csv"),
+        ("notime.csv", "displacement_mm,force_kN\n1,2\n2,3\n", "time"),
+    ],
+)
+def test_unusable_recordings_give_one_line_and_status_1(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_text(content, encoding="utf-8")
+    result = run("fit", path, "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert words in result.output
+    assert "Traceback" not in result.output
+    assert len(result.output.strip().splitlines()) == 1
+    assert run("check", path).exit_code == 1
+
+
+def test_wrong_scale_is_refused_with_what_to_do(recordings, tmp_path):
+    """A force of tens of newtons read as kN is no friction connection."""
+    table = np.loadtxt(recordings[0], delimiter=",", skiprows=2)
+    table[:, 2] /= 1000
+    path = tmp_path / "small.csv"
+    np.savetxt(path, table, delimiter=",", header="time_s,displacement_mm,force_kN", comments="")
+    result = run("fit", path, "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "--units" in result.output
+    assert "--priors general" in result.output
+
+
+def test_wrong_usage_is_status_2():
+    assert run("fit").exit_code == 2
+    assert run("fit", "a.csv", "-o", "x", "--model", "other").exit_code == 2
+    assert run("nonsense").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--dep", "0"), "dep = 0"),
+        (("--Fy", "-5"), "Fy = -5"),
+        (("--beta", "0.5"), "beta = 0.5"),
+        (("--phi", "1.5"), "phi = 1.5"),
+        (("--rate", "1"), "rate 1"),
+        (("--last-cycles", "7"), "5 or 6"),
+    ],
+)
+def test_simulate_refuses_in_words(tmp_path, options, words):
+    result = run("simulate", "-o", tmp_path / "x", *options)
+    assert result.exit_code == 1
+    assert words in result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_simulate_writes_recordings_and_truth(tmp_path):
+    result = run("simulate", "-o", tmp_path / "dev", "--rate", 4, "--dep", -60, "--Fy", 50, "--seed", 3)
+    assert result.exit_code == 0
+    truth = json.loads((tmp_path / "dev.json").read_text(encoding="utf-8"))
+    assert truth["truth"]["Fy"] == 50
+    assert truth["truth"]["gamma"] == pytest.approx(-1 / 60)
+    assert truth["simulated"] is True
+    first = (tmp_path / "dev-run1.csv").read_bytes()
+    run("simulate", "-o", tmp_path / "again" / "dev", "--rate", 4, "--dep", -60, "--Fy", 50, "--seed", 3)
+    assert (tmp_path / "again" / "dev-run1.csv").read_bytes() == first
+
+
+def test_unwritable_folder_is_one_line(recordings, tmp_path):
+    (tmp_path / "file").write_text("x", encoding="utf-8")
+    result = run("fit", recordings[0], "-o", tmp_path / "file" / "below", "--max-steps", 200)
+    assert result.exit_code == 1
+    assert "Traceback" not in result.output
+
+
+def test_compare_without_a_population_says_what_to_run(tmp_path):
+    result = run("compare", tmp_path, "a", "b")
+    assert result.exit_code == 1
+    assert "shj-bayes tables" in result.output
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+def test_interrupted_fit_says_how_to_go_on(recordings, tmp_path):
+    command = "from shj_bayes.cli import main; main()"
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            command,
+            "fit",
+            *map(str, recordings),
+            "-o",
+            str(tmp_path / "out"),
+            "--max-steps",
+            "900000",
+        ],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+    checkpoint = tmp_path / "out" / "checkpoint.h5"
+    for _ in range(600):
+        if checkpoint.exists() or process.poll() is not None:
+            break
+        try:
+            process.wait(0.1)
+        except subprocess.TimeoutExpired:
+            continue
+    if process.poll() is None:
+        process.send_signal(2)
+    error = process.communicate(timeout=60)[1]
+    if process.returncode != 0:  # a very fast machine may finish first
+        assert process.returncode == 1
+        assert "goes on from the last checkpoint" in error
