@@ -118,6 +118,7 @@ def read_manifest(path: Path) -> Manifest:
         raise CampaignError(f"{path.name} is not valid TOML: {error}") from error
     if table.get("schema") != SCHEMA:
         raise CampaignError(f"{path.name}: schema is {table.get('schema')!r}; this version reads {SCHEMA!r}")
+    _known(path, "the manifest", table, ("schema", "name", "simulated", "defaults", "set"))
     defaults = _options(path, "[defaults]", Options(), table.get("defaults", {}))
     devices = tuple(_devices(path, table, defaults))
     if not 1 <= len(devices) <= MAX_DEVICES:
@@ -229,10 +230,14 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
     for number, entry in enumerate(sets, start=1):
         set_name = _text(path, f"[[set]] number {number}", entry, "name")
         where = f"set '{set_name}'"
+        _known(path, where, entry, ("name", "options", "device"))
+        if not isinstance(entry.get("device"), list) or not entry["device"]:
+            raise CampaignError(f"{path.name}: {where} has no [[set.device]] table (mind the double brackets)")
         own = _options(path, where, defaults, entry.get("options", {}))
         for device in entry.get("device", []):
             name = _text(path, where, device, "name")
             at = f"{where}, device '{name}'"
+            _known(path, at, device, ("name", "recordings", "options"))
             files = device.get("recordings")
             if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
                 raise CampaignError(
@@ -242,6 +247,14 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
                 raise CampaignError(f"{path.name}: {at} names a file with a NUL character")
             recordings = tuple(path.parent / f for f in files)
             yield Device(name, set_name, recordings, _options(path, at, own, device.get("options", {})))
+
+
+def _known(path: Path, where: str, entry: dict[str, Any], allowed: tuple[str, ...]) -> None:
+    """Refuse keys that would be silently without effect."""
+    for key in entry:
+        if key not in allowed:
+            hint = "; it is an option: put it into its options table" if key in OPTION_KINDS else ""
+            raise CampaignError(f"{path.name}: {where} has the key '{key}'; known are {', '.join(allowed)}{hint}")
 
 
 def _text(path: Path, where: str, entry: Any, key: str) -> str:
@@ -266,4 +279,7 @@ def _options(path: Path, where: str, base: Options, entry: Any) -> Options:
     priors = values.get("priors", "")
     if priors.endswith(".toml"):
         values["priors"] = str(path.parent / priors)
-    return replace(base, **values)
+    try:
+        return replace(base, **values)
+    except ShjError as error:
+        raise CampaignError(f"{path.name}: {where}: {error}") from error

@@ -47,15 +47,10 @@ def _options(*decorators: Command) -> Callable[[Command], Command]:
 
 
 def _out(default: str | None = None) -> Command:
-    return click.option(
-        "-o",
-        "--out",
-        type=click.Path(path_type=Path, file_okay=False),
-        required=default is None,
-        default=default,
-        show_default=default is not None,
-        help="Folder for the results.",
-    )
+    """Output folder; an option without default must not be given one, or click takes it for optional."""
+    presence: dict[str, Any] = {"required": True} if default is None else {"default": default, "show_default": True}
+    kind = click.Path(path_type=Path, file_okay=False)
+    return click.option("-o", "--out", type=kind, help="Folder for the results.", **presence)
 
 
 SEED = click.option(

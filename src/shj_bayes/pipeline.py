@@ -16,7 +16,8 @@ from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.inference.store import read_record, write_text
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.model.parameters import BASE
+from shj_bayes.model.law import VARIANTS
+from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE
 from shj_bayes.model.parameters import describe as describe_parameter
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -28,6 +29,7 @@ from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
+from shj_bayes.report.residual_file import read_residual
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,15 @@ class Options:
     seed: int = 1
     max_steps: int = 10_000
 
+    def __post_init__(self) -> None:
+        """Refuse choices that no fit could take, before any device is read."""
+        for word, value, allowed in (("model", self.model, VARIANTS), ("noise", self.noise, NOISE_PARAMETERS)):
+            if value not in allowed:
+                raise ModelError(f"{word} '{value}' is not known; choose one of {', '.join(allowed)}")
+        wrong = [name for name in self.free if name not in SHAREABLE]
+        if wrong:
+            raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}")
+
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
@@ -92,9 +103,8 @@ class DiagnosisResult:
         lines += ["", "  before -> after"]
         for name, row in record["shift"].items():
             before, after = row["before"], row["after"]
-            lines.append(
-                f"  {name:8}{before['mean']:11.5g} +- {before['sd']:<9.2g} -> {after['mean']:11.5g} +- {after['sd']:.2g}"
-            )
+            old, new = (f"{value['mean']:11.5g} +- {value['sd']:<9.2g}" for value in (before, after))
+            lines.append(f"  {name:8}{old} -> {new}".rstrip())
         old, new = record["before"], record["after"]
         lines.append(f"  held-out error {old['heldout_rmse_kN']:.3g} -> {new['heldout_rmse_kN']:.3g} kN")
         return "\n".join([*lines, "", f"report: {self.page}"])
@@ -112,11 +122,14 @@ class DeviceResult:
         Content of ``fit.json``.
     fresh : bool
         False when an earlier, unchanged result was found and kept.
+    residual : str
+        What the page says of the residual: nothing beyond noise, or where it has a structure.
     """
 
     folder: Path
     record: dict[str, Any]
     fresh: bool
+    residual: str = ""
 
     @property
     def text(self) -> str:
@@ -124,6 +137,7 @@ class DeviceResult:
         record = self.record
         lines = [f"{record['device']}: {record['verdict']}"]
         lines += [f"  {reason}" for reason in record["reasons"]]
+        lines += [f"  {self.residual}"] if self.residual else []
         lines += ["", f"  {'':8}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in record["parameters"]:
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
@@ -187,7 +201,8 @@ def fit_device(
         fresh = False
     if fresh or not (folder / "report.html").exists():
         render_device(folder)
-    return DeviceResult(folder, finished, fresh)
+    left = read_residual(folder)
+    return DeviceResult(folder, finished, fresh, left[1] if left else "")
 
 
 def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
@@ -283,7 +298,7 @@ def write_simulated(
     return [*paths, path]
 
 
-def diagnose_device(  # noqa: PLR0913
+def diagnose_device(
     paths: Sequence[Path],
     folder: Path,
     options: Options,

@@ -110,7 +110,7 @@ def band_text(population: PopulationResult) -> str:
     lines = ["A NEW device of each set: 5 %, 50 %, 95 %"]
     for row in table[table["quantity"].isin(SHOWN)].itertuples():
         unit = "" if row.unit == "1" else f" {row.unit}"
-        numbers = f"{row.q05:10.4g}{row.q50:10.4g}{row.q95:10.4g}{unit}"
+        numbers = f"{row.q05:10.4g} {row.q50:10.4g} {row.q95:10.4g}{unit}"
         devices = f"{row.n_devices} device{'' if row.n_devices == 1 else 's'}"
         lines.append(f"  {row.set:34.34}{devices:12}{row.quantity:10}{numbers}")
     return "\n".join(lines)

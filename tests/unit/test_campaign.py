@@ -75,7 +75,7 @@ def test_summary_pools_compares_and_writes_a_page(campaign):
         ("not = [toml", "not valid TOML"),
         (HEAD, "no [[set]] table"),
         (HEAD + "[[set]]\nname = 3\n", "name = 3"),
-        (HEAD + '[[set]]\nname = "a"\n', "names 0 devices"),
+        (HEAD + '[[set]]\nname = "a"\n', "has no [[set.device]]"),
         (HEAD + '[[set]]\nname = "a"\n[[set.device]]\nname = "d"\n', "recordings = "),
         (HEAD + 'speed = 3\n[[set]]\nname = "a"\n', "option 'speed'"),
         (HEAD.replace("200", '"many"') + '[[set]]\nname = "a"\n', "needs a whole number"),

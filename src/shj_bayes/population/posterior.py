@@ -166,7 +166,7 @@ class PopulationResult:
         if name.casefold() in folded:
             return self.set_names.index(folded[name.casefold()])
         near = [folded[m] for m in difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.4)]
-        hint = f"nearest: {', '.join(near)}" if near else f"sets are: {', '.join(self.set_names)}"
+        hint = f"nearest: {', '.join(near)}" if near else f"sets are: {', '.join(repr(s) for s in self.set_names)}"
         raise PopulationError(f"there is no set {name!r}; {hint}")
 
     def fit(self, name: str, prior: str = "default") -> QuantityPosterior:

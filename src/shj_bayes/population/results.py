@@ -170,8 +170,9 @@ def load_population(folder: Path) -> PopulationResult:
         with np.load(folder / _DRAWS, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
     except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise PopulationError(
-            f"{folder} holds no readable population ({error}); run `shj-bayes tables` or `shj-bayes campaign` first"
+            f"{folder} holds no readable population ({reason}); run `shj-bayes tables` or `shj-bayes campaign` first"
         ) from error
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise PopulationError(

@@ -25,7 +25,7 @@ _CONTAINS: dict[Role, tuple[str, ...]] = {
     "force": ("force", "load"),
 }
 _OPTION = re.compile(r"\s*(?P<role>\w+)\s*=(?P<what>.*)$", re.DOTALL)
-_HOW = "--columns time=...,displacement=...,force=... (column name, number, or a formula such as #7 - 490.87*#6)"
+_HOW = "--columns time=...,displacement=...,force=... (column name, number, or a formula such as #7 - 49.087*#6)"
 
 
 @dataclass(frozen=True, eq=False)

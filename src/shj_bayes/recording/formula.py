@@ -1,4 +1,4 @@
-"""Small formulas over columns: ``#7 - 490.87*#6``, ``gtau*vir``. Parsed by hand; nothing is ever evaluated as code."""
+"""Small formulas over columns: ``#7 - 49.087*#6``, ``gtau*vir``. Parsed by hand; nothing is ever evaluated as code."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 _MAX_LENGTH = 400
-_HELP = "allowed are column names, numbers of columns as #3, constants, + - * and / by a constant, as in #7 - 490.87*#6"
+_HELP = "allowed are column names, numbers of columns as #3, constants, + - * and / by a constant, as in #7 - 49.087*#6"
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,7 +124,8 @@ def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[Fl
     if bursts[0] > 1.3 * bursts[1]:
         message = (
             f"displacement and force seem swapped: the loop gives energy back (area {area:+.2f} of a friction loop; "
-            f"above {-SIGN_SHARE:g} is allowed) and the displacement jumps like a force; exchange them with --columns"
+            f"above {-SIGN_SHARE:g} is allowed) and the displacement jumps like a force; exchange them with --columns, "
+            "and give --units mm,kN,s where the header names units"
         )
         return force_kN, [Finding("swapped-columns", "unusable", message)]
     message = (

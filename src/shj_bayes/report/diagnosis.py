@@ -78,7 +78,7 @@ def content(data: DiagnosisData) -> dict[str, Any]:
         "next_test": record.get("next_test") or "",
         "reason": record.get("reason") or "",
         "p": say.p_words(record["p_value"]),
-        "capacity": f"{data.capacity_kN:.3g}",
+        "capacity": f"{data.capacity_kN:.4g}",
         "inputs": record.get("inputs") or [],
         "seed": record.get("seed"),
         "seconds": f"{number(record.get('seconds')):.0f}" if record.get("seconds") is not None else "",

@@ -31,6 +31,7 @@ COORDINATES = (
     ("slip_mm", "Slip since reversal", "slip since the last reversal (mm)"),
     ("travel_m", "Travel", "distance moved in all, through all runs (m)"),
 )
+UNITS = {"position": " (mm)", "speed": " (mm/s)", "slip since reversal": " (mm)", "travel": " (m)", "time": " (s)"}
 HINTS = {
     "position_mm": "A droop to both ends is clamping lost off centre, or speed; a slope alike in push and pull is a "
     "taper, opposite slopes are elastic.",
@@ -166,6 +167,7 @@ def _shape(data: DiagnosisData) -> Picture | None:
     if columns is None:
         return None
     coordinate = str(u.get("coordinate") or columns[0])
+    coordinate += UNITS.get(coordinate, "")
     return Picture(
         draw_.shape(columns[1], [(_name(n), v) for n, v in columns[2]], coordinate),
         f"What no effect explains, against {coordinate}.",
