@@ -33,7 +33,7 @@ def main() -> None:
                 FOLDER / f"{name}-{device}",
                 dep_mm_s=round(1 / gamma, 2),
                 seed=100 * number + device,
-                rate_Hz=10.0,
+                rate_Hz=5.0,
                 digits=6,
                 beta=centre["beta"],
                 sigma=1.0,

@@ -80,7 +80,8 @@ def test_described_parameters_are_the_parameters(path: Path) -> None:
         if not described:
             continue
         if isinstance(node, ast.ClassDef):
-            actual = [s.target.id for s in node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)]
+            fields = [s.target.id for s in node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)]
+            actual = [name for name in fields if not name.startswith("_")]
         else:
             a = node.args
             actual = [x.arg for x in (*a.args, *a.kwonlyargs) if x.arg not in ("self", "cls")]
