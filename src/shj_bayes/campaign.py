@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -16,8 +15,8 @@ from typing import Any
 from tqdm import tqdm
 
 from shj_bayes.errors import CampaignError, ShjError
-from shj_bayes.inference.store import write_text
-from shj_bayes.pipeline import DeviceResult, Options, fit_device, folder_name, plain_name
+from shj_bayes.files import folder_name, plain_name, read_toml, write_text
+from shj_bayes.pipeline import DeviceResult, Options, fit_device
 
 SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
@@ -107,17 +106,7 @@ def read_manifest(path: Path) -> Manifest:
     CampaignError
         With the table and the value at fault.
     """
-    try:
-        raw = path.read_bytes()
-        if len(raw) > 50_000_000:
-            raise CampaignError(f"{path.name} has {len(raw)} bytes; at most 50 MB are read")
-        table = tomllib.loads(raw.decode("utf-8"))
-    except OSError as error:
-        raise CampaignError(f"cannot read manifest {path.name}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise CampaignError(f"{path.name} is not valid TOML: {error}") from error
-    if table.get("schema") != SCHEMA:
-        raise CampaignError(f"{path.name}: schema is {table.get('schema')!r}; this version reads {SCHEMA!r}")
+    table, _ = read_toml(path, SCHEMA, 50_000_000, CampaignError)
     _known(path, "the manifest", table, ("schema", "name", "simulated", "defaults", "set"))
     defaults = _options(path, "[defaults]", Options(), table.get("defaults", {}))
     devices = tuple(_devices(path, table, defaults))

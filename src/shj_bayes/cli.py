@@ -297,7 +297,7 @@ def compare(folder: Path, set_a: str, set_b: str, as_json: bool, quiet: bool) ->
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None:
     """Make recordings of two runs of Table 1 from stated parameters, with the truth beside them."""
-    from shj_bayes.pipeline import write_simulated
+    from shj_bayes.simulated import write_simulated
 
     for path in write_simulated(stem, dep_mm_s=dep, **options):
         if not quiet:

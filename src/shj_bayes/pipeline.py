@@ -12,21 +12,18 @@ from typing import Any
 
 import shj_bayes
 from shj_bayes.errors import InferenceError, ModelError, RecordingError
+from shj_bayes.files import plain_name
 from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
 from shj_bayes.inference.sampler import Plan
-from shj_bayes.inference.store import read_record, write_text
+from shj_bayes.inference.store import read_record
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.law import VARIANTS
 from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE
-from shj_bayes.model.parameters import describe as describe_parameter
 from shj_bayes.model.priors import read_priors
-from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.check import describe, to_dict
 from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.protocol import table_1
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
-from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
@@ -232,72 +229,6 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
     return to_dict(recording, motion), describe(recording, motion)
 
 
-def write_simulated(
-    stem: Path,
-    *,
-    dep_mm_s: float | None,
-    seed: int,
-    rate_Hz: float,
-    last_cycles: int = 5,
-    model: str = "seed",
-    displacement_noise: float = 0.02,
-    digits: int = 7,
-    **truth: float,
-) -> list[Path]:
-    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
-
-    Parameters
-    ----------
-    stem : Path
-        Folder and beginning of the file names.
-    dep_mm_s : float or None
-        Speed dependence, mm/s; None for none.
-    seed : int
-        Same seed, same files.
-    rate_Hz : float
-        Sampling rate, Hz.
-    last_cycles : {5, 6}
-        Cycles in the last block of Table 1.
-    model : {"seed", "continuous"}
-        Reversal rule.
-    displacement_noise : float
-        Standard deviation of the displacement noise, mm.
-    digits : int
-        Significant digits of the files.
-    **truth : float
-        K, Fy, beta, ratio, sigma, phi in the units of INTERFACE.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-    """
-    if dep_mm_s is not None and dep_mm_s == 0:
-        raise ModelError("dep = 0 mm/s: allowed is any other number; leave --dep out for no speed dependence")
-    device = Truth(gamma=0.0 if dep_mm_s is None else 1 / dep_mm_s, displacement_noise_mm=displacement_noise, **truth)
-    blocks = table_1(last_cycles)
-    recordings = simulate_device(device, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model, name=stem.name)
-    stem.parent.mkdir(parents=True, exist_ok=True)
-    words = f"SIMULATED by shj-bayes {shj_bayes.__version__}, seed {seed}; not a measurement. Truth: {stem.name}.json"
-    paths = [
-        write_csv(stem.with_name(f"{stem.name}-run{run}.csv"), recording, comment=words, digits=digits)
-        for run, recording in enumerate(recordings, start=1)
-    ]
-    content = {
-        "schema": "shj-bayes/truth/1",
-        "simulated": True,
-        "seed": seed,
-        "model": model,
-        "rate_Hz": rate_Hz,
-        "blocks": [asdict(block) for block in blocks],
-        "truth": asdict(device),
-        "units": {p: describe_parameter(p).unit for p in ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi")},
-    }
-    path = stem.with_name(f"{stem.name}.json")
-    write_text(path, json.dumps(content, indent=1))
-    return [*paths, path]
-
-
 def diagnose_device(
     paths: Sequence[Path],
     folder: Path,
@@ -344,17 +275,6 @@ def diagnose_device(
     )
     diagnosis.write(folder)
     return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
-
-
-def plain_name(name: str) -> str:
-    """Name without control characters, at most 80 characters long."""
-    return re.sub(r"[\x00-\x1f\x7f]+", " ", name).strip()[:80] or "device"
-
-
-def folder_name(name: str) -> str:
-    """Name of a folder made from any text: letters, digits, dot, dash; never empty, hidden or a device of Windows."""
-    slug = re.sub(r"[^A-Za-z0-9.-]+", "-", name).strip("-.").lower()[:60]
-    return f"{slug}-{hashlib.sha256(name.encode('utf-8', 'replace')).hexdigest()[:6]}".strip("-")
 
 
 def dep_words(row: dict[str, Any]) -> str:

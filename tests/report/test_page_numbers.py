@@ -1,5 +1,7 @@
 """Numbers behind the figures against hand calculation."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.report import numbers, words
 from shj_bayes.report.data import RunData
+from shj_bayes.report.device import freed_words
 
 K, FY, AMPLITUDE = 20.0, 80.0, 40.0
 
@@ -118,3 +121,17 @@ def test_unbounded_dep_says_where_it_could_be() -> None:
 )
 def test_digits_follow_the_spread(value: float, spread: float, expected: str) -> None:
     assert words.rounded(value, spread) == expected
+
+
+def test_freed_parameters_are_answered_in_words() -> None:
+    """Each run's own K, beta, gamma: the page says whether the interval of the change holds no change."""
+    rng = np.random.default_rng(1)
+    first, spread = rng.normal(18.0, 0.1, 4000), rng.normal(0.0, 0.1, 4000)
+    device = SimpleNamespace(
+        draws={"K": first, "gamma": first / 1800, "K_2": first + spread, "gamma_2": first / 1800 + 0.004}
+    )
+    same, changed = freed_words(device)  # type: ignore[arg-type]
+    assert same.startswith("K, run 2 over run 1: 90 % interval 0.99")
+    assert "does not show that K changed" in same
+    assert changed.startswith("gamma, run 2 less run 1: 90 % interval 0.004 to 0.004 s/mm")
+    assert "gamma changed between the runs" in changed

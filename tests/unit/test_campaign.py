@@ -6,8 +6,8 @@ import pytest
 
 from shj_bayes.campaign import read_manifest, run_campaign
 from shj_bayes.errors import CampaignError
+from shj_bayes.files import folder_name
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.pipeline import folder_name
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.summary import compare_sets, summarise_campaign

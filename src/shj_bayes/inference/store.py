@@ -16,6 +16,7 @@ import pandas as pd
 
 import shj_bayes
 from shj_bayes.errors import InferenceError
+from shj_bayes.files import write_text
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import Diagnostics, Verdict
 from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles, modelled_force
@@ -235,13 +236,6 @@ def read_posterior(folder: Path) -> az.InferenceData:
     except (OSError, ValueError, KeyError) as error:
         raise InferenceError(f"posterior.nc in {folder.name} cannot be read ({error}); run the fit again") from error
     return data
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file beside the old one, then put it in its place."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8", newline="")
-    os.replace(part, path)
 
 
 def versions() -> dict[str, str]:

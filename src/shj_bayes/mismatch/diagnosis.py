@@ -13,9 +13,10 @@ import numpy as np
 import xarray as xr
 
 from shj_bayes.errors import ModelError
+from shj_bayes.files import write_text
 from shj_bayes.inference.problem import Run
 from shj_bayes.inference.sampler import Plan
-from shj_bayes.inference.store import versions, write_text
+from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
 from shj_bayes.mismatch.alias import alias_table
 from shj_bayes.mismatch.evidence import Evidence, evidence_of

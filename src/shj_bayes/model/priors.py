@@ -6,8 +6,6 @@ the likelihood never sees either.
 
 from __future__ import annotations
 
-import hashlib
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from scipy import stats
 from scipy.special import expit, log_expit, logit
 
 from shj_bayes.errors import PriorError
+from shj_bayes.files import read_toml
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.parameters import BASE, FloatArray, describe
 from shj_bayes.resources import shipped
@@ -168,21 +167,9 @@ def read_priors(which: str | Path = "afc") -> Priors:
                 f"priors '{which}' do not ship with shj-bayes; choose one of {', '.join(names)}, or name a .toml file"
             )
         path = shipped("priors", f"{which}.toml")
-    try:
-        raw = path.read_bytes()
-        if len(raw) > 1_000_000:
-            raise PriorError(f"{path.name} has {len(raw)} bytes; a prior file has a few kilobytes (1 MB at most)")
-        table = tomllib.loads(raw.decode("utf-8"))
-    except OSError as error:
-        raise PriorError(f"cannot read priors {path.name}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PriorError(f"{path.name} is not valid TOML: {error}") from error
-    if table.get("schema") != SCHEMA:
-        raise PriorError(f"{path.name}: schema is {table.get('schema')!r}; this version reads {SCHEMA!r}")
+    table, digest = read_toml(path, SCHEMA, 1_000_000, PriorError)
     laws = {name: _prior(path.name, name, entry) for name, entry in table.items() if isinstance(entry, dict)}
-    return Priors(
-        str(table.get("family", path.stem)), str(table.get("statement", "")), laws, hashlib.sha256(raw).hexdigest()
-    )
+    return Priors(str(table.get("family", path.stem)), str(table.get("statement", "")), laws, digest)
 
 
 def shipped_families() -> list[str]:

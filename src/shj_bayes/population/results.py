@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.files import write_text
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import how_wide, new_device_table
@@ -143,9 +144,9 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
     """
     folder.mkdir(parents=True, exist_ok=True)
     table = new_device_table(result).map(safe_cell)
-    table.to_csv(folder / "population.csv", index=False, lineterminator="\n")
+    write_text(folder / "population.csv", table.to_csv(index=False, lineterminator="\n"))
     text = json.dumps(to_json(result), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "population.json").write_text(text + "\n", encoding="utf-8")
+    write_text(folder / "population.json", text + "\n")
     arrays: dict[str, FloatArray] = {}
     for label, fits in {"default": result.posteriors, **result.other_priors}.items():
         for name, fit in fits.items():

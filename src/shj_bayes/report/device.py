@@ -74,12 +74,34 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
             {"run": d.run, "low": f"{d.q05:.1f}", "middle": f"{d.q50:.1f}", "high": f"{d.q95:.1f}"}
             for d in numbers.losses
         ],
+        "freed": freed_words(device),
         "before": before_words(numbers),
         "priors": [prior_row(device, law) for law in record["prior_laws"]],
         "model": record["model"],
         "sampling": record["sampling"],
         "record": record,
     }
+
+
+def freed_words(device: DeviceData) -> list[str]:
+    """Say of each parameter that the runs have for themselves whether it changed between them."""
+    out = []
+    for name, later in device.draws.items():
+        base, _, run = name.partition("_")
+        if base not in ("K", "beta", "gamma") or not run:
+            continue
+        first, additive = device.draws[base], base == "gamma"
+        change = later - first if additive else later / first
+        low, high = np.quantile(change, [0.05, 0.95])
+        unit = " s/mm" if additive else ""
+        what = f"{base}, run {run} {'less' if additive else 'over'} run 1"
+        none = 0.0 if additive else 1.0
+        if low <= none <= high:
+            verdict = f"no change ({none:g}) is within it: this test does not show that {base} changed"
+        else:
+            verdict = f"no change ({none:g}) is outside it: {base} changed between the runs"
+        out.append(f"{what}: 90 % interval {words.short(low)} to {words.short(high)}{unit}; {verdict}.")
+    return out
 
 
 def cards(device: DeviceData, peak_mm_s: float, one_speed: bool) -> list[dict[str, str]]:

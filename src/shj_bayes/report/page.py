@@ -10,7 +10,7 @@ from typing import Any
 import jinja2
 
 import shj_bayes
-from shj_bayes.inference.store import write_text
+from shj_bayes.files import write_text
 
 PAGE = "report.html"
 

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from shj_bayes.inference.store import write_text
+from shj_bayes.files import write_text
 from shj_bayes.report import words
 from shj_bayes.report.residuals import Structure
 

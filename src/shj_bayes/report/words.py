@@ -137,12 +137,12 @@ def _repeat_words(s: Structure) -> str:
 
 def _memory_words(s: Structure) -> str:
     text = (
-        f"Memory of the noise: the fitted noise remembers itself for {short(s.memory_s)} s; the shortest cycle takes "
-        f"{short(s.shortest_cycle_s)} s. "
+        f"Memory of the noise: the fitted noise remembers itself for {short(s.memory_s)} s; a typical cycle takes "
+        f"{short(s.typical_cycle_s)} s. "
     )
     if not s.absorbed:
         return text + "Measurement noise forgets faster than the device moves, as it should."
-    share = 100 * s.memory_s / s.shortest_cycle_s
+    share = 100 * s.memory_s / s.typical_cycle_s
     return (
         f"{text}That is {share:.0f} % of a cycle, above {100 * LONG_MEMORY:.0f} %: the noise model has absorbed "
         "misfit. What stays inside the noise band of the pictures below is then not only noise."

@@ -197,7 +197,7 @@ def test_laws_with_mass_where_the_model_has_none(tmp_path: Path, table: str, mes
 
 
 def test_missing_and_broken_files(tmp_path: Path) -> None:
-    with pytest.raises(PriorError, match=r"cannot read priors none\.toml: No such file"):
+    with pytest.raises(PriorError, match=r"cannot read none\.toml: No such file"):
         read_priors(tmp_path / "none.toml")
     with pytest.raises(PriorError, match="priors 'steel' do not ship with shj-bayes; choose one of afc, general"):
         read_priors("steel")
