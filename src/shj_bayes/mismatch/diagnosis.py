@@ -25,6 +25,7 @@ from shj_bayes.mismatch.posterior import augmented_posterior, sample
 from shj_bayes.mismatch.refit import Refit, make_model, refit
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.search import Search, Setting, search
+from shj_bayes.mismatch.thresholds import LINE
 from shj_bayes.mismatch.unknown import describe_unknown
 from shj_bayes.mismatch.verdict import judge
 from shj_bayes.model.effects.catalogue import catalogue
@@ -113,7 +114,10 @@ def diagnose(
     regions = regions_of(evidence)
     setting = Setting(evidence, regions, priors, effects, variant, seed, tell)
     result = search(setting, base)
-    left, _ = largest_region(evidence, result.final, regions, result.steps[-1].alarm)
+    last = result.steps[-1]
+    left, _ = largest_region(evidence, result.final, regions, last.alarm)
+    if last.line.p_value < LINE:
+        left = max(left, last.line.amplitude_kN)
     noise = result.final.rmse_kN
     judgement = judge(result, left, _explained(evidence, result))
     shown = result.final if result.found else base

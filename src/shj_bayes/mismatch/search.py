@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from shj_bayes.mismatch.calibrate import Alarm, look
+from shj_bayes.mismatch.calibrate import Alarm, Line, look, strongest_line
 from shj_bayes.mismatch.evidence import Evidence
 from shj_bayes.mismatch.name import Candidate, Ranking, rank, try_all
 from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
@@ -34,8 +34,10 @@ class Step:
     ranking : Ranking
         Every further effect, fitted.
     p_value : float
-        Of "nothing more is missing": twice the smaller of the look's and the held-out gains' (Bonferroni over both,
-        and over the effects).
+        Of "nothing more is missing": three times the smallest of the look's, the line's and the held-out gains'
+        (Bonferroni over the three, and over the effects).
+    line : Line
+        Strongest line over time in the residual at the start of the round.
     taken : str
         Id of the effect that entered, empty when none did.
     why : str
@@ -46,6 +48,7 @@ class Step:
     alarm: Alarm
     ranking: Ranking
     p_value: float
+    line: Line
     taken: str
     why: str
 
@@ -113,7 +116,8 @@ def search(setting: Setting, base: Refit) -> Search:
         rest = [e for e in setting.catalogue if e.id not in {own.id for own in current.model.effects}]
         tried = try_all(setting.evidence, current, setting.priors, rest, variant=setting.variant)
         ranking = rank(setting.evidence, tried, setting.rng(2, number))
-        p_value = min(1.0, 2.0 * min(alarm.p_value, _p_of_gains(setting, ranking, current)))
+        line = strongest_line(setting.evidence, current)
+        p_value = min(1.0, 3.0 * min(alarm.p_value, line.p_value, _p_of_gains(setting, ranking, current)))
         best = ranking.candidates[0]
         if p_value >= ALPHA / 2**number:
             why = f"p = {p_value:.4f}: nothing more than noise explains"
@@ -122,7 +126,9 @@ def search(setting: Setting, base: Refit) -> Search:
         else:
             why = _refusal(ranking, current)
         steps.append(
-            Step(current, alarm, ranking, p_value, "" if why else best.effect.id, why or "best on held-out cycles")
+            Step(
+                current, alarm, ranking, p_value, line, "" if why else best.effect.id, why or "best on held-out cycles"
+            )
         )
         if why:
             break

@@ -3,6 +3,7 @@
 How they were set, and what they give on development trials, stands in ``docs/decisions/0005-mismatch.md``.
 """
 
+LINE = 1e-3  # chance below which a line over time counts as part of what is left
 ALPHA = 0.02  # of a false alarm in a recording with nothing missing; halved for each effect already found
 PRACTICAL = 0.01  # of Fy: a smaller effect is negligible for design and is reported with its size, not raised
 GAIN_SE = 3.0  # standard errors by which the held-out gain of an effect must exceed 0

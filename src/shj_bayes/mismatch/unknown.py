@@ -11,6 +11,7 @@ from shj_bayes.mismatch.evidence import Evidence
 from shj_bayes.mismatch.locate import largest_region, profile
 from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.search import Search
+from shj_bayes.mismatch.thresholds import LINE
 from shj_bayes.model.parameters import FloatArray
 
 COORDINATES = {"position": "position_mm", "slip since reversal": "slip_mm", "travel": "travel_m", "speed": "speed_mm_s"}
@@ -37,6 +38,10 @@ def describe_unknown(evidence: Evidence, result: Search, regions: Regions) -> di
         for c, a, b in zip(centres, push, pull, strict=True)
     ]
     where = f" between {region.low:.3g} and {region.high:.3g} {region.unit} of {region.coordinate}" if region else ""
+    line = result.steps[-1].line
+    if line.p_value < LINE and line.amplitude_kN > size:
+        size, region = line.amplitude_kN, None
+        period = {"coordinate": "time", "length": line.period_s, "unit": "s", "share": None}
     left = "What is left after them" if result.found else "The misfit"
     words = f"{left} reaches {size:.2g} kN{where}; it is most regular over {coordinate}"
     words += f", with a period of {period['length']:.3g} {period['unit']} of {period['coordinate']}." if period else "."

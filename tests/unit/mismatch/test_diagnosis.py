@@ -133,3 +133,10 @@ def test_the_displacement_history_alone_tells_what_looks_alike():
 def test_unknown_effect_id_is_refused():
     with pytest.raises(ModelError, match="--without gravity: not an effect; known are"):
         quick(trials.simulate({}, 2), without=("gravity",))
+
+
+def test_a_misfit_that_follows_the_clock_is_seen():
+    record = quick(trials.simulate({}, 10, shape=trials.OUTSIDE["mains wave, 40 s"])).record
+    assert record["verdict"] == "unknown"
+    assert record["unknown"]["period"]["coordinate"] == "time"
+    assert record["unknown"]["period"]["length"] == pytest.approx(40.0, rel=0.05)
