@@ -57,7 +57,8 @@ def install() -> None:
     if STAMP.exists() and STAMP.read_text(encoding="utf-8") == digest:
         return
     print("installing into .venv (a minute or two, once)", file=sys.stderr, flush=True)
-    venv.create(VENV, with_pip=True)
+    if not PYTHON.exists():
+        venv.EnvBuilder(with_pip=True, symlinks=sys.platform != "win32").create(VENV)
     pip = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     for command in (
         [*pip, "--require-hashes", "-r", "requirements.txt"],
