@@ -60,8 +60,8 @@ class Ranking:
     ----------
     candidates : tuple of Candidate
         By held-out gain.
-    elpd_gain, se : array, shape (n_candidates,)
-        Gain in expected log predictive density of held-out blocks, and its standard error over blocks.
+    elpd_gain : array, shape (n_candidates,)
+        Gain in expected log predictive density of held-out blocks.
     behind, behind_se : array, shape (n_candidates,)
         How far each lies behind the best, and the standard error of that difference.
     probability : array, shape (n_candidates,)
@@ -70,7 +70,6 @@ class Ranking:
 
     candidates: tuple[Candidate, ...]
     elpd_gain: FloatArray
-    se: FloatArray
     behind: FloatArray
     behind_se: FloatArray
     probability: FloatArray
@@ -164,7 +163,6 @@ def rank(evidence: Evidence, candidates: Sequence[Candidate], rng: np.random.Gen
     return Ranking(
         candidates=tuple(candidates[int(i)] for i in order),
         elpd_gain=nats.sum(axis=1),
-        se=np.sqrt(n) * nats.std(axis=1, ddof=1),
         behind=behind.sum(axis=1),
         behind_se=np.sqrt(n) * behind.std(axis=1, ddof=1),
         probability=np.bincount(winner, minlength=len(candidates)) / N_BOOTSTRAP,

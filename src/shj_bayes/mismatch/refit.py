@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -247,11 +247,6 @@ def _descend(evidence: Evidence, model: Model, z: FloatArray, rounds: int, sigma
 def _ridge(fit: Refit) -> float:
     """Weight of the priors in the units of the Gram matrix."""
     return PRIOR_WEIGHT * max(fit.rmse_kN, 1e-12) ** 2
-
-
-def natural_values(fit: Refit) -> Mapping[str, float]:
-    """Fitted parameters in natural units by name."""
-    return fit.model.values(fit.z)
 
 
 def orthogonal_to(jacobian: FloatArray, columns: FloatArray) -> FloatArray:
