@@ -30,9 +30,8 @@ def natural(fit: Refit, z: FloatArray) -> dict[str, FloatArray]:
 def jackknife(evidence: Evidence, fit: Refit) -> FloatArray:
     """Estimate the standard error of the free parameters by leaving out one block at a time, shape (d,)."""
     gram = fit.jacobian.T @ fit.jacobian + fit.rmse_kN**2 * np.eye(fit.z.size)
-    edges = np.append(np.flatnonzero(np.diff(evidence.block, prepend=-1)), evidence.block.size)
     steps = []
-    for a, b in pairwise(edges.tolist()):
+    for a, b in pairwise(evidence.block_edges):
         j = fit.jacobian[a:b]
         steps.append(np.linalg.lstsq(gram - j.T @ j, -j.T @ fit.residual_kN[a:b], rcond=1e-10)[0])
     moved = np.stack(steps)

@@ -51,6 +51,11 @@ class Evidence:
         return int(self.block[-1]) + 1
 
     @property
+    def block_edges(self) -> list[int]:
+        """First sample of each block, and the number of samples behind them."""
+        return [*np.flatnonzero(np.diff(self.block, prepend=-1)).tolist(), self.block.size]
+
+    @property
     def run(self) -> NDArray[np.int64]:
         """Number of the run of each sample."""
         return np.concatenate([np.full(h.time_s.size, h.run) for h in self.histories])
@@ -61,8 +66,7 @@ class Evidence:
 
     def block_sums(self, values: FloatArray) -> FloatArray:
         """Sum over each block, along the first axis."""
-        first = np.flatnonzero(np.diff(self.block, prepend=-1))
-        return np.asarray(np.add.reduceat(values, first, axis=0))
+        return np.asarray(np.add.reduceat(values, self.block_edges[:-1], axis=0))
 
 
 def evidence_of(runs: Sequence[Run], max_samples: int = MAX_SAMPLES) -> Evidence:

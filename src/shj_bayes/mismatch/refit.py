@@ -99,8 +99,7 @@ class Refit:
         d = self.z.size
         gram = self.jacobian.T @ self.jacobian + _ridge(self) * np.eye(d)
         out = self.residual_kN.copy()
-        edges = np.append(np.flatnonzero(np.diff(evidence.block, prepend=-1)), evidence.block.size)
-        for a, b in pairwise(edges.tolist()):
+        for a, b in pairwise(evidence.block_edges):
             j, r = self.jacobian[a:b], self.residual_kN[a:b]
             rest = gram - j.T @ j
             step = np.linalg.lstsq(rest, j.T @ r, rcond=1e-10)[0]

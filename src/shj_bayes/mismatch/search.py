@@ -113,9 +113,7 @@ def search(setting: Setting, base: Refit) -> Search:
     for number in range(MAX_EFFECTS + 1):
         setting.tell(f"looking for misfit beyond {', '.join(e.id for e in current.model.effects) or 'the base law'}")
         alarm = look(setting.evidence, current, _directions(setting, current), setting.rng(1, number))
-        rest = [e for e in setting.catalogue if e.id not in {own.id for own in current.model.effects}]
-        tried = try_all(setting.evidence, current, setting.priors, rest, variant=setting.variant)
-        ranking = rank(setting.evidence, tried, setting.rng(2, number))
+        ranking = rank(setting.evidence, _try_rest(setting, current), setting.rng(2, number))
         line = strongest_line(setting.evidence, current)
         p_value = min(1.0, 3.0 * min(alarm.p_value, line.p_value, _p_of_gains(setting, ranking, current)))
         best = ranking.candidates[0]
@@ -135,7 +133,7 @@ def search(setting: Setting, base: Refit) -> Search:
         current = best.fit
         if number > 0:
             current = _revise(setting, current, number)
-    return Search(base, current, tuple(steps), _rivals(setting, base, current))
+    return Search(base, current, tuple(steps), _rivals(setting, steps[0].ranking, current))
 
 
 def _p_of_gains(setting: Setting, ranking: Ranking, current: Refit) -> float:
@@ -166,37 +164,31 @@ def _revise(setting: Setting, current: Refit, number: int) -> Refit:
     for position in range(len(current.model.effects) - 1):
         kept = [e for i, e in enumerate(current.model.effects) if i != position]
         without = _fit_with(setting, current, kept)
-        taken = {e.id for e in kept}
-        candidates = try_all(
-            setting.evidence,
-            without,
-            setting.priors,
-            [e for e in setting.catalogue if e.id not in taken],
-            variant=setting.variant,
-        )
-        ranking = rank(setting.evidence, candidates, setting.rng(3, number, position))
+        ranking = rank(setting.evidence, _try_rest(setting, without), setting.rng(3, number, position))
         if _refusal(ranking, without):
             return _revise(setting, without, number) if len(kept) > 1 else without
         current = ranking.candidates[0].fit
     return current
 
 
-def _rivals(setting: Setting, base: Refit, final: Refit) -> dict[str, Ranking]:
-    """For each effect of the final model, how every other one would do in its place."""
+def _rivals(setting: Setting, first: Ranking, final: Refit) -> dict[str, Ranking]:
+    """For each effect of the final model, how every other one would do in its place.
+
+    In the place of the only effect stands the base law, and `first` holds every effect tried beside that already.
+    """
     out = {}
     for position, effect in enumerate(final.model.effects):
         kept = [e for i, e in enumerate(final.model.effects) if i != position]
-        without = _fit_with(setting, final, kept) if kept else base
-        taken = {e.id for e in kept}
-        candidates: list[Candidate] = try_all(
-            setting.evidence,
-            without,
-            setting.priors,
-            [e for e in setting.catalogue if e.id not in taken],
-            variant=setting.variant,
-        )
-        out[effect.id] = rank(setting.evidence, candidates, setting.rng(4, position))
+        tried = _try_rest(setting, _fit_with(setting, final, kept)) if kept else first.candidates
+        out[effect.id] = rank(setting.evidence, tried, setting.rng(4, position))
     return out
+
+
+def _try_rest(setting: Setting, current: Refit) -> list[Candidate]:
+    """Fit a model with each effect that it does not hold yet."""
+    own = {effect.id for effect in current.model.effects}
+    rest = [effect for effect in setting.catalogue if effect.id not in own]
+    return try_all(setting.evidence, current, setting.priors, rest, variant=setting.variant)
 
 
 def _fit_with(setting: Setting, current: Refit, effects: Sequence[Effect]) -> Refit:
