@@ -42,7 +42,7 @@ EFFECTS: Values = {
     "stribeck": {"size": 0.12, "speed": 2.0},
     "breakaway": {"size": 0.15, "decay": 4.0, "growth": 0.3},
     "two_stage": {"size": 0.3, "delay": 3.0},
-    "slack": {"size": 0.8},
+    "slack": {"size": 0.8, "softness": 0.1},
     "sensor_lag": {"size": 0.08},
     "end_bearing": {"size": 0.03, "contact": 0.9, "side": 0.0},
     "wear": {"size": 0.02},

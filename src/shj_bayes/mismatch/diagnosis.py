@@ -24,7 +24,8 @@ from shj_bayes.mismatch.locate import largest_region
 from shj_bayes.mismatch.posterior import augmented_posterior, sample
 from shj_bayes.mismatch.refit import Refit, make_model, refit
 from shj_bayes.mismatch.regions import regions_of
-from shj_bayes.mismatch.search import Search, Setting, search
+from shj_bayes.mismatch.search import Setting, search
+from shj_bayes.mismatch.share import share
 from shj_bayes.mismatch.thresholds import LINE
 from shj_bayes.mismatch.unknown import describe_unknown
 from shj_bayes.mismatch.verdict import judge
@@ -32,9 +33,12 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors
+from shj_bayes.suggest import did_you_mean
 
 SAMPLED = 4000  # samples for the posterior with effects; denser ones are correlated and cost time
 N_QUICK = 4000
+N_COARSE = 2000  # starts are chosen on these
+N_FINE = 24_000  # the noise floor is looked for on these
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +116,15 @@ def diagnose(
     tell("fitting the base law")
     base = _fit_base(evidence, priors, variant, speed)
     regions = regions_of(evidence)
-    setting = Setting(evidence, regions, priors, effects, variant, seed, tell)
+    coarse, fine = evidence_of(runs, N_COARSE), evidence_of(runs, N_FINE)
+    setting = Setting(evidence, coarse, fine, regions, priors, effects, variant, seed, tell)
     result = search(setting, base)
     last = result.steps[-1]
     left, _ = largest_region(evidence, result.final, regions, last.alarm)
     if last.line.p_value < LINE:
         left = max(left, last.line.amplitude_kN)
     noise = result.final.rmse_kN
-    judgement = judge(result, left, _explained(evidence, result))
+    judgement = judge(result, left, share(evidence, fine, base, base, result.final))
     shown = result.final if result.found else base
     tell("sampling the posterior" if not quick else "approximating the posterior")
     draws, sampled = _posterior(runs, evidence, shown, priors, seed, (quick, progress, threads))
@@ -159,7 +164,8 @@ def _catalogue(without: Sequence[str]) -> tuple[Effect, ...]:
     known = catalogue()
     for name in without:
         if name not in known:
-            raise ModelError(f"--without {name}: not an effect; known are {', '.join(known)}")
+            words = f"{', '.join(known)}{did_you_mean(name, known)}"
+            raise ModelError(f"--without {name}: not an effect; known are {words}")
     hidden = {name for name in without if name != "velocity"}
     if "velocity" not in without:
         hidden.add("velocity")
@@ -176,8 +182,8 @@ def _fit_base(evidence: Evidence, priors: Priors, variant: str, speed: bool) -> 
     starts = []
     for knee in (5.0, 15.0, 50.0):
         for beta in (6.0, 60.0):
-            for share in (0.7, 1.0):
-                values = {"K": knee * peaks[0] / half / 2, "Fy": share * peaks[0], "beta": beta, "gamma": 0.0}
+            for level in (0.7, 1.0):
+                values = {"K": knee * peaks[0] / half / 2, "Fy": level * peaks[0], "beta": beta, "gamma": 0.0}
                 values |= {n: peaks[int(n.partition("_")[2] or 2) - 1] / peaks[0] for n in model.names if "ratio" in n}
                 starts.append(
                     np.array(
@@ -188,21 +194,6 @@ def _fit_base(evidence: Evidence, priors: Priors, variant: str, speed: bool) -> 
                     )
                 )
     return refit(evidence, model, starts)
-
-
-def _explained(evidence: Evidence, result: Search) -> float:
-    """Share of the misfit above the innovations' level that the effects take up."""
-    before, after = result.base.rmse_kN**2, result.final.rmse_kN**2
-    floor = min(_innovation_variance(evidence, result.final.residual_kN), after)
-    return float((before - after) / max(before - floor, 1e-300)) if before > after else 0.0
-
-
-def _innovation_variance(evidence: Evidence, residual: FloatArray) -> float:
-    """Stationary variance of AR(1) noise with the residual's short-term scatter and correlation."""
-    follows = (evidence.weight[1:] > 0) & (evidence.weight[:-1] > 0)
-    step = np.diff(residual)[follows]
-    phi = float(np.clip(np.corrcoef(residual[:-1][follows], residual[1:][follows])[0, 1], 0.0, 0.95))
-    return float(np.median(step**2) / 0.4549 / (2 * (1 - phi)))
 
 
 def _posterior(

@@ -64,6 +64,14 @@ class Evidence:
         """One array of the histories, runs one after the other."""
         return np.concatenate([getattr(h, name) for h in self.histories])
 
+    def half_cycle_sums(self, values: FloatArray) -> FloatArray:
+        """Sum over each half-cycle of each run."""
+        starts, before = [], 0
+        for history in self.histories:
+            starts.append(history.motion.start[:-1] + before)
+            before += history.time_s.size
+        return np.asarray(np.add.reduceat(values, np.concatenate(starts)))
+
     def block_sums(self, values: FloatArray) -> FloatArray:
         """Sum over each block, along the first axis."""
         return np.asarray(np.add.reduceat(values, self.block_edges[:-1], axis=0))

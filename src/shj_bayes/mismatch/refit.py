@@ -17,7 +17,7 @@ from shj_bayes.model.priors import Prior, Priors
 
 STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
 PRIOR_WEIGHT = 1.0
-N_STARTS = 6
+N_STARTS = 5
 
 
 @dataclass(frozen=True, eq=False)

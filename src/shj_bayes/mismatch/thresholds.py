@@ -6,9 +6,11 @@ How they were set, and what they give on development trials, stands in ``docs/de
 LINE = 1e-3  # chance below which a line over time counts as part of what is left
 ALPHA = 0.02  # of a false alarm in a recording with nothing missing; halved for each effect already found
 PRACTICAL = 0.01  # of Fy: a smaller effect is negligible for design and is reported with its size, not raised
-GAIN_SE = 3.0  # standard errors by which the held-out gain of an effect must exceed 0
+GAIN_SE = 3.0  # standard errors by which the held-out gain of an effect must exceed 0, or
+GAIN_NATS = 8.0  # held-out gain in log density that is beyond chance by itself: noise gave 5.5 at most in 105 devices
 RIVAL_SE = 2.0  # standard errors by which the best effect must beat another one to exclude it
 RIVAL_PROBABILITY = 0.05  # a rival that wins in this share of resampled cycle sets is not excluded
-MAX_EFFECTS = 3
-EXPLAINED = 0.9  # of the explainable misfit: with less, and an alarm that is left, the catalogue has not explained it
+MAX_EFFECTS = 4
+EXPLAINED = 0.9  # of the misfit above noise: with less, and an alarm that is left, the catalogue has not explained it
+NOTABLE = 0.03  # of Fy, root mean square: what an effect must take up that takes up less than 1 - EXPLAINED
 ALIAS = 0.9  # cosine above which two effects cannot be told apart by this displacement history

@@ -71,7 +71,7 @@ def _surface(
         motion.direction,
         np.array([base.K * share, base.Fy * share, base.beta]),
         clamping,
-        np.array([total.slack_mm, delay, total.compliance_mm_per_kN / max(share, 1e-12), smooth]),
+        np.array([total.slack_mm, total.take_up_mm, delay, total.compliance_mm_per_kN / max(share, 1e-12), smooth]),
         start_force,
     )
     return out

@@ -59,10 +59,7 @@ def force_of_laws(
         raise ModelError(f"model '{variant}' is not known; choose one of {', '.join(VARIANTS)}")
     if laws.ndim != 2 or laws.shape[1] != 4:
         raise ModelError(f"laws has shape {laws.shape}; it needs (m, 4) for K, Fy, beta, gamma")
-    _check("K", "kN/mm", laws[:, 0], 0.0, np.inf)
-    _check("Fy", "kN", laws[:, 1], 0.0, np.inf)
-    _check("beta", "", laws[:, 2], *BETA_RANGE)
-    _check("gamma", "s/mm", laws[:, 3], -np.inf, np.inf)
+    check_laws(laws)
     if not np.isfinite(start_force_kN):
         raise ModelError(f"start force = {start_force_kN} kN: it must be a finite number")
     shape = (laws.shape[0], motion.displacement_mm.size)
@@ -120,6 +117,20 @@ def force(
     """
     laws = np.array([[K, Fy, beta, gamma]])
     return np.asarray(force_of_laws(motion, laws, variant=variant, start_force_kN=start_force_kN)[0])
+
+
+def check_laws(laws: FloatArray) -> None:
+    """Refuse parameter sets (K, Fy, beta, gamma), shape (m, 4), that the law does not allow.
+
+    Raises
+    ------
+    ModelError
+        With the value and what is allowed.
+    """
+    _check("K", "kN/mm", laws[:, 0], 0.0, np.inf)
+    _check("Fy", "kN", laws[:, 1], 0.0, np.inf)
+    _check("beta", "", laws[:, 2], *BETA_RANGE)
+    _check("gamma", "s/mm", laws[:, 3], -np.inf, np.inf)
 
 
 def _check(name: str, unit: str, values: FloatArray, low: float, high: float) -> None:

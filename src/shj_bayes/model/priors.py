@@ -19,6 +19,7 @@ from shj_bayes.files import read_toml
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.parameters import BASE, FloatArray, describe
 from shj_bayes.resources import shipped
+from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/priors/1"
 LAWS = {
@@ -29,6 +30,7 @@ LAWS = {
 }
 # Where the law and the noise exist (above 0 for all others); a prior with mass beyond stops a fit half-way.
 ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf), "phi": (-1.0, 1.0)}
+MAX_NUMBER = 1e30  # squares and ratios of two such numbers still fit into a double
 MAX_SPREAD = 5.0  # squares of what lies 30 spreads out, as far as the sampler can step, still fit into a double
 
 
@@ -165,6 +167,7 @@ def read_priors(which: str | Path = "afc") -> Priors:
         if str(which) not in names:
             raise PriorError(
                 f"priors '{which}' do not ship with shj-bayes; choose one of {', '.join(names)}, or name a .toml file"
+                f"{did_you_mean(str(which), names)}"
             )
         path = shipped("priors", f"{which}.toml")
     table, digest = read_toml(path, SCHEMA, 1_000_000, PriorError)
@@ -180,7 +183,7 @@ def shipped_families() -> list[str]:
 def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
     """One table of a prior file."""
     if name not in BASE:
-        raise PriorError(f"{file}: [{name}] is not a parameter; known are {', '.join(BASE)}")
+        raise PriorError(f"{file}: [{name}] is not a parameter; known are {', '.join(BASE)}{did_you_mean(name, BASE)}")
     law = str(entry.get("law"))
     if law not in LAWS:
         raise PriorError(f"{file}: [{name}] law = {entry.get('law')!r}; choose one of {', '.join(LAWS)}")
@@ -192,6 +195,8 @@ def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
         value = entry.get(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise PriorError(f"{file}: [{name}] {key} = {value!r}; a {law} law needs a number there")
+        if abs(value) > MAX_NUMBER:  # also keeps out whole numbers that are too long for a double
+            raise PriorError(f"{file}: [{name}] {key} = {str(value)[:20]}; at most {MAX_NUMBER:g} in size is allowed")
         numbers.append(float(value))
     if not str(entry.get("source", "")).strip():
         raise PriorError(f"{file}: [{name}] has no source; say in one line where the law comes from")

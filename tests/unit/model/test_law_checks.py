@@ -73,7 +73,8 @@ def test_logarithm_and_exponential_of_the_kernel() -> None:
 def test_saturation_is_odd_bounded_and_rising(beta: float) -> None:
     above = np.geomspace(1e-12, 1e8, 800)
     e = np.concatenate([-above[::-1], [0.0], above])
-    held = np.array([kernel.saturate(v, 1 / 80.0, beta, 1 / beta) for v in e])
+    knee = kernel.knee_of(beta)
+    held = np.array([kernel.held_at(v, 0.0, 80.0, beta, knee) for v in e])
     assert np.array_equal(held, -held[::-1])
     assert np.all(np.abs(held) <= np.minimum(np.abs(e), 80.0) * (1 + 1e-14))
     assert np.all(np.diff(held) >= -1e-13 * 80.0)

@@ -34,8 +34,9 @@ class Contribution:
         Multiplies Fy (the clamping force or the friction coefficient).
     added_kN : array, shape (n_samples,), or float
         Added to the force.
-    slack_mm : float
-        Free travel at zero force after each reversal.
+    slack_mm, take_up_mm : float
+        Free travel at zero force after each reversal, and the distance over which it then comes back to full
+        stiffness.
     compliance_mm_per_kN : float
         Elastic part in series (grip, frame).
     lag_s : float
@@ -51,6 +52,7 @@ class Contribution:
     clamping: FloatArray | float = 1.0
     added_kN: FloatArray | float = 0.0
     slack_mm: float = 0.0
+    take_up_mm: float = 0.0
     compliance_mm_per_kN: float = 0.0
     lag_s: float = 0.0
     smooth_reversal: float = 0.0
@@ -152,6 +154,7 @@ def combine(contributions: list[Contribution]) -> Contribution:
         clamping=np.maximum(clamping, 1e-3),
         added_kN=added,
         slack_mm=sum(c.slack_mm for c in contributions),
+        take_up_mm=sum(c.take_up_mm for c in contributions),
         compliance_mm_per_kN=sum(c.compliance_mm_per_kN for c in contributions),
         lag_s=sum(c.lag_s for c in contributions),
         smooth_reversal=min(1.0, sum(c.smooth_reversal for c in contributions)),

@@ -8,8 +8,8 @@ from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Free travel at zero force."""
-    return Contribution(slack_mm=values["size"])
+    """Free travel at zero force, then a contact that closes over a distance."""
+    return Contribution(slack_mm=values["size"], take_up_mm=values["softness"] * values["size"])
 
 
 EFFECT = Effect(
@@ -17,13 +17,18 @@ EFFECT = Effect(
     family="start_of_stroke",
     title="Free travel at reversals",
     statement="The connection moves {size:.1f} mm without load at every reversal before it picks up again.",
-    equation="F = 0 over a distance g once the force has unloaded to zero",
+    equation="F = 0 over a distance g once the force has unloaded to zero; then 0.4 K over s g, then K",
     cause="Clearance of bolts, pins or the grips: backlash in series with the sliding surfaces.",
     shows="A flat step at zero force in every reversal, of one width in all amplitudes, speeds and clamping levels.",
     next_test="Two slow small cycles at low clamping, or a displacement gauge across the device itself.",
-    parameters=(Prior("size", "mm", "uniform", 0.0, 10.0, "Standard holes give 2 mm a side; brfd-lehigh has 3 mm."),),
+    parameters=(
+        Prior("size", "mm", "uniform", 0.0, 10.0, "Standard holes give 2 mm a side; brfd-lehigh has 3 mm."),
+        Prior(
+            "softness", "1", "loguniform", 0.02, 5.0, "Bolts with unlike clearances meet one after another: s about 1."
+        ),
+    ),
     neutral={"size": 0.0},
     act=act,
     source="DOMAIN E10; the paper's brass shim ('slid rigidly back to zero').",
-    start={"size": (0.5, 2.0)},
+    start={"size": (0.5, 2.0), "softness": (0.1, 1.0)},
 )
