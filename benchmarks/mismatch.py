@@ -44,7 +44,7 @@ EFFECTS: Values = {
     "two_stage": {"size": 0.3, "delay": 3.0},
     "slack": {"size": 0.8, "softness": 0.1},
     "sensor_lag": {"size": 0.08},
-    "end_bearing": {"size": 0.03, "contact": 0.9, "side": 0.0},
+    "end_bearing": {"size": 0.03, "contact": 0.9, "side": 0.0, "returned": 0.0},
     "wear": {"size": 0.02},
     "bedding_in": {"size": 0.1, "travel": 0.5},
     "thermal": {"size": 0.1, "cooling": 120.0},

@@ -99,10 +99,13 @@ def test_bend_of_the_speed_law_is_as_large_as_its_size():
 
 def test_end_bearing_can_be_at_one_end_only():
     h = ramps([0.0, 30.0, -30.0, 30.0])
-    added = catalogue()["end_bearing"].act(h, {"size": 0.05, "contact": 0.9, "side": 1.0}, BASE).added_kN
+    values = {"size": 0.05, "contact": 0.9, "side": 1.0, "returned": 0.25}
+    added = np.asarray(catalogue()["end_bearing"].act(h, values, BASE).added_kN)
     assert np.max(added) == pytest.approx(2 * 0.05 * FY * 3.0)
     assert np.all(added[h.position_mm < 0] == 0)
-    assert np.all(added[h.direction < 0] == 0)
+    out, back = h.position_mm[h.direction > 0], h.position_mm[h.direction < 0]
+    np.testing.assert_allclose(added[h.direction > 0], 2 * 0.05 * FY * np.maximum(out - 27.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(added[h.direction < 0], 0.25 * 2 * 0.05 * FY * np.maximum(back - 27.0, 0.0), atol=1e-9)
 
 
 def test_stick_slip_has_one_tooth_per_wave_length():
