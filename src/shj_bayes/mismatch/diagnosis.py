@@ -32,10 +32,11 @@ from shj_bayes.mismatch.verdict import judge
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Priors
+from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.suggest import did_you_mean
 
 SAMPLED = 4000  # samples for the posterior with effects; denser ones are correlated and cost time
+STEPS = 2000  # at most; an augmented law that does not fit has a posterior that mixes slowly, and says so
 N_QUICK = 4000
 N_COARSE = 2000  # starts are chosen on these
 N_FINE = 24_000  # the noise floor is looked for on these
@@ -209,7 +210,29 @@ def _posterior(
     thin = evidence_of(runs, SAMPLED)
     start = refit(thin, fit.model, [fit.z])
     draws, verdict = sample(
-        augmented_posterior(thin, start, priors), start, Plan(seed=seed), progress=progress, threads=threads
+        augmented_posterior(thin, start, priors),
+        start,
+        Plan(seed=seed, max_steps=STEPS),
+        progress=progress,
+        threads=threads,
     )
-    how_words = f"emcee on every {thin.stride}. sample; {'; '.join(verdict.reasons)}"
+    spread = content.jackknife(evidence, fit)
+    draws |= {
+        name: _widened(draws[name], prior, float(least))
+        for name, prior, least in zip(fit.model.names, fit.model.priors, spread, strict=True)
+    }
+    how_words = f"emcee on every {thin.stride}. sample; {'; '.join(verdict.reasons)}; no narrower than the cycles allow"
     return draws, {"how": how_words, "verdict": verdict.word}
+
+
+def _widened(draws: FloatArray, prior: Prior, least: float) -> FloatArray:
+    """Spread draws to the jackknife's standard error where they are narrower.
+
+    The posterior believes in AR(1) noise and in the effect's formula; the scatter from cycle to cycle does not. On
+    simulators that are not the catalogue's formulas the posterior alone covered 22 of 48 truths, the jackknife 35.
+    """
+    z = prior.to_free(draws)
+    spread = float(z.std())
+    if not 0 < spread < least or not np.all(np.isfinite(z)):
+        return draws
+    return prior.from_free(z.mean() + (z - z.mean()) * (least / spread))

@@ -14,7 +14,17 @@ from shj_bayes.mismatch.name import Candidate, Ranking, rank, try_all
 from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
 from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.share import share
-from shj_bayes.mismatch.thresholds import ALPHA, EXPLAINED, GAIN_NATS, GAIN_SE, MAX_EFFECTS, NOTABLE, PRACTICAL
+from shj_bayes.mismatch.thresholds import (
+    ALPHA,
+    EXPLAINED,
+    GAIN_NATS,
+    GAIN_SE,
+    LARGE,
+    MAX_EFFECTS,
+    NOTABLE,
+    PART,
+    PRACTICAL,
+)
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors
@@ -81,7 +91,25 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What stays the same during a search; `coarse` and `fine` are the recordings with fewer and with more samples."""
+    """What stays the same during a search.
+
+    Parameters
+    ----------
+    evidence, coarse, fine : Evidence
+        The recordings, and the same with fewer samples (to choose starts) and with more (to find the noise floor).
+    regions : Regions
+        Where to look.
+    priors : Priors
+        Of the base parameters.
+    catalogue : tuple of Effect
+        What to try.
+    variant : {"seed", "continuous"}
+        Reversal rule.
+    seed : int
+        Of the resampling.
+    tell : callable
+        Gets one line for each step.
+    """
 
     evidence: Evidence
     coarse: Evidence
@@ -185,7 +213,8 @@ def _objection(setting: Setting, base: Refit, current: Refit, candidate: Candida
         return f"the best effect ({name}) is {candidate.size_kN:.2g} kN, below {100 * PRACTICAL:.0f} % of Fy"
     part = share(setting.evidence, setting.fine, base, current, candidate.fit)
     fall = float(np.sqrt(max(current.rmse_kN**2 - candidate.fit.rmse_kN**2, 0.0)))
-    if part < 1.0 - EXPLAINED and fall < NOTABLE * _capacity(current):
+    large = candidate.size_kN >= LARGE * _capacity(current) and part >= PART
+    if part < 1.0 - EXPLAINED and fall < NOTABLE * _capacity(current) and not large:
         return f"the best effect ({name}) would take up {100 * part:.1f} % of the misfit of the base law, {fall:.2g} kN"
     return ""
 

@@ -12,5 +12,8 @@ RIVAL_SE = 2.0  # standard errors by which the best effect must beat another one
 RIVAL_PROBABILITY = 0.05  # a rival that wins in this share of resampled cycle sets is not excluded
 MAX_EFFECTS = 4
 EXPLAINED = 0.9  # of the misfit above noise: with less, and an alarm that is left, the catalogue has not explained it
-NOTABLE = 0.03  # of Fy, root mean square: what an effect must take up that takes up less than 1 - EXPLAINED
+# An effect that takes up less of the misfit than 1 - EXPLAINED gets a name only if it takes up
+NOTABLE = 0.03  # of Fy, root mean square, or is
+LARGE = 0.1  # of Fy somewhere (a slack, while the force is uneven by far more) and takes up
+PART = 0.03  # of the misfit above noise
 ALIAS = 0.9  # cosine above which two effects cannot be told apart by this displacement history

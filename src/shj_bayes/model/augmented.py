@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, combine
-from shj_bayes.model.effects.kernel import rate_free_force
-from shj_bayes.model.history import History
+from shj_bayes.model.effects.kernel import delayed, rate_free_force
+from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
 
@@ -44,14 +44,18 @@ def force_with_effects(
         Force, kN.
     """
     total = combine([effect.act(history, values[effect.id], base) for effect in effects])
+    late = delayed(history, total.lag_s) if total.lag_s else None
+    if late is not None:  # the law on the motion of a moment ago: the force itself has corners that thinning would cut
+        history = late
+        total = combine([effect.act(history, values[effect.id], base) for effect in effects])
     share, delay = total.second_surface
     smooth = 1.0 if variant == "continuous" else total.smooth_reversal
     force = _surface(history, base, total, (1.0 - share, 0.0, smooth), start_force_kN * (1.0 - share))
     if share > 0:
         force = force + _surface(history, base, total, (share, delay, smooth), start_force_kN * share)
     force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * history.speed_mm_s) + total.added_kN
-    if total.lag_s:
-        force = np.interp(history.time_s - total.lag_s, history.time_s, force)
+    if total.lag_s and late is None:
+        force = delayed(history.time_s, np.ascontiguousarray(force), total.lag_s)
     return np.asarray(force)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -143,6 +143,48 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
         )
         before += float(travel[-1])
     return tuple(out)
+
+
+def delayed(history: History, lag_s: float) -> History | None:
+    """History of the moment `lag_s` ago at each sample, or None where that leaves a half-cycle without samples.
+
+    Parameters
+    ----------
+    history : History
+        Of one run.
+    lag_s : float
+        Delay, s; may be negative.
+
+    Returns
+    -------
+    History or None
+    """
+    motion, time = history.motion, history.time_s
+    then = time - lag_s
+    start = np.searchsorted(then, time[motion.start[:-1]])
+    start = np.append(np.maximum(start, 0), time.size)
+    start[0] = 0
+    if np.any(np.diff(start) <= 0):
+        return None
+    moved = Motion(
+        displacement_mm=np.interp(then, time, motion.displacement_mm),
+        speed_mm_s=np.interp(then, time, motion.speed_mm_s),
+        start=start,
+        turning_mm=motion.turning_mm,
+        direction=motion.direction,
+    )
+    index, first = moved.half_cycle, motion.start[:-1]
+    return replace(
+        history,
+        motion=moved,
+        position_mm=np.interp(then, time, history.position_mm),
+        direction=motion.direction[index].astype(np.float64),
+        slip_mm=np.abs(moved.displacement_mm - moved.turning_mm[index]),
+        travel_m=np.interp(then, time, history.travel_m),
+        amplitude_mm=history.amplitude_mm[first][index],
+        acceleration_mm_s2=np.interp(then, time, history.acceleration_mm_s2),
+        rest_s=history.rest_s[first][index],
+    )
 
 
 def _rest(time: FloatArray, motion: Motion, peak: float) -> FloatArray:

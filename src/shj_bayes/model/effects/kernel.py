@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
-from shj_bayes.model.kernel import knee_of, saturate
+from shj_bayes.model.kernel import knee_of, saturate, saturate_with_slope
 
 # Bolts with unlike clearances: a part of the stiffness comes back first. 0.3 to 0.5 fit brfd-lehigh alike.
 FIRST = 0.4
+
+_TOGETHER = 64  # samples whose equation is solved together, until the last one is close
+_MAX_NEWTON = 40
+_CLOSE = 1e-16  # square of the last change, in units of the capacity; the next would be about its square
 
 
 @njit(error_model="numpy", fastmath={"contract"}, inline="always")
@@ -62,8 +67,48 @@ def _in_series(distance, reset, sense, law, capacity, knee, parts, guess):  # ty
     return f
 
 
+@njit(error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, compliance, smooth, work):  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
+    """Force of neighbouring samples of the device behind an elastic part, without slack or delay.
+
+    The unknown is the elastic force e of Eq. (1), since then the travel is explicit:
+    x - origin = (e - reset) / K + c (H(e) - reset). It rises with e and bends one way on either side of 0, and lies
+    beyond both its straight ends, so Newton's steps from the further of these come to it from one side.
+    """
+    stiffness, beta = law[0], law[2]
+    soft = 1.0 / stiffness
+    for i in range(out.size):
+        capacity = law[1] * caps[i]
+        target = x[i] - origin + soft * reset + compliance * reset
+        elastic = target / (soft + compliance)
+        sliding = (target - compliance * np.copysign(capacity, target)) * stiffness
+        far = elastic if abs(elastic) > sliding * np.sign(target) else sliding
+        # Where unloading is straight (a share of the continuous rule) the elastic line is the nearer guess.
+        guess = far if smooth == 0.0 or target * sense > 0.0 else elastic
+        work[i] = guess if (guess - reset) * sense > 0.0 else reset
+    for _ in range(_MAX_NEWTON):
+        left = 0.0
+        for i in range(out.size):
+            capacity = law[1] * caps[i]
+            e = work[i]
+            held, slope = saturate_with_slope(e, capacity, 1.0 / capacity, beta, knee)
+            share = smooth if e * sense <= 0.0 else 0.0
+            held = held + share * (e - held)
+            slope = slope + share * (1.0 - slope)
+            missing = x[i] - origin - soft * (e - reset) - compliance * (held - reset)
+            moved = e + missing / (soft + compliance * slope)
+            # Eq. (1) as published jumps towards unloading at a reversal: the part in series takes that up at first.
+            moved = moved if (moved - reset) * sense > 0.0 else reset
+            work[i] = moved
+            out[i] = held + slope * (moved - e)
+            change = (moved - e) / capacity
+            left += change * change
+        if left < _CLOSE:
+            break
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]
+def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]  # noqa: PLR0912
     """Fill `out` with the rate-free force of one run.
 
     `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack, take-up and delay (mm), compliance (mm/kN)
@@ -71,17 +116,24 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
     """
     stiffness, beta = law[0], law[2]
     slack, take_up, delay, compliance, smooth = parts[0], parts[1], parts[2], parts[3], parts[4]
+    plain = slack == 0.0 and take_up == 0.0 and delay == 0.0
     knee = knee_of(beta)
+    work, end = np.empty(_TOGETHER), np.empty(1)
     reset = start_force
     for k in range(turning.size):
         a, b, sense = start[k], start[k + 1], float(direction[k])
         xs, caps, outs, origin = x[a:b], clamping[a:b], out[a:b], turning[k]
-        if compliance > 0.0:
+        if compliance > 0.0 and plain:
+            for i in range(0, outs.size, _TOGETHER):
+                j = min(i + _TOGETHER, outs.size)
+                part = (outs[i:j], xs[i:j], origin, reset, sense, law, caps[i:j], knee, compliance, smooth, work)
+                _fill_in_series(*part)
+        elif compliance > 0.0:
             guess = reset
             for i in range(outs.size):
                 guess = _in_series((xs[i] - origin) * sense, reset, sense, law, law[1] * caps[i], knee, parts, guess)
                 outs[i] = guess
-        elif slack == 0.0 and take_up == 0.0 and delay == 0.0:
+        elif plain:
             for i in range(outs.size):
                 outs[i] = _held(stiffness * (xs[i] - origin) + reset, sense, law[1] * caps[i], beta, knee, smooth)
         else:
@@ -91,9 +143,32 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
         if k + 1 < turning.size:
             reach = (turning[k + 1] - origin) * sense
             capacity = law[1] * clamping[b - 1]
-            if compliance > 0.0:
+            if compliance > 0.0 and plain:
+                there, last = turning[k + 1 : k + 2], clamping[b - 1 : b]
+                _fill_in_series(end, there, origin, reset, sense, law, last, knee, compliance, smooth, work)
+                reset = end[0]
+            elif compliance > 0.0:
                 reset = _in_series(reach, reset, sense, law, capacity, knee, parts, outs[outs.size - 1])
             else:
                 reset = _held(
                     _elastic(reach, reset, sense, stiffness, slack, take_up, delay), sense, capacity, beta, knee, smooth
                 )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def delayed(time, force, lag):  # type: ignore[no-untyped-def]
+    """Give the force of `lag` ago at each time, straight between samples; as `numpy.interp`, which looks for each."""
+    out = np.empty(force.size)
+    j = 0
+    for i in range(force.size):
+        t = time[i] - lag
+        while j > 0 and time[j] > t:
+            j -= 1
+        while j + 1 < force.size and time[j + 1] <= t:
+            j += 1
+        if t <= time[0] or j + 1 == force.size:
+            out[i] = force[0] if t <= time[0] else force[-1]
+        else:
+            slope = (force[j + 1] - force[j]) / (time[j + 1] - time[j])
+            out[i] = slope * (t - time[j]) + force[j]
+    return out

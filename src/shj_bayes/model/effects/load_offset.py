@@ -22,7 +22,7 @@ EFFECT = Effect(
     shows="The whole loop shifted up or down, by the same number of kN in both runs, also while sticking.",
     next_test="Read the load cell unloaded before and after the run.",
     parameters=(
-        Prior("size", "1", "normal", 0.0, 0.3, "0.001-0.01 for a sound load cell; fixtures, preload and pressure give more."),
+        Prior("size", "1", "normal", 0.0, 0.3, "0.001-0.01 for a sound load cell; preload and pressure give more."),
     ),
     neutral={"size": 0.0},
     act=act,
