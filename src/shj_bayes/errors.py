@@ -10,12 +10,35 @@
     |   `-- CheckpointError   a checkpoint of another problem, or an altered one
     |-- CampaignError     a manifest or a campaign folder that cannot be used
     |-- PopulationError   too little, or contradictory, input for a population statement
-    `-- ReportError       a results folder that cannot be shown
+    |-- ReportError       a results folder that cannot be shown
+    `-- ProofError        a proof folder that cannot be gone on with, or does not check
 """
+
+import unicodedata
+
+MAX_MESSAGE = 1000  # characters; a file that is quoted at length says less than its beginning
+_STEERING = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}  # control, direction marks, halves of characters, line separators
+
+
+def plain_text(text: str) -> str:
+    """Text without characters that steer a terminal, turn the direction of writing, or cannot be written at all."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(" " if unicodedata.category(c) in _STEERING else c for c in text)
 
 
 class ShjError(Exception):
-    """Base of every error that a user can mend; the command line prints it as one line and exits 1."""
+    """Base of every error that a user can mend; the command line prints it as one line and exits 1.
+
+    Parameters
+    ----------
+    message : str
+        What came, what is allowed, what to do. It may quote a file, so what could steer a terminal is taken out.
+    """
+
+    def __init__(self, message: str) -> None:
+        text = plain_text(message)
+        super().__init__(text if len(text) <= MAX_MESSAGE else f"{text[:MAX_MESSAGE]} ...")
 
 
 class RecordingError(ShjError):
@@ -48,3 +71,7 @@ class PopulationError(ShjError):
 
 class ReportError(ShjError):
     """A results folder that cannot be shown."""
+
+
+class ProofError(ShjError):
+    """A proof folder that cannot be gone on with, or does not check."""

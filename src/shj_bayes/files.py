@@ -1,22 +1,176 @@
-"""Files that are written whole or not at all, TOML files that are checked, and names that are safe everywhere."""
+"""Files that are written whole or not at all, files that are read with bounds, and names that are safe everywhere."""
 
 from __future__ import annotations
 
+import errno
+import glob
 import hashlib
+import json
 import os
 import re
+import stat
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.errors import ShjError
+from shj_bayes.errors import ShjError, plain_text
+
+MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
+MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give the name of a file beside the old one to write to, then put it in the place of the old one.
+
+    What was begun is taken away when writing fails; the old file is then as it was.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+
+    Yields
+    ------
+    Path
+        Where to write.
+
+    Raises
+    ------
+    OSError
+        If the disk is full, the folder is read-only, or a library could not write for such a reason.
+    """
+    # The process number keeps a worker that outlived its killed parent from writing into the file of its successor.
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        yield part
+        with part.open("rb+") as stream:  # so that a power cut cannot leave the new name with nothing behind it
+            os.fsync(stream.fileno())
+        os.replace(part, path)
+        for left_over in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # of processes that were killed
+            with suppress(OSError):
+                left_over.unlink()
+    except BaseException as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        if isinstance(error, RuntimeError):  # HDF5 reports a full disk so when it fails on closing
+            raise OSError(errno.EIO, "the file could not be written", str(path)) from error
+        if isinstance(error, OSError) and error.errno:
+            raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
+        raise
+
+
+def reserve(path: Path, n_bytes: int) -> None:
+    """Make sure that a file of this size can be written, before a library that reports a full disk badly begins.
+
+    HDF5 that cannot write prints tracebacks while it is torn down, and may even end the process.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it is made, and may be written over.
+    n_bytes : int
+        Most that will be written.
+
+    Raises
+    ------
+    OSError
+        If there is no room.
+    """
+    with path.open("wb") as stream:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(stream.fileno(), 0, n_bytes)
+        else:
+            for _ in range(n_bytes // 2**20 + 1):
+                stream.write(bytes(2**20))
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file beside the old one, then put it in its place."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8", newline="")
-    os.replace(part, path)
+    """Write a text file whole or not at all."""
+    with replacing(path) as part:
+        part.write_bytes(text.encode("utf-8", "replace"))
+
+
+@contextmanager
+def damage_told(what: str, error: type[ShjError]) -> Iterator[None]:
+    """Turn what the content of a damaged or hand-made file makes our own code raise into one line.
+
+    Files that carry digests never come so far; those of earlier versions, or made by hand, may lack anything.
+
+    Parameters
+    ----------
+    what : str
+        The file or files, for the message.
+    error : type
+        Kind of error to raise.
+    """
+    try:
+        yield
+    except (ShjError, OSError, MemoryError):
+        raise
+    except Exception as problem:
+        reason = f"{type(problem).__name__}: {str(problem)[:200]}"
+        raise error(f"{what} lacks something or holds something else ({reason}); run the command again") from problem
+
+
+def sealed(record: dict[str, Any]) -> dict[str, Any]:
+    """Record with the digest of its own content, so that a change by hand or by a bad disk is seen when it is read."""
+    return record | {"digest": _digest_of(record)}
+
+
+def check_seal(record: Any, path: Path, error: type[ShjError]) -> None:
+    """Refuse a record that was altered after it was written; one without a digest is of an earlier version."""
+    if isinstance(record, dict) and "digest" in record and record["digest"] != _digest_of(record):
+        raise error(
+            f"{path.name} in {path.parent.name} was altered after it was written (its digest does not fit); "
+            "restore it, or run the command again that wrote it"
+        )
+
+
+def _digest_of(record: dict[str, Any]) -> str:
+    rest = {key: value for key, value in record.items() if key != "digest"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def read_bytes(path: Path, max_bytes: int, error: type[ShjError]) -> bytes:
+    """Read an ordinary file of bounded size.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    max_bytes : int
+        Largest size that is read.
+    error : type
+        Kind of error to raise.
+
+    Returns
+    -------
+    bytes
+    """
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise error(f"{path.name or path} is a folder; name the file in it")
+        if not stat.S_ISREG(status.st_mode):  # a device or a pipe has no size and may never end
+            raise error(f"{path.name} is not an ordinary file; it must be a file on the disk")
+        if status.st_size > max_bytes:
+            raise error(f"{path.name} has {status.st_size} bytes; at most {max_bytes} are read; is it the right file?")
+        return path.read_bytes()
+    except (OSError, ValueError) as problem:
+        reason = getattr(problem, "strerror", None) or problem
+        raise error(f"cannot read {path.name}: {reason}; check the name and the folder") from problem
+
+
+def read_json(path: Path, error: type[ShjError]) -> Any:
+    """Read a JSON file of our own; what cannot be read raises `error` with the file and the place in it."""
+    raw = read_bytes(path, MAX_JSON, error)
+    try:
+        return json.loads(raw.decode("utf-8"))
+    except (ValueError, RecursionError) as problem:
+        raise error(f"{path.name} is damaged: {problem}; write it again") from problem
 
 
 def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) -> tuple[dict[str, Any], str]:
@@ -38,24 +192,29 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
     dict, str
         Content, and the SHA-256 of the file.
     """
+    raw = read_bytes(path, max_bytes, error)
+    for number, line in enumerate(raw.split(b"\n"), start=1):
+        if line.count(b".") > MAX_POINTS:
+            raise error(f"{path.name}, line {number} holds more than {MAX_POINTS} points; put lists on several lines")
     try:
-        size = path.stat().st_size
-        if size > max_bytes:
-            raise error(f"{path.name} has {size} bytes; at most {max_bytes} are read")
-        raw = path.read_bytes()
-        table = tomllib.loads(raw.decode("utf-8"))
-    except OSError as problem:
-        raise error(f"cannot read {path.name}: {problem.strerror}") from problem
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise error(f"{path.name} is not valid TOML: {problem}") from problem
+        table = tomllib.loads(raw.decode("utf-8-sig"))
+    except (ValueError, RecursionError, AttributeError, KeyError) as problem:  # the last two: bugs of tomllib 3.11
+        raise error(f"{path.name} is not valid TOML: {problem}; correct that place") from problem
     if table.get("schema") != schema:
-        raise error(f"{path.name}: schema is {table.get('schema')!r}; this version reads {schema!r}")
+        shown = repr(table.get("schema"))[:80]
+        raise error(f"{path.name}: schema is {shown}; this version reads {schema!r}; write that, or update shj-bayes")
     return table, hashlib.sha256(raw).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, read in pieces."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def plain_name(name: str) -> str:
     """Name without control characters, at most 80 characters long."""
-    return re.sub(r"[\x00-\x1f\x7f]+", " ", name).strip()[:80] or "device"
+    return re.sub(r"\s+", " ", plain_text(name[:400])).strip()[:80].strip() or "device"
 
 
 def folder_name(name: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
 
-PLAN = {"round_steps": 20, "max_steps": 100}
+PLAN = {"round_steps": 12, "max_steps": 60}
 
 
 def main(path: Path, seed: int, delay_s: float) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording.hdf5 import apart, refuse_large, shaped
 from shj_bayes.recording.headers import split_header
-from shj_bayes.recording.limits import MAX_BYTES
+from shj_bayes.recording.limits import CHUNK_BYTES
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Column, Table, as_floats
 
@@ -20,7 +24,7 @@ _NUMERIC_CLASSES = {
     "logical",
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 }
-_MAX_WIDTH = 64  # a matrix with more columns is an image or a state history, not channels
+_COMPRESSED = 15  # type of a compressed element of a v5 MAT file
 
 
 def read_binary(path: Path, sha256: str) -> Table:
@@ -38,11 +42,9 @@ def read_binary(path: Path, sha256: str) -> Table:
     Table
         One column for each vector, one for each column of a matrix (``name[1]``), and the single numbers.
     """
-    import h5py  # noqa: PLC0415
-
     kind = "mat" if path.suffix.lower() == ".mat" else "hdf5"
-    if h5py.is_hdf5(path):
-        arrays = _from_hdf5(path)
+    if _is_hdf5(path):
+        arrays = apart(path)
     elif kind == "mat":
         arrays = _from_mat(path)
     else:
@@ -65,6 +67,18 @@ def read_binary(path: Path, sha256: str) -> Table:
     return Table(path.name, kind, sha256, tuple(columns), scalars=scalars, findings=tuple(findings))
 
 
+def _is_hdf5(path: Path) -> bool:
+    """Whether the signature of HDF5 stands at 0, 512, 1024, 2048 ... (HDF5 format specification, section II.A)."""
+    size, at = path.stat().st_size, 0
+    with path.open("rb") as stream:
+        while at < size:
+            stream.seek(at)
+            if stream.read(8) == b"\x89HDF\r\n\x1a\n":
+                return True
+            at = 2 * at or 512
+    return False
+
+
 def _columns(name: str, values: np.ndarray[Any, Any], unit: str | None) -> Iterator[Column]:
     """Vectors as they are, matrices column by column."""
     plain, own = split_header(name)
@@ -75,82 +89,38 @@ def _columns(name: str, values: np.ndarray[Any, Any], unit: str | None) -> Itera
         yield Column(f"{plain}[{i + 1}]", as_floats(values[:, i]), unit or own, f"{name}[{i + 1}]")
 
 
-def _shaped(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
-    """Vector, or matrix with the long side down; None for what is neither."""
-    values = np.squeeze(values)
-    if values.ndim <= 1:
-        return values if values.size else None
-    if values.ndim == 2:
-        values = values if values.shape[0] >= values.shape[1] else values.T
-        return values if values.shape[1] <= _MAX_WIDTH else None
-    return None
-
-
-def _bounded(total: int, name: str) -> None:
-    """Refuse before reading what would not fit."""
-    if total > MAX_BYTES:
-        raise RecordingError(
-            f"{name} holds {total / 1024**2:.0f} MiB of numbers; "
-            f"allowed are {MAX_BYTES // 1024**2} MiB; export fewer channels"
-        )
-
-
 def _from_mat(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any] | None, str | None]]:
     """Variables of a MAT file up to v7; only the numeric classes are loaded at all."""
     from scipy.io import loadmat, whosmat  # noqa: PLC0415
 
+    _refuse_bomb(path)
     listing = whosmat(path)
     wanted = [name for name, _, kind in listing if kind in _NUMERIC_CLASSES]
-    _bounded(sum(8 * int(np.prod(shape)) for name, shape, _ in listing if name in wanted), path.name)
+    # math.prod, since the sizes of a damaged file overflow the integers of numpy
+    refuse_large(sum(8 * math.prod(map(int, shape)) for name, shape, _ in listing if name in wanted), path.name)
     loaded = loadmat(path, variable_names=wanted) if wanted else {}
     for name, _, _ in listing:
         values = loaded.get(name)
         numeric = isinstance(values, np.ndarray) and values.dtype.kind in "fiub"
-        yield name, _shaped(values) if numeric and values is not None else None, None
+        yield name, shaped(values) if numeric and values is not None else None, None
 
 
-def _from_hdf5(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any] | None, str | None]]:
-    """Numeric datasets and tables of an HDF5 file; links to other files are never followed."""
-    import h5py  # noqa: PLC0415
-
-    found: list[tuple[str, np.ndarray[Any, Any] | None, str | None]] = []
-    with h5py.File(path, "r") as file:
-        datasets: list[h5py.Dataset] = []
-        # visititems goes through hard links only, so neither soft nor external links lead out of the file.
-        file.visititems(lambda _, item: datasets.append(item) if isinstance(item, h5py.Dataset) else None)
-        datasets = [item for item in datasets if not str(item.name).startswith("/#")]  # MATLAB's own bookkeeping
-        numeric = [item for item in datasets if _holds_numbers(item.dtype)]
-        _bounded(sum(int(item.size or 0) * max(8, item.dtype.itemsize) for item in numeric), path.name)
-        for item in datasets:
-            name = str(item.name).lstrip("/")
-            if item not in numeric or item.external:
-                found.append((name, None, None))
-            elif item.dtype.names:
-                table = item[()]
-                found.extend((field, _shaped(table[field]), None) for field in item.dtype.names)
-            else:
-                found.append((name, _shaped(item[()]), _unit(item)))
-        found.extend((key, np.asarray(value), None) for key, value in file.attrs.items() if _is_number(value))
-    return iter(found)
-
-
-def _holds_numbers(dtype: np.dtype[Any]) -> bool:
-    """Whether a dataset is plain numbers, or a table of them; references and objects are not."""
-    if dtype.names:
-        return all(dtype[name].kind in "fiub" for name in dtype.names)
-    return dtype.kind in "fiub"
-
-
-def _is_number(value: object) -> bool:
-    return np.ndim(value) == 0 and isinstance(value, (int, float, np.integer, np.floating))  # type: ignore[arg-type]
-
-
-def _unit(item: Any) -> str | None:
-    """Look for a unit among the attributes of a dataset."""
-    for key in ("units", "unit", "Units", "Unit"):
-        value = item.attrs.get(key)
-        if isinstance(value, bytes):
-            value = value.decode("utf-8", "replace")
-        if isinstance(value, str) and value.strip():
-            return value.strip()
-    return None
+def _refuse_bomb(path: Path) -> None:
+    """Unpack the compressed elements of a v5 MAT file in pieces, counting, before scipy unpacks them whole."""
+    with path.open("rb") as stream:
+        order = {b"IM": "<", b"MI": ">"}.get(stream.read(128)[126:128])
+        if order is None:  # version 4 has no compression
+            return
+        total = 0
+        while len(tag := stream.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != _COMPRESSED:
+                stream.seek(size, 1)
+                continue
+            unpacker, left = zlib.decompressobj(), size
+            while left > 0 and (packed := stream.read(min(left, CHUNK_BYTES))):
+                left -= len(packed)
+                while packed:
+                    total += len(unpacker.decompress(packed, CHUNK_BYTES))
+                    refuse_large(total, path.name)
+                    packed = unpacker.unconsumed_tail

@@ -40,6 +40,8 @@ class Channels:
         What was read for each role.
     findings : tuple of Finding
         What was assumed.
+    named, assumed : frozenset of str
+        Roles whose column the user named, and roles whose unit nobody stated.
     """
 
     time_s: FloatArray
@@ -48,6 +50,8 @@ class Channels:
     columns: dict[str, str]
     units: dict[str, str]
     findings: tuple[Finding, ...]
+    named: frozenset[str] = frozenset()
+    assumed: frozenset[str] = frozenset()
 
 
 def choose(
@@ -115,10 +119,20 @@ def choose(
             continue
         unit = _unit(role, values[role], given, findings, table)
         used[role] = unit
-        scaled = np.asarray(values[role].values * factor(unit, role), dtype=np.float64)
+        scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
     _note_ignored(table, values, findings)
-    return Channels(arrays["time"], arrays["displacement"], arrays["force"], chosen, used, tuple(findings))
+    assumed = frozenset(role for role in ROLES if role not in given and not _stated(values.get(role)))
+    return Channels(
+        arrays["time"],
+        arrays["displacement"],
+        arrays["force"],
+        chosen,
+        used,
+        tuple(findings),
+        frozenset(asked),
+        assumed,
+    )
 
 
 def parse_columns(option: str | None) -> dict[Role, str]:
@@ -268,6 +282,21 @@ def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Findi
         )
     )
     return TARGET[role]
+
+
+def _factor(unit: str, role: Role, column: str, table: Table) -> float:
+    """Multiplier of a unit; a refusal names the file and the column."""
+    try:
+        return factor(unit, role)
+    except RecordingError as error:
+        raise RecordingError(f"{table.name}, column {column!r}: {error}") from error
+
+
+def _stated(value: Value | None) -> bool:
+    """Whether the file says the unit, or there is none to say: a rate is in Hz, an interval in s."""
+    if value is None or not value.values.ndim:
+        return True
+    return bool(value.plain and value.columns[0].unit)
 
 
 def _same(left: str, right: str, role: Role) -> bool:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_ROWS
+from shj_bayes.recording.dialect import NoNumbersError
+from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_PARTS, MAX_RATIO, MAX_SHEET_ROWS
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Table
 
@@ -36,7 +39,7 @@ def read_excel(path: Path, sha256: str) -> Table:
             sheet = book[name]
             if not hasattr(sheet, "iter_rows"):  # a chart sheet
                 continue
-            table = _from_rows(_rows(sheet, path.name), path.name, sha256)
+            table = _table(sheet, path.name, sha256)
             if table is not None:
                 return _with_sheet_note(table, name, names)
     finally:
@@ -45,39 +48,73 @@ def read_excel(path: Path, sha256: str) -> Table:
 
 
 def _bounded(path: Path) -> None:
-    """Look at the zip directory before anything is unpacked."""
+    """Look at the zip directory, and at the head of every part, before anything is unpacked whole."""
+    size = path.stat().st_size
     try:
         with zipfile.ZipFile(path) as archive:
-            total = sum(entry.file_size for entry in archive.infolist())
+            entries = archive.infolist()
+            total = sum(entry.file_size for entry in entries)
+            if total > MAX_BYTES:
+                raise RecordingError(
+                    f"{path.name} unpacks to {total / 1024**2:.0f} MiB; "
+                    f"allowed are {MAX_BYTES // 1024**2} MiB; save one sheet as CSV"
+                )
+            if total > MAX_RATIO * size + CHUNK_BYTES or len(entries) > MAX_PARTS:
+                raise RecordingError(
+                    f"{path.name} has {len(entries)} parts that unpack to {total / size:.0f} times its size; allowed "
+                    f"are {MAX_PARTS} parts and {MAX_RATIO} times; that is no workbook; save one sheet as CSV"
+                )
+            for entry in entries:
+                if entry.filename.lower().endswith((".xml", ".rels", ".vml")):
+                    _refuse_doctype(archive, entry, path.name)
     except zipfile.BadZipFile as error:
         raise RecordingError(f"{path.name} is not an XLSX workbook ({error}); save it again as .xlsx") from error
-    if total > MAX_BYTES:
+
+
+def _refuse_doctype(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> None:
+    """Refuse a part with a document type: only there can entities be declared, and no workbook has one.
+
+    Expat reads up to the first element, so the encoding and comments before it cannot hide anything.
+    """
+    parser = expat.ParserCreate()
+    found: list[str] = []
+    parser.StartDoctypeDeclHandler = lambda *_: found.append("doctype")
+    parser.StartElementHandler = lambda *_: found.append("element")
+    with archive.open(entry) as stream:
+        try:
+            while not found and (piece := stream.read(4096)):
+                parser.Parse(piece)
+        except expat.ExpatError:
+            pass  # broken XML; openpyxl says so, and may not need this part at all
+    if found[:1] == ["doctype"]:
         raise RecordingError(
-            f"{path.name} unpacks to {total / 1024**2:.0f} MiB; "
-            f"allowed are {MAX_BYTES // 1024**2} MiB; save one sheet as CSV"
+            f"{name}: its part {entry.filename} declares a document type, which no workbook has and which can make "
+            "a reader run for ever; save it again as .xlsx"
         )
 
 
-def _rows(sheet: Any, name: str) -> list[list[object]]:
-    """Cells of a sheet up to the bounds, without the empty rows."""
-    rows: list[list[object]] = []
-    for row in sheet.iter_rows(max_col=MAX_COLUMNS, values_only=True):
+def _lines(sheet: Any) -> Iterator[str]:
+    """Rows of a sheet as lines of text, without the empty ones.
+
+    A sheet can claim a cell in its last row; openpyxl then hands out one and the same empty row a million times.
+    """
+    last: Any = None
+    for row in sheet.iter_rows(max_row=MAX_SHEET_ROWS, max_col=MAX_COLUMNS, values_only=True):
+        if row is last:
+            continue
+        last = row
         filled = [i for i, cell in enumerate(row) if cell is not None]
         if filled:
-            rows.append(list(row[: filled[-1] + 1]))
-        if len(rows) > MAX_ROWS:
-            raise RecordingError(f"{name} has more than {MAX_ROWS} rows; export fewer")
-    return rows
+            yield "\t".join(_cell(cell) for cell in row[: filled[-1] + 1])
 
 
-def _from_rows(rows: list[list[object]], name: str, sha256: str) -> Table | None:
+def _table(sheet: Any, name: str, sha256: str) -> Table | None:
     """Table of a sheet by way of the text reader, so that both find headers by the same rules."""
     from shj_bayes.recording.text import table_from_lines  # noqa: PLC0415
 
-    lines = ["\t".join(_cell(cell) for cell in row) for row in rows]
     try:
-        return table_from_lines(lines, name, sha256, "xlsx")
-    except RecordingError:
+        return table_from_lines(_lines(sheet), name, sha256, "xlsx")
+    except NoNumbersError:
         return None
 
 
@@ -87,7 +124,7 @@ def _cell(value: object) -> str:
         return ""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return repr(float(value))
-    return str(value).replace("\t", " ").replace("\n", " ")
+    return " ".join(str(value).split())
 
 
 def _with_sheet_note(table: Table, used: str, names: list[str]) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from shj_bayes.recording.limits import MAX_NAME
 from shj_bayes.recording.units import role_of
 
 _BRACKETED = re.compile(r"^(?P<name>.*?)[\s_,/]*[(\[{<]\s*(?P<unit>[^()\[\]{}<>]{1,24})\s*[)\]}>]\s*$")
@@ -12,6 +13,7 @@ _SUFFIXES = {
     *("s", "sec", "ms", "us", "mm", "cm", "m", "um", "\u00b5m", "\u03bcm", "in", "inch", "ft"),
     *("n", "kn", "mn", "lb", "lbs", "lbf", "kip", "kips", "kgf", "tonf"),
 }
+_TIME_SUFFIXES = {"min", "mins", "h", "hr"}  # behind "time" only: elsewhere min is a minimum
 _SUFFIXED = re.compile(r"^(?P<name>.+?)\s*[_,/: \-]\s*(?P<unit>[A-Za-z\u00b5\u03bc\"'.]{1,8})$")
 
 
@@ -29,11 +31,13 @@ def split_header(header: str) -> tuple[str, str | None]:
     unit : str or None
         As written; a unit in brackets is taken as it is, a suffix only when it is a unit of time, length or force.
     """
-    text = header.strip().strip("\"'").strip()
+    text = header[:MAX_NAME].strip().strip("\"'").strip()
     if (match := _BRACKETED.match(text)) and match["name"].strip():
         return match["name"].strip(), match["unit"].strip()
-    if (match := _SUFFIXED.match(text)) and match["unit"].strip(".").lower() in _SUFFIXES:
-        return match["name"].strip(), match["unit"]
+    if match := _SUFFIXED.match(text):
+        unit = match["unit"].strip(".").lower()
+        if unit in _SUFFIXES or (unit in _TIME_SUFFIXES and "time" in match["name"].lower()):
+            return match["name"].strip(), match["unit"]
     return text, None
 
 

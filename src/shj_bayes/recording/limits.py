@@ -7,6 +7,15 @@ MAX_ROWS = 10_000_000
 MAX_COLUMNS = 512
 MAX_BYTES = 512 * 1024**2  # after decompression; holds 10 million rows of four numbers as text
 CHUNK_BYTES = 4 * 1024**2  # a compressed file is unpacked in pieces of this size, so that it can be stopped
+BLOCK_ROWS = 200_000  # rows of text held at a time: some 50 MB, however long the file
+HDF5_SECONDS = 300  # for the largest file on the slowest disk; a damaged one can make the library loop
+MAX_RATIO = 200  # unpacked over packed size of a workbook; sheets of numbers reach about 10, constant columns 60
+MAX_PARTS = 2000  # files in a workbook; two hundred sheets with pictures stay below
+MAX_SHEET_ROWS = 1_048_576  # the last row that a workbook can have
+MAX_LINE = 65_536  # characters; 512 columns of 100 digits stay below
+MAX_CELL = 64  # characters of a number; no instrument prints more, and longer ones make pattern matching slow
+MAX_VALUE = 1e30  # in any unit; no channel holds more, and its square still fits into a double
+MAX_NAME = 200  # characters of a header that are looked at
 
 # --- time ---
 GAP_STEPS = 3.5  # a step this many medians long is a gap: jitter and one or two lost samples stay below
@@ -36,8 +45,15 @@ MIN_STROKE_MM = 0.02  # below this there is only noise
 MIN_FORCE_KN = 1e-5  # 0.01 N
 MAX_DURATION_S = 7 * 86_400.0  # a week
 
+# --- the same where nobody stated the unit: sizes of tests of connections and dampers; stating the unit lifts them ---
+ASSUMED_STROKE_MM = (1.0, 1_000.0)  # metres read as mm end below: a stroke of 0.19
+ASSUMED_FORCE_KN = (0.1, 5_000.0)  # MN read as kN end below, newtons of most devices above
+ASSUMED_SPEED_MM_S = (0.05, 5_000.0)  # mean; milliseconds read as seconds end below
+
 # --- sign, order of columns, offset, lag, cycles ---
 SIGN_SHARE = 0.2  # friction dissipates: the loop area must be at least this share of (range x range), of either sign
+SWAPPED_BURSTS = 1.5  # burstiness of displacement over that of force; 0.4 to 0.9 for friction, 1.3 at most measured
+SWAPPED_ROUGHNESS = 0.5  # second over first differences; driven displacements reach 0.4, noisy forces exceed 0.6
 REST_SAMPLES = 10  # a rest at the start shorter than this is chance
 OFFSET_SHARE = 0.10  # mean of push and pull over half their difference, from which an offset is mentioned
 CENTRE_SHARE = 0.05  # middle of the stroke over the amplitude, from which it is mentioned

@@ -101,6 +101,25 @@ def burstiness(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(change**2))) / mean if mean > 0 else 0.0
 
 
+def roughness(values: FloatArray) -> float:
+    """Root mean square of the second differences over that of the first, at a thousandth of the record.
+
+    Parameters
+    ----------
+    values : array, shape (n_samples,)
+
+    Returns
+    -------
+    float
+        Below 0.4 for a driven displacement, 1.7 for white noise.
+    """
+    change = np.diff(values[:: max(1, values.size // 1000)])
+    if change.size < 2:
+        return 0.0
+    size = float(np.sqrt(np.mean(change**2)))
+    return float(np.sqrt(np.mean(np.diff(change) ** 2))) / size if size > 0 else 0.0
+
+
 def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[FloatArray, list[Finding]]:
     """Turn a force of the wrong sign round; name columns that seem swapped.
 

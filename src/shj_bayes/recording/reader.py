@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from shj_bayes.recording.columns import choose
+from shj_bayes.recording.plausible import plausibility_findings
 from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.recording import Recording, Source
 from shj_bayes.recording.tables import read_table
@@ -48,6 +49,9 @@ def read(
     time_s, displacement_mm, force_kN, used, findings = repair(
         channels.time_s, channels.displacement_mm, channels.force_kN, table.name
     )
+    known = {finding.code for finding in findings}
+    unlikely = plausibility_findings(channels, time_s, displacement_mm, force_kN)
+    findings += tuple(finding for finding in unlikely if finding.code not in known)
     recording = Recording(
         time_s=time_s,
         displacement_mm=displacement_mm,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, plain_text
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -36,6 +38,10 @@ class Finding:
     message: str
     count: int = 0
 
+    def __post_init__(self) -> None:
+        """Take out of a message what a file may have smuggled into it."""
+        object.__setattr__(self, "message", plain_text(self.message))
+
 
 @dataclass(frozen=True)
 class Source:
@@ -60,6 +66,12 @@ class Source:
     format: str = "simulated"
     columns: dict[str, str] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Names of files and columns are text from outside: keep what can be shown and written."""
+        object.__setattr__(self, "name", plain_text(self.name))
+        for key in ("columns", "units"):
+            object.__setattr__(self, key, {role: plain_text(text) for role, text in getattr(self, key).items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +118,46 @@ class Recording:
             raise RecordingError(f"used has shape {used.shape}; it needs shape ({n},)")
         used.setflags(write=False)
         object.__setattr__(self, "used", used)
+
+    @classmethod
+    def read(
+        cls, path: str | Path, *, columns: str | None = None, units: str | None = None, rate_Hz: float | None = None
+    ) -> Recording:
+        """Read a file; the same as `shj_bayes.recording.reader.read`, where the parameters are described.
+
+        Parameters
+        ----------
+        path : str or Path
+            CSV, TSV, TXT (also .gz), XLSX, MAT, HDF5 or TDMS.
+        columns, units : str, optional
+            Columns and units, where the file does not say.
+        rate_Hz : float, optional
+            Sampling rate of a file without time, Hz.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        RecordingError
+            If the file cannot be read, or a channel is missing, ambiguous or not convertible.
+        """
+        from shj_bayes.recording.reader import read  # noqa: PLC0415  the reader makes recordings, so it imports this
+
+        return read(path, columns=columns, units=units, rate_Hz=rate_Hz)
+
+    def _repr_html_(self) -> str:
+        """Facts and findings as a small table, for notebooks."""
+        x, f = self.displacement_mm, self.force_kN
+        rows = [
+            ("samples", f"{self.n_samples} at {self.rate_Hz:.4g} Hz, {self.duration_s:.4g} s"),
+            ("displacement", f"{x.min():.4g} to {x.max():.4g} mm"),
+            ("force", f"{f.min():.4g} to {f.max():.4g} kN"),
+            *((finding.severity, finding.message) for finding in self.findings),
+        ]
+        body = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)
+        return f"<table><caption>{escape(self.source.name)}</caption><tbody>{body}</tbody></table>"
 
     @property
     def n_samples(self) -> int:

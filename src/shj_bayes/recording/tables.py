@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from shj_bayes.errors import RecordingError
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_ROWS
+from shj_bayes.errors import RecordingError, plain_text
+from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS, MAX_VALUE
 from shj_bayes.recording.recording import Finding, FloatArray
 
 FORMATS = {
@@ -181,11 +181,18 @@ def _checked(table: Table) -> Table:
         )
     for column in table.columns:
         column.values.setflags(write=False)
-    return table
+    return replace(table, columns=tuple(map(_plain, table.columns)))
+
+
+def _plain(column: Column) -> Column:
+    """Column whose name and unit are short and can be shown."""
+    name, header = plain_text(column.name[:MAX_NAME]), plain_text(column.header[:MAX_NAME])
+    return replace(column, name=name, header=header, unit=None if column.unit is None else plain_text(column.unit))
 
 
 def as_floats(values: object) -> FloatArray:
-    """Copy to float64; infinities become NaN, since no sensor measures them."""
+    """Copy to float64; infinities and absurd sizes become NaN, since no sensor measures them and sums overflow."""
     array = np.array(values, dtype=np.float64)
-    array[~np.isfinite(array)] = np.nan
+    with np.errstate(invalid="ignore"):
+        array[~(np.abs(array) <= MAX_VALUE)] = np.nan
     return array

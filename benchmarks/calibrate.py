@@ -1,0 +1,344 @@
+"""Simulation-based calibration of the whole device fit: ``python benchmarks/calibrate.py -n 300``.
+
+Each draw takes parameters from the priors, simulates two runs with correlated force noise and displacement noise, and
+fits them as `shj-bayes fit` would. If prior, simulator, law, smoothing of the displacement, likelihood and sampler
+belong together, the rank of the true value among the posterior draws is uniform, and a 90 % interval holds it in 90 %
+of the draws. Finished draws are kept in ``calibration*.jsonl``; the same command
+goes on where it stopped.
+
+``--broken white`` (noise taken for white), ``--broken jacobian`` (the Jacobian of the sampler's parameters counted
+in the likelihood too) and ``--broken signed`` (speed with its sign) break one thing on purpose: the test must fail.
+
+Sources: Talts et al. 2018, arXiv 1804.06788 (ranks); Saeilynoja, Buerkner, Vehtari 2022, Stat. Comput. 32 (envelopes).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from tqdm import tqdm
+
+from shj_bayes.errors import ShjError
+from shj_bayes.files import write_text
+from shj_bayes.inference.convergence import judge
+from shj_bayes.inference.fit import fit, make_problem
+from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.start import find_start
+from shj_bayes.inference.store import natural_chains
+from shj_bayes.model.law import force
+from shj_bayes.model.priors import read_priors
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.recording import Recording
+
+Floats = NDArray[np.float64]
+ROOT = Path(__file__).resolve().parents[1]
+BROKEN = ("white", "jacobian", "signed")
+SHORT = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))  # for the tests of the test: half a minute of motion
+LEVELS = (0.50, 0.80, 0.90, 0.95)
+N_RANKS = 99  # nearly independent posterior draws for each rank
+LAW = ("K", "Fy", "beta", "gamma", "ratio")  # the others, sigma and phi, describe all that is left over
+
+
+class WithJacobian:
+    """The density of a problem with the Jacobian counted once more, in the likelihood, where it does not belong."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.priors = [problem.priors.of(name) for name in problem.layout.names]
+
+    def log_posterior_free(self, z: Floats) -> Floats:
+        """Log posterior density plus the logarithm of d(natural)/d(free)."""
+        step = 1e-5
+        slopes = [
+            (prior.from_free(z[:, i] + step) - prior.from_free(z[:, i] - step)) / (2 * step)
+            for i, prior in enumerate(self.priors)
+        ]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            extra = np.log(np.abs(slopes)).sum(axis=0)
+        return np.asarray(self.problem.log_posterior_free(z) + np.nan_to_num(extra, nan=-np.inf))
+
+
+def draw(
+    number: int, seed: int, *, rate_Hz: float, short: bool, broken: str, max_steps: int, wobble_mm: float
+) -> dict[str, Any]:
+    """Make and fit one draw.
+
+    Parameters
+    ----------
+    number, seed : int
+        Same number and seed, same draw.
+    rate_Hz : float
+        Sampling rate, Hz.
+    short : bool
+        Four cycles instead of Table 1.
+    broken : str
+        What to break, or "".
+    max_steps : int
+        Steps after which to stop.
+    wobble_mm : float
+        Displacement noise, mm.
+
+    Returns
+    -------
+    dict
+        Truth, rank, and position of the truth in the posterior (share of draws below it) for each parameter.
+    """
+    begin = time.perf_counter()
+    priors = read_priors("afc")
+    names = ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi")
+    rng = np.random.default_rng([seed, number])
+    values = {name: float(priors.of(name).distribution.rvs(random_state=rng)) for name in names}
+    truth = Truth(**values, displacement_noise_mm=wobble_mm)
+    blocks = SHORT if short else table_1()
+    record: dict[str, Any] = {"number": number, "truth": values}
+    try:
+        recordings = simulate_device(truth, seed=int(rng.integers(2**31)), rate_Hz=rate_Hz, blocks=blocks)
+        if broken == "signed":
+            recordings = _with_signed_speed(recordings, truth, blocks, rate_Hz)
+        problem = make_problem(recordings, priors=priors, noise="independent" if broken == "white" else "ar1")
+        plan = Plan(seed=int(rng.integers(2**31)), max_steps=max_steps)
+        if broken == "jacobian":
+            density = WithJacobian(problem)
+            states, figures = run_ensembles(density, problem.layout.names, find_start(problem), plan, threads=1)
+            chains = natural_chains(problem, states, figures.n_burn).reshape(-1, len(problem.layout.names))
+            verdict, posterior = judge(figures).word, dict(zip(problem.layout.names, chains.T, strict=True))
+        else:
+            result = fit(problem, plan=plan, threads=1)
+            verdict = result.verdict.word
+            posterior = {n: result.data["posterior"][n].to_numpy().ravel() for n in problem.layout.names}
+    except ShjError as error:
+        return record | {"error": str(error), "seconds": time.perf_counter() - begin}
+    ranks, below = {}, {}
+    for name, draws in posterior.items():
+        thinned = draws[np.linspace(0, draws.size - 1, N_RANKS).astype(int)]
+        ranks[name] = int(np.count_nonzero(thinned < values[name]))
+        below[name] = float(np.mean(draws < values[name]))
+    return record | {"verdict": verdict, "ranks": ranks, "below": below, "seconds": time.perf_counter() - begin}
+
+
+def _with_signed_speed(
+    recordings: Sequence[Recording], truth: Truth, blocks: tuple[Block, ...], rate_Hz: float
+) -> tuple[Recording, ...]:
+    """Change recordings to those of a law that takes the speed with its sign, as Eq. (2) is literally printed."""
+    _, motion = exact_motion(blocks, rate_Hz)
+    changed = []
+    for run, recording in enumerate(recordings, start=1):
+        given: dict[str, Any] = {
+            "K": truth.K,
+            "Fy": truth.Fy * (truth.ratio if run == 2 else 1.0),
+            "beta": truth.beta,
+        }
+        still = force(motion, gamma=0.0, **given)
+        direction = motion.direction[motion.half_cycle]
+        wrong = still * truth.gamma * motion.speed_mm_s * (direction - 1.0)
+        changed.append(replace(recording, force_kN=recording.force_kN + wrong))
+    return tuple(changed)
+
+
+def run(
+    n: int, seed: int, path: Path, *, workers: int = 0, rate_Hz: float = 5.0, short: bool = False, broken: str = "",
+    max_steps: int = 10_000, wobble_mm: float = 0.02, progress: bool = True,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Make the draws that are not in the file yet, and append each as it is finished.
+
+    Returns
+    -------
+    list of dict
+        The first n draws in order.
+    """
+    options: dict[str, Any] = {"rate_Hz": rate_Hz, "short": short, "broken": broken}
+    options |= {"max_steps": max_steps, "wobble_mm": wobble_mm}
+    head = {"schema": "shj-bayes/calibration/1", "seed": seed, **options}
+    done = _read(path, head)
+    missing = [number for number in range(n) if number not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written anew without a line that was cut short when the process was killed.
+    write_text(path, "".join(json.dumps(row) + "\n" for row in (head, *(done[k] for k in sorted(done)))))
+    if missing:
+        bar = tqdm(total=n, initial=n - len(missing), unit="draw", disable=None if progress else True)
+        context = get_context("spawn")
+        pool = ProcessPoolExecutor(min(workers or os.cpu_count() or 1, len(missing)), mp_context=context)
+        with bar, pool, path.open("a", encoding="utf-8") as stream:
+            futures = [pool.submit(draw, number, seed, **options) for number in missing]
+            for future in as_completed(futures):
+                row = future.result()
+                done[row["number"]] = row
+                stream.write(json.dumps(row) + "\n")
+                stream.flush()
+                bar.update()
+    return [done[number] for number in range(n)]
+
+
+def _read(path: Path, head: dict[str, Any]) -> dict[int, dict[str, Any]]:
+    """Finished draws of the same settings."""
+    if not path.exists():
+        return {}
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            break  # the line that was being written when the process was killed
+    if not rows or rows[0] != head:
+        raise SystemExit(f"{path} holds draws of other settings; name another file with --file, or delete it")
+    return {row["number"]: row for row in rows[1:]}
+
+
+def envelope(n: int, *, sets: int = 4000) -> tuple[Floats, Floats, Floats]:
+    """Simultaneous 95 % band of the cumulative histogram of n uniform ranks, and the law of its test statistic.
+
+    Returns
+    -------
+    low, high : array, shape (N_RANKS,)
+        Band of the number of ranks up to 0, 1, ... N_RANKS - 1.
+    smallest : array, shape (sets,)
+        Smallest two-sided pointwise probability of each simulated set.
+    """
+    rng = np.random.default_rng(20180418)
+    smallest = np.array([_smallest(rng.integers(0, N_RANKS + 1, n)) for _ in range(sets)])
+    level = float(np.quantile(smallest, 0.05))
+    share = np.arange(1, N_RANKS + 1) / (N_RANKS + 1)
+    low, high = (np.asarray(stats.binom.ppf(p, n, share)) for p in (level / 2, 1 - level / 2))
+    return low, high, smallest
+
+
+def _smallest(ranks: NDArray[Any]) -> float:
+    """Smallest pointwise probability that a uniform cumulative histogram is as far off."""
+    share = np.arange(1, N_RANKS + 1) / (N_RANKS + 1)
+    counts = np.cumsum(np.bincount(ranks, minlength=N_RANKS + 1))[:-1]
+    two = 2 * np.minimum(stats.binom.cdf(counts, ranks.size, share), stats.binom.sf(counts - 1, ranks.size, share))
+    return float(np.min(np.minimum(two, 1.0)))
+
+
+def judge_ranks(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
+    """Probability of ranks at least as far from uniform, for each parameter."""
+    good = [row for row in rows if "ranks" in row]
+    _, _, smallest = envelope(len(good))
+    out = {}
+    for name in good[0]["ranks"]:
+        seen = _smallest(np.array([row["ranks"][name] for row in good]))
+        out[name] = float((1 + np.count_nonzero(smallest <= seen)) / (1 + smallest.size))
+    return out
+
+
+def failing(p_values: dict[str, float], level: float = 0.01) -> list[str]:
+    """Parameters that are off, at a level that is corrected for their number (Bonferroni)."""
+    return [name for name, p in p_values.items() if p <= level / len(p_values)]
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Coverage and uniformity as a Markdown table."""
+    good = [row for row in rows if "ranks" in row]
+    p_values = judge_ranks(rows)
+    lines = ["| parameter | 50 % | 80 % | 90 % | 95 % | p of uniform ranks |", "|---|---|---|---|---|---|"]
+    for name, p in p_values.items():
+        below = np.array([row["below"][name] for row in good])
+        held = [float(np.mean(np.abs(below - 0.5) <= level / 2)) for level in LEVELS]
+        lines.append(f"| {name} | " + " | ".join(f"{100 * share:.1f} %" for share in held) + f" | {p:.3f} |")
+    error = [100 * float(np.sqrt(level * (1 - level) / len(good))) for level in LEVELS]
+    lines.append("| Monte-Carlo error | " + " | ".join(f"{e:.1f} %" for e in error) + " | |")
+    return "\n".join(lines)
+
+
+def picture(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Rank histograms above, cumulative histograms minus the diagonal with their envelopes below."""
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    good = [row for row in rows if "ranks" in row]
+    low, high, _ = envelope(len(good))
+    share = np.arange(1, N_RANKS + 1) / (N_RANKS + 1)
+    names = list(good[0]["ranks"])
+    figure = Figure(figsize=(2.0 * len(names), 4.2), layout="constrained")
+    axes = figure.subplots(2, len(names), sharey="row")
+    for i, name in enumerate(names):
+        ranks = np.array([row["ranks"][name] for row in good])
+        axes[0, i].hist(ranks, bins=np.linspace(0, N_RANKS + 1, 21), color="#5b7fa6")
+        axes[0, i].axhline(len(good) / 20, color="black", linewidth=0.8)
+        axes[0, i].set_title(name)
+        counts = np.cumsum(np.bincount(ranks, minlength=N_RANKS + 1))[:-1]
+        axes[1, i].fill_between(share, low / len(good) - share, high / len(good) - share, color="#d9d9d9")
+        axes[1, i].plot(share, counts / len(good) - share, color="#b03a2e", drawstyle="steps-post")
+        axes[1, i].set_xlabel("rank / 100")
+    axes[0, 0].set_ylabel("draws")
+    axes[1, 0].set_ylabel("cumulative share\nminus uniform")
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+
+
+def page(rows: Sequence[dict[str, Any]], command: str, drawing: str) -> str:
+    """Markdown page of a finished run."""
+    good = [row for row in rows if "ranks" in row]
+    failed = [row for row in rows if "error" in row]
+    verdicts = {word: sum(row["verdict"] == word for row in good) for word in ("reliable", "tentative", "unusable")}
+    seconds = float(np.median([row["seconds"] for row in rows]))
+    words = ", ".join(f"{count} {word}" for word, count in verdicts.items())
+    off = failing(judge_ranks(rows))
+    verdict = "Every parameter passes." if not off else f"FAILS: {', '.join(off)}."
+    lines = [
+        "# Calibration of the device fit",
+        "",
+        f"Printed by `{command}`: {len(rows)} devices with",
+        "parameters drawn from the priors `afc`, simulated with correlated force noise and displacement noise, fitted",
+        "like a measured device. Share of the draws in which the interval holds the true value:",
+        "",
+        table(rows),
+        "",
+        f"{verdict} A parameter fails when its ranks are further from uniform than in 1 % of correct runs, divided by",
+        f"the number of parameters. Verdicts of the fits: {words}; {len(failed)} draws could not be fitted",
+        f"(they are listed below). Median time of a fit: {seconds:.1f} s.",
+        "",
+        "sigma and phi are compared with the noise of the force channel alone. A fit's own sigma and phi describe all",
+        "that is left over, so with displacement noise (which moves the force by up to K times itself) they are not",
+        "expected to be uniform; `--displacement-noise 0` shows them without it. The five parameters of the law are.",
+        "",
+        f"![Rank histograms, and cumulative histograms with their 95 % envelopes]({drawing})",
+        "",
+        *(f"- draw {row['number']}: {row['error']}" for row in failed),
+    ]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def main() -> int:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-n", type=int, default=300, help="draws (300)")
+    parser.add_argument("--seed", type=int, default=7000, help="stream of the draws (7000)")
+    parser.add_argument("--rate", type=float, default=5.0, help="sampling rate, Hz (5)")
+    parser.add_argument("--short", action="store_true", help="four cycles instead of Table 1")
+    parser.add_argument("--broken", choices=BROKEN, default="", help="break one thing; the test must then fail")
+    parser.add_argument("--displacement-noise", type=float, default=0.02, help="standard deviation, mm (0.02)")
+    parser.add_argument("--max-steps", type=int, default=10_000, help="steps of a fit (10000)")
+    parser.add_argument("--workers", type=int, default=0, help="processes, 0 for one per processor")
+    parser.add_argument("-o", "--out", type=Path, default=ROOT / "reports", help="folder of the page (reports)")
+    asked = parser.parse_args()
+    kinds = (asked.broken, "short" if asked.short else "", "" if asked.displacement_noise else "still")
+    stem = "-".join(word for word in ("calibration", *kinds) if word)
+    rows = run(
+        asked.n, asked.seed, asked.out / f"{stem}.jsonl", workers=asked.workers, rate_Hz=asked.rate,
+        short=asked.short, broken=asked.broken, max_steps=asked.max_steps, wobble_mm=asked.displacement_noise,
+    )  # fmt: skip
+    command = f"python benchmarks/calibrate.py {' '.join(sys.argv[1:])}".strip()
+    picture(rows, asked.out / f"{stem}.png")
+    text = page(rows, command, f"{stem}.png")
+    write_text(asked.out / f"{stem}.md", text)
+    print(text)
+    off = [name for name in failing(judge_ranks(rows)) if name in LAW or not asked.displacement_noise]
+    return int(bool(off) != bool(asked.broken))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""The device posterior by our sampler and by another one: ``python benchmarks/nuts.py``; needs numpyro (extra "nuts").
+
+The law, the noise and the priors are written a second time, in JAX and numpyro, from the equations; NUTS samples them.
+First both log densities are compared at random points (their difference must be one constant), then the posteriors:
+means to 0.1 posterior standard deviation, standard deviations to 10 %. Exit status 1 if they differ by more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from numpyro.infer import MCMC, NUTS
+from numpyro.infer.util import log_density
+
+from shj_bayes.inference.fit import fit
+from shj_bayes.inference.problem import Problem, Run
+from shj_bayes.inference.sampler import Plan
+from shj_bayes.model.parameters import Layout
+from shj_bayes.model.priors import Prior, read_priors
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.protocol import Block, exact_motion
+
+BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
+MEAN_LIMIT, SD_LIMIT = 0.1, 0.10  # of the posterior standard deviation; of the standard deviation
+
+jax.config.update("jax_enable_x64", val=True)
+
+
+def make_problem(seed: int) -> Problem:
+    """Two short runs with the exact motion, so that the law alone is compared and not the smoothing."""
+    truth = Truth(gamma=0.01, ratio=0.8, phi=0.5, displacement_noise_mm=0.0)
+    recordings = simulate_device(truth, seed=seed, rate_Hz=6.0, blocks=BLOCKS)
+    _, motion = exact_motion(BLOCKS, 6.0)
+    return Problem(tuple(Run(r, motion) for r in recordings), Layout(2, "ar1", ()), read_priors("afc"), "seed")
+
+
+def law_of(prior: Prior) -> Any:
+    """Prior of a parameter in numpyro."""
+    if prior.law == "normal":
+        return dist.Normal(prior.a, prior.b)
+    if prior.law == "lognormal":
+        return dist.LogNormal(np.log(prior.a), prior.b)
+    return dist.Uniform(prior.a, prior.b) if prior.law == "uniform" else dist.LogUniform(prior.a, prior.b)
+
+
+def saturated(e: Any, capacity: Any, beta: Any) -> Any:
+    """Eq. (1) by logarithms, which never overflow: e (1 + |e/Fy|^beta)^(-1/beta)."""
+    ratio = jnp.maximum(jnp.abs(e), 1e-12) / capacity
+    return e * jnp.exp(-jnp.logaddexp(0.0, beta * jnp.log(ratio)) / beta)
+
+
+def model(problem: Problem) -> None:
+    """Law, noise and priors of a device, as a numpyro program."""
+    names = ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi")
+    p = {name: numpyro.sample(name, law_of(problem.priors.of(name))) for name in names}
+    for number, run in enumerate(problem.runs, start=1):
+        motion, measured = run.motion, jnp.asarray(run.recording.force_kN)
+        capacity = p["Fy"] * (p["ratio"] if number == 2 else 1.0)
+        reset, pieces = run.start_force_kN, []
+        for k in range(motion.n_half):
+            rows = slice(int(motion.start[k]), int(motion.start[k + 1]))
+            ahead = motion.displacement_mm[rows] - motion.turning_mm[k]
+            pieces.append(saturated(p["K"] * ahead + reset, capacity, p["beta"]))
+            if k + 1 < motion.n_half:
+                stroke = motion.turning_mm[k + 1] - motion.turning_mm[k]
+                reset = saturated(p["K"] * stroke + reset, capacity, p["beta"])
+        modelled = jnp.concatenate(pieces) * (1 + p["gamma"] * motion.speed_mm_s)
+        residual = measured - modelled
+        innovation = residual[1:] - p["phi"] * residual[:-1]
+        numpyro.factor(f"first {number}", dist.Normal(0.0, p["sigma"]).log_prob(residual[0]))
+        scale = p["sigma"] * jnp.sqrt(1 - p["phi"] ** 2)
+        numpyro.factor(f"rest {number}", dist.Normal(0.0, scale).log_prob(innovation).sum())
+
+
+def same_density(problem: Problem, theta: np.ndarray[Any, Any]) -> float:
+    """Largest departure from a constant of the difference of both log densities at parameter sets, shape (m, d)."""
+    names = problem.layout.names
+    theirs = [log_density(model, (problem,), {}, dict(zip(names, row, strict=True)))[0] for row in theta.tolist()]
+    prior = sum(problem.priors.of(n).distribution.logpdf(theta[:, i]) for i, n in enumerate(names))
+    return float(np.ptp(np.asarray(theirs) - problem.log_likelihood(theta) - prior))
+
+
+def main() -> int:
+    """Sample both ways and compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--draws", type=int, default=4000, help="of each chain (4000)")
+    parser.add_argument("--warmup", type=int, default=1000, help="steps of each chain that are left out (1000)")
+    parser.add_argument("--chains", type=int, default=4, help="NUTS chains (4)")
+    asked = parser.parse_args()
+    problem = make_problem(asked.seed)
+    ours = fit(problem, plan=Plan(seed=asked.seed))
+    names = problem.layout.names
+    draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in names], axis=1)
+    apart = same_density(problem, draws[:: draws.shape[0] // 20])
+    print(f"log densities differ by one constant to {apart:.1e} at 20 points; our fit is {ours.verdict.word}")
+    sampler = MCMC(
+        NUTS(model, dense_mass=True, target_accept_prob=0.9),
+        num_warmup=asked.warmup,
+        num_samples=asked.draws,
+        num_chains=asked.chains,
+        chain_method="sequential",
+        progress_bar=False,
+    )
+    sampler.run(jax.random.PRNGKey(asked.seed), problem)
+    theirs = {name: np.asarray(values) for name, values in sampler.get_samples().items()}
+    diverging = int(np.sum(sampler.get_extra_fields().get("diverging", np.zeros(1))))
+    good = apart < 1e-6
+    print(f"{'':8}{'our mean':>12}{'NUTS mean':>12}{'apart, sd':>11}{'our sd':>11}{'NUTS sd':>11}{'ratio':>8}")
+    for row in ours.summary.itertuples():
+        other = theirs[row.name]
+        shift, ratio = (row.mean - other.mean()) / other.std(), row.sd / other.std()
+        good &= bool(abs(shift) < MEAN_LIMIT and abs(ratio - 1) < SD_LIMIT)
+        print(
+            f"{row.name:8}{row.mean:12.5g}{other.mean():12.5g}{shift:11.3f}{row.sd:11.4g}{other.std():11.4g}{ratio:8.3f}"
+        )
+    print(f"{diverging} divergent steps; {'they agree' if good else 'THEY DIFFER'}")
+    return int(not good)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""Is it plausible: units that nobody stated, and which of two columns is the displacement.
+
+No check can find a wrong unit that gives a usual size, so these refuse only where nobody said what the file holds, and
+saying it settles the matter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.recording.columns import Channels
+from shj_bayes.recording.limits import (
+    ASSUMED_FORCE_KN,
+    ASSUMED_SPEED_MM_S,
+    ASSUMED_STROKE_MM,
+    SWAPPED_BURSTS,
+    SWAPPED_ROUGHNESS,
+)
+from shj_bayes.recording.loops import burstiness, roughness
+from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.units import TARGET, Role
+
+
+def plausibility_findings(
+    channels: Channels, time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray
+) -> list[Finding]:
+    """Sizes that are unusual in a unit that was assumed, and columns that look like one another's.
+
+    Parameters
+    ----------
+    channels : Channels
+        What was chosen; says which units were assumed and which columns were named.
+    time_s, displacement_mm, force_kN : array, shape (n_samples,)
+        After the repairs.
+
+    Returns
+    -------
+    list of Finding
+    """
+    stroke, force = float(np.ptp(displacement_mm)), float(np.max(np.abs(force_kN)))
+    stride = max(1, displacement_mm.size // 1000)  # so that noise adds no travel
+    travel = float(np.sum(np.abs(np.diff(displacement_mm[::stride]))))
+    speed = travel / max(float(time_s[-1] - time_s[0]), 1e-300)
+    measures: tuple[tuple[Role, float, str, tuple[float, float], str], ...] = (
+        ("displacement", stroke, "a stroke of {:.3g} mm", ASSUMED_STROKE_MM, "mm"),
+        ("force", force, "a force of up to {:.3g} kN", ASSUMED_FORCE_KN, "kN"),
+        ("time", speed, "a mean speed of {:.3g} mm/s", ASSUMED_SPEED_MM_S, "mm/s"),
+    )
+    findings = []
+    for role, value, words, (low, high), unit in measures:
+        if role in channels.assumed and not low <= value <= high:
+            message = (
+                f"nobody stated the unit of the {role}, and {words.format(value)} is unusual in {TARGET[role]} (usual "
+                f"is {low:g} to {high:g} {unit}); state it: --units {role}={TARGET[role]} if it is right, else the "
+                "unit that is"
+            )
+            findings.append(Finding("unit-unlikely", "unusable", message))
+    return findings + _swapped(channels, displacement_mm, force_kN)
+
+
+def _swapped(channels: Channels, displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
+    """Say so when the displacement jumps as a friction force does and the force is as smooth as a driven displacement.
+
+    Of 26 public recordings of friction and yielding devices none comes near both limits, nor does white noise on
+    the force, which is rough, or a displacement applied in steps, of which the force has the steps as well.
+    """
+    ratio = burstiness(displacement_mm) / max(burstiness(force_kN), 1e-300)
+    if ratio < SWAPPED_BURSTS or roughness(force_kN) > SWAPPED_ROUGHNESS:
+        return []
+    message = (
+        f"displacement and force seem swapped: the displacement jumps like a friction force ({ratio:.1f} times as "
+        f"bursty as the force; below {SWAPPED_BURSTS:g} is usual) and the force runs as smoothly as a driven "
+        "displacement; name both with --columns displacement=...,force=... and their --units"
+    )
+    told = {"displacement", "force"} <= channels.named
+    return [Finding("swapped-columns", "warning" if told else "unusable", message)]

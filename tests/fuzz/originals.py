@@ -1,0 +1,134 @@
+"""Good files of every kind that the tool reads; the corpus is made of them by damage."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import openpyxl
+import scipy.io
+from nptdms import ChannelObject, TdmsWriter
+
+from shj_bayes.inference.fit import fit, make_problem
+from shj_bayes.inference.sampler import Plan
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.population.hierarchy import fit_population
+from shj_bayes.population.published import published_devices
+from shj_bayes.population.results import write_population
+from shj_bayes.recording import Block
+from shj_bayes.recording.recording import Recording
+from shj_bayes.resources import shipped
+
+BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
+TRUTH = Truth(sigma=0.5, phi=0.3)
+
+MANIFEST = """schema = "shj-bayes/campaign/1"
+name = "Spring tests"
+simulated = true
+
+[defaults]
+columns = "time=time_s,displacement=displacement_mm,force=force_kN"
+units = "s,mm,kN"
+priors = "afc"
+noise = "ar1"
+free = ["gamma"]
+max_steps = 400
+seed = 7
+
+[[set]]
+name = "Zinc 70"
+options = {rate_Hz = 100.0}
+
+[[set.device]]
+name = "Z70-1"
+recordings = ["z70-1-run1.csv", "z70-1-run2.csv"]
+
+[[set.device]]
+name = "Z70-2"
+recordings = ["z70-2-run1.csv"]
+options = {seed = 3, priors = "general"}
+
+[[set]]
+name = "Bare"
+
+[[set.device]]
+name = "B-1"
+recordings = ["b-1.xlsx"]
+"""
+
+
+def recording(seed: int = 1, rate_Hz: float = 6.0) -> Recording:
+    """About 270 samples with two amplitudes."""
+    return simulate_device(TRUTH, seed=seed, rate_Hz=rate_Hz, blocks=BLOCKS)[0]
+
+
+def rows_of(one: Recording) -> list[list[float]]:
+    """Rows of time, displacement and force, rounded as a data logger prints them."""
+    table = np.column_stack([one.time_s, one.displacement_mm, one.force_kN])
+    return [[float(f"{value:.6g}") for value in row] for row in table.tolist()]
+
+
+def text(rows: list[list[float]], separator: str = ",", decimal: str = ".", head: str = "") -> str:
+    """Rows as a text table."""
+    head = head or separator.join(("time_s", "displacement_mm", "force_kN"))
+    lines = [separator.join(repr(value).replace(".", decimal) for value in row) for row in rows]
+    return "\n".join([head, *lines]) + "\n"
+
+
+def recordings(folder: Path) -> dict[str, bytes]:
+    """One recording in every format, by file name."""
+    rows = rows_of(recording())
+    columns = dict(zip(("time_s", "displacement_mm", "force_kN"), np.array(rows).T, strict=True))
+    preamble = "Prüfung 7, n°3\nOperator: A. B.\n"
+    files = {
+        "comma.csv": text(rows).encode(),
+        "tab.tsv": text(rows, "\t", head="Time\tDisplacement\tForce\n(s)\t(mm)\t(kN)").encode(),
+        "semicolon.csv": (preamble + text(rows, ";", ",", "Zeit [s];Weg [mm];Kraft [kN]")).encode("cp1252"),
+        "blanks.txt": (text(rows, "  ") + "End of test\nchecked by C. D.\n").encode(),
+        "wide.csv": text(rows).encode("utf-16"),
+        "packed.csv.gz": gzip.compress(text(rows).encode(), mtime=0),
+    }
+    book = openpyxl.Workbook()
+    book.active.append(["Time (s)", "Displacement (mm)", "Force (kN)"])
+    for row in rows:
+        book.active.append(row)
+    stream = io.BytesIO()
+    book.save(stream)
+    files["book.xlsx"] = stream.getvalue()
+    for name, compressed in (("plain.mat", False), ("small.mat", True)):
+        scipy.io.savemat(folder / name, columns, do_compression=compressed)
+        files[name] = (folder / name).read_bytes()
+    for name in ("data.h5", "seven.mat"):
+        with h5py.File(folder / name, "w") as file:
+            for key, values in columns.items():
+                file.create_dataset(key, data=values, compression="gzip" if name == "data.h5" else None)
+            file["force_kN"].attrs["units"] = "kN"
+        files[name] = (folder / name).read_bytes()
+    with TdmsWriter(folder / "labview.tdms") as writer:
+        channels = [ChannelObject("test", key, values) for key, values in columns.items()]
+        writer.write_segment(channels)
+    files["labview.tdms"] = (folder / "labview.tdms").read_bytes()
+    return files
+
+
+def settings() -> dict[str, bytes]:
+    """A manifest and the prior files that ship."""
+    priors = {path.name: path.read_bytes() for path in sorted(shipped("priors").glob("*.toml"))}
+    return {"campaign.toml": MANIFEST.encode(), **priors}
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """The files of a tiny finished fit, of a campaign and of a population, by file name."""
+    device = folder / "devices" / "one"
+    runs = simulate_device(TRUTH, seed=1, rate_Hz=4.0, blocks=BLOCKS)
+    fit(make_problem(runs), name="one", plan=Plan(max_steps=50, round_steps=50), folder=device)
+    write_population(fit_population(published_devices()[:6], seed=1), folder)
+    entry = {"name": "one", "folder": "devices/one", "status": "done", "reason": "", "verdict": "tentative"}
+    record = {"schema": "shj-bayes/campaign/1", "name": "small", "simulated": True}
+    record |= {"sets": [{"name": "bare", "devices": [entry]}]}
+    (folder / "campaign.json").write_text(json.dumps(record), encoding="utf-8")
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}

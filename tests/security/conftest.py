@@ -1,0 +1,24 @@
+"""A tiny finished fit whose every name is hostile, for the tests of what comes in and what goes out."""
+
+from pathlib import Path
+
+import pytest
+
+from shj_bayes.inference.fit import fit
+from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.sampler import Plan
+
+HOSTILE = "=cmd|' /C calc'!A0 <script>alert('x')</script> \x1b]0;t\x07 \u202egnp.exe ../../etc/passwd {{ 7*7 }}"
+
+
+@pytest.fixture(scope="session")
+def hostile() -> str:
+    return HOSTILE
+
+
+@pytest.fixture(scope="session")
+def fitted(tmp_path_factory: pytest.TempPathFactory, small_device: Problem) -> Path:
+    """Folder of a finished fit."""
+    folder = tmp_path_factory.mktemp("fitted")
+    fit(small_device, name=HOSTILE, plan=Plan(max_steps=50, round_steps=50), folder=folder)
+    return folder

@@ -1,0 +1,273 @@
+"""Nothing that is read may run, reach out, exhaust the machine or steer the terminal (docs/security.md)."""
+
+import ast
+import io
+import os
+import socket
+import sys
+import time
+import zipfile
+import zlib
+from contextlib import suppress
+from pathlib import Path
+
+import h5py
+import numpy as np
+import openpyxl
+import pytest
+import scipy.io
+from click.testing import CliRunner
+
+from shj_bayes.campaign import read_manifest
+from shj_bayes.cli import main
+from shj_bayes.errors import CampaignError, PriorError, RecordingError, ShjError
+from shj_bayes.inference import store
+from shj_bayes.model.priors import read_priors
+from shj_bayes.recording import hdf5, read, read_table, tables
+
+SOURCE = Path(__file__).resolve().parents[2] / "src" / "shj_bayes"
+ROWS = "".join(f"{0.1 * i},{i % 7},{i % 5}\n" for i in range(60))
+
+
+# ---- code that runs what it reads ----
+
+
+def test_no_call_of_the_source_runs_what_is_read():
+    """No eval, exec, pickle, YAML, shell; numpy without pickles."""
+    modules = {"pickle", "marshal", "shelve", "dill", "joblib", "yaml", "cloudpickle", "xmlrpc", "urllib.request"}
+    wrong = []
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            wrong += [(path.name, name) for name in names if name in modules or name.split(".")[0] in modules]
+            if isinstance(node, ast.Call):
+                called = ast.unparse(node.func)
+                keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
+                if called in {"eval", "exec", "compile", "os.system", "os.popen", "__import__"}:
+                    wrong.append((path.name, called))
+                if keywords.get("shell") == "True" or keywords.get("allow_pickle") == "True":
+                    wrong.append((path.name, called))
+                if called in {"np.load", "numpy.load"} and keywords.get("allow_pickle") != "False":
+                    wrong.append((path.name, called))
+    assert wrong == []
+
+
+def test_formulas_are_never_evaluated(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time_s,displacement_mm,force_kN\n" + ROWS)
+    for formula in ("__import__('os').system('id')", "().__class__", "open('/etc/passwd')", "#3 if 1 else 2", "#3**9"):
+        with pytest.raises(RecordingError, match=r"--columns|no column"):
+            read(path, columns=f"force={formula}")
+
+
+def test_pickled_arrays_are_refused(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "ran"),)
+
+    path = tmp_path / "run.h5"
+    np.save(path.with_suffix(".npy"), np.array([Bomb()], dtype=object), allow_pickle=True)
+    os.replace(path.with_suffix(".npy"), path)
+    with pytest.raises(RecordingError):
+        read_table(path)
+    scipy.io.savemat(tmp_path / "run.mat", {"o": np.array([[1, "a"]], dtype=object)})
+    with pytest.raises(RecordingError, match="no column of numbers"):
+        read_table(tmp_path / "run.mat")
+    assert not (tmp_path / "ran").exists()
+
+
+# ---- files that are windows into other files ----
+
+
+def test_links_out_of_an_hdf5_file_are_not_followed(tmp_path):
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["numbers"] = np.arange(60.0)
+    np.arange(60.0).tofile(tmp_path / "secret.bin")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time_s"] = np.arange(60.0)
+        file["soft"] = h5py.SoftLink("/time_s")
+        file["external"] = h5py.ExternalLink("secret.h5", "numbers")
+        file.create_dataset("raw", (60,), "f8", external=[(str(tmp_path / "secret.bin"), 0, 480)])
+        layout = h5py.VirtualLayout((60,), "f8")
+        layout[:] = h5py.VirtualSource(tmp_path / "secret.h5", "numbers", (60,))
+        file.create_virtual_dataset("virtual", layout)
+        file.create_dataset("reference", (60,), h5py.ref_dtype)
+    table = read_table(tmp_path / "run.h5")
+    assert [column.name for column in table.columns] == ["time"]
+    left_out = next(f.message for f in table.findings if f.code == "not-numbers")
+    assert "raw" in left_out
+    assert "virtual" in left_out
+
+
+@pytest.mark.parametrize("body", ["import os; os.abort()", "import time; time.sleep(60)", "print('not an answer')"])
+def test_a_file_that_kills_or_stops_the_hdf5_library_is_one_line(tmp_path, monkeypatch, body):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time_s"] = np.arange(60.0)
+    monkeypatch.setattr(hdf5, "_CHILD", body)
+    monkeypatch.setattr(hdf5, "HDF5_SECONDS", 3)
+    with pytest.raises(RecordingError, match=r"run\.h5.*cannot"):
+        read_table(tmp_path / "run.h5")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes or devices in the file system")
+@pytest.mark.parametrize("name", ["run.csv", "run.xlsx", "run.mat", "run.h5", "run.tdms", "campaign.toml", "own.toml"])
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
+    path = tmp_path / name
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    readers = {"campaign.toml": (read_manifest, CampaignError), "own.toml": (read_priors, PriorError)}
+    reader, error = readers.get(name, (read, RecordingError))
+    with pytest.raises(error, match=r"not an ordinary file|is a folder"):
+        reader(path)
+    if kind == "device":
+        (tmp_path / "fit.json").symlink_to("/dev/zero")
+        with pytest.raises(ShjError, match="not an ordinary file"):
+            store.read_record(tmp_path)
+
+
+# ---- bombs ----
+
+
+def workbook(path, **parts):
+    """A small good workbook with some parts replaced."""
+    book = openpyxl.Workbook()
+    book.active.append(["time_s", "displacement_mm", "force_kN"])
+    for line in ROWS.splitlines():
+        book.active.append([float(cell) for cell in line.split(",")])
+    stream = io.BytesIO()
+    book.save(stream)
+    with zipfile.ZipFile(stream) as old, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():
+            new.writestr(name, parts.pop(name, old.read(name)))
+        for name, content in parts.items():
+            new.writestr(name, content)
+    return path
+
+
+LAUGHS = (
+    b'<?xml version="1.0"?><!-- x --><!DOCTYPE a [<!ENTITY b "ha"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">'
+    b'<!ENTITY d "&c;&c;&c;&c;&c;&c;&c;&c;">]><sst><si><t>&d;</t></si></sst>'
+)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_entities_in_a_workbook_are_refused(tmp_path, encoding):
+    content = (
+        LAUGHS if encoding == "utf-8" else LAUGHS.decode().replace('"1.0"', '"1.0" encoding="UTF-16"').encode(encoding)
+    )
+    path = workbook(tmp_path / "run.xlsx", **{"xl/sharedStrings.xml": content})
+    with pytest.raises(RecordingError, match=r"sharedStrings\.xml declares a document type"):
+        read_table(path)
+    assert read_table(workbook(tmp_path / "good.xlsx")).columns[0].values.size == 60
+
+
+def test_a_workbook_that_unpacks_out_of_proportion_is_refused(tmp_path):
+    path = workbook(tmp_path / "run.xlsx", **{"xl/media/image1.png": bytes(50_000_000)})
+    with pytest.raises(RecordingError, match="times its size"):
+        read_table(path)
+
+
+@pytest.mark.parametrize("row", [1_048_576, 99_999_999_999])
+def test_a_cell_in_the_last_row_costs_no_time(tmp_path, row):
+    lines = [zip("ABC", line.split(","), strict=True) for line in ROWS.splitlines()]
+    rows = ["".join(f'<c r="{c}{i}"><v>{v}</v></c>' for c, v in line) for i, line in enumerate(lines, start=1)]
+    cells = "".join(f'<row r="{i}">{row}</row>' for i, row in enumerate(rows, start=1))
+    far = f'<row r="{row}"><c r="XFD{row}"><v>1</v></c></row>'
+    space = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    sheet = f'<worksheet xmlns="{space}"><sheetData>{cells}{far}</sheetData></worksheet>'
+    path = workbook(tmp_path / "run.xlsx", **{"xl/worksheets/sheet1.xml": sheet.encode()})
+    begin = time.process_time()
+    assert read_table(path).columns[0].values.size in (60, 61)
+    assert time.process_time() - begin < 8
+
+
+def test_a_compressed_mat_file_is_counted_before_it_is_unpacked(tmp_path, monkeypatch):
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"time_s": np.zeros(400_000)}, do_compression=True)
+    monkeypatch.setattr(hdf5, "MAX_BYTES", 1_000_000)
+    with pytest.raises(RecordingError, match="MiB of numbers"):
+        read_table(path)
+    assert len(zlib.compress(bytes(3_200_000))) < path.stat().st_size < 100_000
+
+
+def test_datasets_that_claim_more_than_they_hold(tmp_path):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file.create_dataset("time_s", (10**12,), "f8", chunks=(10**6,))
+    with pytest.raises(RecordingError, match="MiB of numbers"):
+        read_table(tmp_path / "run.h5")
+
+
+@pytest.mark.parametrize("character", ["9", "a", ",", '"', "[", "_", "1,", " \t", "1e"])
+def test_one_endless_line_costs_neither_time_nor_memory(tmp_path, character):
+    path = tmp_path / "run.csv"
+    path.write_text("time_s,displacement_mm,force_kN\n" + character * (5_000_000 // len(character)) + "\n" + ROWS)
+    begin = time.process_time()
+    with pytest.raises(RecordingError, match=r"line 2 has more than 65536 characters"):
+        read_table(path)
+    path.write_text("\n".join(character * (60_000 // len(character)) for _ in range(20)) + "\n" + ROWS)
+    with suppress(RecordingError):
+        read_table(path)
+    assert time.process_time() - begin < 8
+
+
+@pytest.mark.parametrize(
+    "text", ["a = " + "[" * 100_000, "a" + ".a" * 100_000 + " = 1", "a = " + "9" * 100_000, "\ufeffa"]
+)
+def test_toml_that_would_exhaust_the_parser(tmp_path, text):
+    path = tmp_path / "campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignError, match=r"campaign\.toml"):
+        read_manifest(path)
+
+
+# ---- the terminal, and the network ----
+
+
+def test_control_characters_do_not_reach_the_terminal(tmp_path, hostile):
+    name = "run\x1b]0;t\x07\u202e.csv"
+    (tmp_path / name).write_bytes(
+        f"time_s,displacement_mm,force_kN,{hostile}\n".encode() + ROWS.replace("\n", ",1\n").encode()
+    )
+    for arguments in (["check"], ["check", "--json"], ["check", "--columns", "force=\x1b[2J"], ["fit", "-o", "out"]):
+        result = CliRunner().invoke(main, [*arguments, str(tmp_path / name)])
+        assert not set(result.output) & {"\x1b", "\x07", "\u202e"}, arguments
+
+
+def test_names_that_are_not_utf8_can_be_shown_and_written(tmp_path):
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.csv"))
+    try:
+        path.write_text("time_s,displacement_mm,force_kN\n" + ROWS)
+    except OSError:
+        pytest.skip("this file system takes UTF-8 names only")
+    recording = read(path)
+    recording.source.name.encode("utf-8")
+    assert CliRunner().invoke(main, ["check", str(path)]).exit_code in (0, 1)
+
+
+def test_reading_opens_no_connection(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise AssertionError("a connection was opened")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(socket, "create_connection", refuse)
+    path = tmp_path / "run.csv"
+    path.write_text("time_s,displacement_mm,force_kN\n" + ROWS)
+    read(path)
+    read_table(workbook(tmp_path / "run.xlsx"))
+
+
+def test_lengths_of_columns_are_bounded(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "MAX_COLUMNS", 4)
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(",".join("123456") for _ in range(50)))
+    with pytest.raises(RecordingError, match="6 columns; allowed are"):
+        read_table(path)
+
+
+assert sys.flags.optimize == 0, "these tests need their asserts"

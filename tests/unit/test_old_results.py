@@ -1,0 +1,45 @@
+"""Results of an earlier version still open and can be shown; `tests/fixtures/make_old_results.py` made them."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from shj_bayes.errors import ShjError
+from shj_bayes.inference import store
+from shj_bayes.population.fits import device_from_fit
+from shj_bayes.report.device import render_device
+
+OLD = Path(__file__).resolve().parents[1] / "fixtures" / "fit-0.1"
+
+
+@pytest.fixture
+def old(tmp_path):
+    return Path(shutil.copytree(OLD, tmp_path / "old"))
+
+
+def test_it_is_an_old_one():
+    record = json.loads((OLD / "fit.json").read_text(encoding="utf-8"))
+    assert record["schema"] == "shj-bayes/fit/1"
+    assert not {"digest", "files"} & set(record)
+
+
+def test_it_opens_pools_and_reports(old):
+    record = store.read_record(old)
+    store.check_files(old, record)
+    assert list(store.read_posterior(old).posterior.data_vars) == [row["name"] for row in record["parameters"]]
+    assert device_from_fit(old, "old device", "set").name == "old device"
+    page = render_device(old).read_text(encoding="utf-8")
+    assert "old device" in page
+    for row in record["parameters"]:
+        assert row["name"] in page
+
+
+@pytest.mark.parametrize("key", ["parameters", "inputs", "sampling", "model", "prior_laws"])
+def test_what_it_lacks_is_said(old, key):
+    record = json.loads((old / "fit.json").read_text(encoding="utf-8"))
+    for change in ({}, [], [{"name": "K"}], {"x": 1}):
+        (old / "fit.json").write_text(json.dumps(record | {key: change}), encoding="utf-8")
+        with pytest.raises(ShjError, match=r"fit\.json .*run the (fit|command) again"):
+            (device_from_fit(old, "old", "set") if key == "prior_laws" else render_device(old))
