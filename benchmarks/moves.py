@@ -16,15 +16,49 @@ from collections.abc import Callable
 
 import emcee
 import numpy as np
-from emcee.moves import DEMove, DESnookerMove, KDEMove, StretchMove
+from emcee.moves import DEMove, DESnookerMove, KDEMove, MHMove, RedBlueMove, StretchMove
 
 from shj_bayes.inference.convergence import autocorrelation_time
 from shj_bayes.inference.fit import make_problem
 from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.proposal import Proposal, fit_proposal
+from shj_bayes.inference.sampler import moves
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.simulate import Truth, simulate_device
 
 Mix = list[tuple[emcee.moves.Move, float]]
+
+
+class ComplementMove(RedBlueMove):  # type: ignore[misc]
+    """Draws from the Gaussian of the other half of the ensemble, its few points held together by the start's."""
+
+    def __init__(self, start: Start, memory: float) -> None:
+        """Let `memory` stand for that many points of the start's covariance."""
+        super().__init__()
+        self.start, self.memory = start, memory
+
+    def get_proposal(
+        self, sample: np.ndarray, complement: list[np.ndarray], random: np.random.RandomState
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Give new points and log q(old) - log q(new)."""
+        others = np.concatenate(complement)
+        n, m = len(others), self.memory
+        spread = (n * np.cov(others.T) + m * self.start.covariance) / (n + m)
+        law = Proposal(np.ones(1), others.mean(axis=0)[None], np.asarray(np.linalg.cholesky(spread))[None], 1.0)
+        return law.move(sample, random)
+
+
+def start_only(start: Start) -> Proposal:
+    """One t law around the most probable point, with the curvature there."""
+    return Proposal(np.ones(1), start.free[None], np.asarray(np.linalg.cholesky(start.covariance))[None], 1.0)
+
+
+DE: Mix = [(DEMove(), 0.15), (DEMove(gamma0=1.0), 0.05)]
+FITTED: dict[str, Callable[[Problem, Start], Mix]] = {
+    "fitted mixture (shipped)": lambda problem, start: moves(fit_proposal(problem, start, np.random.default_rng(1))),
+    "0.8 t law at the top + 0.2 DE": lambda _, start: [(MHMove(start_only(start).move), 0.8), *DE],
+    "0.8 Gaussian of the others + 0.2 DE": lambda _, start: [(ComplementMove(start, 14.0), 0.8), *DE],
+}
 MIXES: dict[str, Callable[[int], Mix]] = {
     "stretch": lambda d: [(StretchMove(), 1.0)],
     "DE": lambda d: [(DEMove(), 1.0)],
@@ -67,18 +101,19 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=5.0, help="sampling rate of the simulated device, Hz")
     parser.add_argument("--beta", type=float, default=10.0)
     parser.add_argument("--walkers", type=int, nargs="+", default=[28])
-    parser.add_argument("--only", nargs="+", default=list(MIXES), choices=list(MIXES))
+    parser.add_argument("--only", nargs="+", default=[*FITTED, *MIXES], choices=[*FITTED, *MIXES])
     options = parser.parse_args()
     truth = Truth(beta=options.beta, gamma=1 / 60)
     problem = make_problem(simulate_device(truth, seed=1, rate_Hz=options.rate))
     start = find_start(problem)
     d = start.free.size
     print(f"{d} parameters, {options.rate:g} Hz, beta {options.beta:g}, {options.steps} steps, 4 ensembles")
-    print(f"{'moves':32s} walkers  acceptance       tau        steps per draw  ms per step  ms per draw  worst")
+    print(f"{'moves':36s} walkers  acceptance       tau        steps per draw  ms per step  ms per draw  worst")
     for name in options.only:
+        mix = FITTED[name](problem, start) if name in FITTED else MIXES[name](d)
         for n_walkers in options.walkers:
             runs = [
-                sample(problem, start, MIXES[name](d), n_walkers=n_walkers, n_steps=options.steps, seed=seed)
+                sample(problem, start, mix, n_walkers=n_walkers, n_steps=options.steps, seed=seed)
                 for seed in range(1, 5)
             ]
             times = np.array([autocorrelation_time([chain]) for chain, _, _ in runs])
@@ -86,7 +121,7 @@ def main() -> None:
             tau, error = times[:, worst].mean(), times[:, worst].std(ddof=1) / 2
             step_ms = 1e3 * np.mean([seconds for *_, seconds in runs])
             print(
-                f"{name:32s} {n_walkers:7d}  {np.mean([a for _, a, _ in runs]):10.3f}  {tau:6.1f} +/- {error:4.1f}"
+                f"{name:36s} {n_walkers:7d}  {np.mean([a for _, a, _ in runs]):10.3f}  {tau:6.1f} +/- {error:4.1f}"
                 f"  {tau / n_walkers:14.3f}  {step_ms:11.2f}  {step_ms * tau / n_walkers:11.2f}"
                 f"  {problem.layout.names[worst]}",
                 flush=True,

@@ -1,4 +1,4 @@
-"""Choices of the population room, measured: ``python benchmarks/population.py [compare|coverage|timing]``.
+"""Choices of the population room, measured: ``python benchmarks/population.py [compare|coverage|second|timing]``.
 
 compare
     How the likelihood of a device should be made from its posterior draws: the sum over draws of Hogg, Myers and Bovy
@@ -6,6 +6,9 @@ compare
     of the 5 and 95 % quantiles of a new device against a fit that is given the exact likelihoods.
 coverage
     How often the 90 % band of a new device holds one, over ``-n`` simulated campaigns of rounded values.
+second
+    How often the 90 % band of the second run's force holds, when Fy and ratio are correlated within a device, with the
+    correlation inferred and with it left out.
 timing
     Seconds of ``fit_population`` on the published tables.
 """
@@ -21,9 +24,11 @@ import numpy as np
 from scipy import stats
 from scipy.special import ndtr
 
+from shj_bayes.population.device import NO_TAGS
 from shj_bayes.population.hierarchy import fit_population, fit_quantity
 from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded
-from shj_bayes.population.posterior import QuantityPosterior
+from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.predict import new_device
 from shj_bayes.population.priors import population_prior
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.quantities import FloatArray, quantity
@@ -157,6 +162,8 @@ def compare(n_repeats: int = 10, n_sets: int = 3, n_devices: int = 3, seed: int 
 
 # -- coverage ---------------------------------------------------------------------------------------------------------
 
+PROOF_SEED = 20261121
+"""Not looked at before the prior of the spread was settled; development used others (decision 0006)."""
 TRUTHS = {
     "typical (spread 0.2, unequal 0.5)": (0.2, 0.5),
     "tight (spread 0.05, equal)": (0.05, 0.0),
@@ -172,7 +179,7 @@ def coverage(
     unequal: float,
     *,
     n_sets: int = 5,
-    seed: int = 11,
+    seed: int = PROOF_SEED,
     ignore_spread: bool = False,
 ) -> FloatArray:
     """Probability that a new device falls into its 90 % band, one value per campaign and set.
@@ -225,6 +232,63 @@ def coverage_table(n_campaigns: int, devices: Sequence[int] = (2, 4, 8)) -> None
             )
 
 
+# -- second -----------------------------------------------------------------------------------------------------------
+
+
+def second_run(
+    n_campaigns: int, n_devices: int, rho: float, *, n_sets: int = 5, seed: int = PROOF_SEED
+) -> tuple[FloatArray, FloatArray]:
+    """Probability that the second run's force of a new device falls into its 90 % band.
+
+    Spread 0.2 of Fy and 0.15 of the ratio in every set, correlation ``rho``; each value known to 1 %.
+
+    Returns
+    -------
+    array, array
+        Shape (n_campaigns,): with the correlation inferred; with Fy and ratio drawn independently.
+    """
+    spread = (0.2, 0.15)
+    held = np.zeros((2, n_campaigns))
+    for c in range(n_campaigns):
+        rng = np.random.default_rng([seed, n_devices, c, 3])
+        mu = rng.normal((np.log(80.0), np.log(0.8)), (0.3, 0.1), (n_sets, 2))
+        cover = np.array([[spread[0] ** 2, rho * spread[0] * spread[1]], [rho * spread[0] * spread[1], spread[1] ** 2]])
+        values = mu[:, None] + rng.multivariate_normal((0.0, 0.0), cover, (n_sets, n_devices))
+        fits = {}
+        for k, name in enumerate(("Fy", "ratio")):
+            sets = [
+                [Likelihood(False, np.array([v]), np.array([0.01]), np.ones(1)) for v in row[:, k]] for row in values
+            ]
+            stream = np.random.SeedSequence([seed, n_devices, c, k])
+            fits[name] = fit_quantity(name, sets, population_prior(name), stream, n_warm=400, n_keep=500, thin=2)
+        groups = tuple(
+            DeviceSet(
+                f"s{i}", tuple(map(str, range(n_devices))), NO_TAGS, {"Fy": tuple(v[:, 0]), "ratio": tuple(v[:, 1])}
+            )
+            for i, v in enumerate(values)
+        )
+        result = PopulationResult(groups, fits, {}, {}, {}, c)
+        truth = float(np.sqrt(cover.sum()))
+        for i in range(n_sets):
+            device = new_device(result, f"s{i}")
+            apart = rng.permutation(device.draws["ratio"])
+            for k, draws in enumerate((device.draws["Fy_second"], device.draws["Fy"] * apart)):
+                low, high = (np.log(np.quantile(draws, (0.05, 0.95))) - mu[i].sum()) / truth
+                held[k, c] += float(stats.norm.cdf(high) - stats.norm.cdf(low)) / n_sets
+    return held[0], held[1]
+
+
+def second_table(n_campaigns: int) -> None:
+    """Print the coverage of the second run's force for several correlations."""
+    print("| devices per set | correlation | inferred | MC error | drawn independently |")
+    print("|---|---|---|---|---|")
+    for n in (2, 4):
+        for rho in (-0.7, 0.0, 0.7):
+            tied, apart = second_run(n_campaigns, n, rho)
+            error = tied.std(ddof=1) / np.sqrt(n_campaigns)
+            print(f"| {n} | {rho:g} | {tied.mean():.3f} | {error:.3f} | {apart.mean():.3f} |", flush=True)
+
+
 def timing() -> None:
     """Print how long the published tables take, and how well the chains met."""
     fit_population(published_devices()[:2], seed=1)
@@ -238,7 +302,7 @@ def timing() -> None:
 def main() -> None:
     """Run what was asked for; everything, shortened, when nothing was."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", nargs="?", choices=("all", "compare", "coverage", "timing"), default="all")
+    parser.add_argument("what", nargs="?", choices=("all", "compare", "coverage", "second", "timing"), default="all")
     parser.add_argument("-n", type=int, default=100, help="simulated campaigns per line of the coverage table")
     arguments = parser.parse_args()
     if arguments.what in ("all", "timing"):
@@ -247,6 +311,8 @@ def main() -> None:
         compare()
     if arguments.what in ("all", "coverage"):
         coverage_table(arguments.n)
+    if arguments.what in ("all", "second"):
+        second_table(arguments.n)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+import hashlib
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,11 @@ import h5py
 import numpy as np
 
 from shj_bayes.errors import CheckpointError
+from shj_bayes.files import replacing
 from shj_bayes.model.parameters import FloatArray
 
 SCHEMA = "shj-bayes/checkpoint/1"
+_SEAL = b"SHA-256:"  # behind the HDF5 content, before the 32 bytes of its digest
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +46,10 @@ class EnsembleState:
 
 def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]) -> None:
     """Write a checkpoint beside the old one, then put it in its place."""
-    temporary = path.with_suffix(".part")
     # The latest format and Fletcher's sum protect headers and numbers: an altered byte is an error, not another chain.
-    with h5py.File(temporary, "w", libver="latest") as file:
+    # Made in memory, then written as bytes: HDF5 itself makes a mess of a full disk.
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", libver="latest") as file:
         file.attrs["schema"], file.attrs["n_ensembles"] = SCHEMA, len(ensembles)
         for key, value in fingerprint.items():
             file.attrs[f"fingerprint.{key}"] = value
@@ -63,7 +67,9 @@ def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]
             group.attrs["random_position"], group.attrs["random_has_gauss"] = position, has_gauss
             group.attrs["random_cached"] = cached
             group.attrs["n_failed"] = ensemble.n_failed
-    os.replace(temporary, path)
+    with replacing(path) as part:
+        content = memory.getvalue()
+        part.write_bytes(content + _SEAL + hashlib.sha256(content).digest())
 
 
 def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
@@ -75,7 +81,13 @@ def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
         If the file is damaged, or belongs to another problem; the message names the fields that differ.
     """
     try:
-        with h5py.File(path, "r") as file:
+        # The digest comes first: a damaged file can make the HDF5 library end the process. HDF5 itself allows for bytes
+        # behind its end, so other tools can open a checkpoint as it is.
+        raw = path.read_bytes()
+        content, seal = raw[: -len(_SEAL) - 32], raw[-len(_SEAL) - 32 :]
+        if seal != _SEAL + hashlib.sha256(content).digest():
+            raise ValueError("it was cut short or altered: its digest does not fit")
+        with h5py.File(io.BytesIO(content), "r") as file:
             if file.attrs.get("schema") != SCHEMA:
                 raise CheckpointError(
                     f"{path.name}: schema {file.attrs.get('schema')!r}; this version reads {SCHEMA!r}"

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import emcee
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.model.parameters import FloatArray
@@ -73,13 +73,27 @@ def burn_in(tau: float, n_total: int) -> int:
 
 
 def autocorrelation_time(chains: Sequence[FloatArray]) -> FloatArray:
-    """Integrated autocorrelation time of each parameter, mean over ensembles, shape (d,), in steps."""
-    with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
-        taus = [emcee.autocorr.integrated_time(chain, tol=0, quiet=True) for chain in chains]
-    mean = np.mean(np.asarray(taus), axis=0)
+    """Integrated autocorrelation time of each parameter, mean over ensembles, shape (d,), in steps.
+
+    The same number as `emcee.autocorr.integrated_time`, all walkers in one transform: one after the other they took a
+    tenth of a fit.
+    """
+    mean = np.mean([_time_of_ensemble(chain) for chain in chains], axis=0)
     # Where a walker never moves, what is left after subtracting its mean is rounding, and looks like white noise.
     moves = np.all([np.ptp(chain, axis=0).min(axis=0) > 0 for chain in chains], axis=0)
     return np.where(np.isfinite(mean) & moves, np.maximum(mean, 1.0), np.inf)
+
+
+def _time_of_ensemble(chain: FloatArray, window: float = 5.0) -> FloatArray:
+    """Autocorrelation summed over the shortest lag that is `window` times that sum (Sokal), shape (d,)."""
+    n = chain.shape[0]
+    spectrum = np.abs(rfft(chain - chain.mean(axis=0), 2 * next_fast_len(n), axis=0)) ** 2
+    correlation = irfft(spectrum, 2 * next_fast_len(n), axis=0)[:n]
+    with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
+        times = 2.0 * np.cumsum(np.mean(correlation / correlation[0], axis=1), axis=0) - 1.0
+    inside = np.arange(n)[:, None] < window * times
+    last = np.where(inside.all(axis=0), n - 1, np.argmin(inside, axis=0))
+    return np.asarray(times[last, np.arange(times.shape[1])])
 
 
 def diagnose_chains(

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from shj_bayes.inference import store
+from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
 from shj_bayes.inference.problem import Problem, Run
 from shj_bayes.inference.quiet_arviz import az
@@ -121,6 +123,8 @@ def fit(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / CHECKPOINT
+    with told_when_slow(progress):
+        problem.log_likelihood(problem.natural(np.zeros((1, len(problem.layout.names)))))
     start = find_start(problem)
     states, figures = run_ensembles(
         problem,

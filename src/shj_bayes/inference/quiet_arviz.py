@@ -1,11 +1,15 @@
-"""ArviZ without the announcement of its own rewrite that version 0.23 prints at every import."""
+"""ArviZ without the announcement of its own rewrite that version 0.23 prints at every import, and without numba."""
 
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 with warnings.catch_warnings():
     warnings.filterwarnings("ignore", message=r"\s*ArviZ is undergoing a major refactor", category=FutureWarning)
     import arviz as az
+
+_numba: Any = vars(az)["Numba"]  # carries no types
+_numba.disable_numba()  # it compiles its variance anew in every process, which takes longer than it ever saves here
 
 __all__ = ["az"]

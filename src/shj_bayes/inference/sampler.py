@@ -16,6 +16,7 @@ from shj_bayes.errors import InferenceError
 from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import Diagnostics, converged, diagnose_chains
+from shj_bayes.inference.proposal import Proposal, fit_proposal
 from shj_bayes.inference.start import Density, Start
 from shj_bayes.model.parameters import FloatArray
 
@@ -33,7 +34,7 @@ class Plan:
     n_ensembles : int
         Independent ensembles, at least 4.
     n_walkers : int
-        Walkers of each; 0 for four per parameter (at least 24).
+        Walkers of each; 0 for three per parameter (at least 20).
     round_steps : int
         Steps between two looks at convergence (and two checkpoints).
     max_steps : int
@@ -43,7 +44,7 @@ class Plan:
     seed: int = 1
     n_ensembles: int = 4
     n_walkers: int = 0
-    round_steps: int = 200
+    round_steps: int = 60
     max_steps: int = 10_000
 
     def __post_init__(self) -> None:
@@ -61,20 +62,27 @@ class Plan:
 
     def walkers(self, d: int) -> int:
         """Walkers of each ensemble for d parameters."""
-        n = self.n_walkers or max(24, 4 * d)
+        n = self.n_walkers or max(20, 3 * d + d % 2)
         if n < 2 * d:
             raise InferenceError(f"{n} walkers: at least {2 * d} are needed for {d} parameters; 0 chooses by itself")
         return n
 
 
-def moves() -> list[tuple[emcee.moves.Move, float]]:
+def moves(proposal: Proposal) -> list[tuple[emcee.moves.Move, float]]:
     """Proposals and their shares.
 
-    Differential evolution has about a third of the stretch move's autocorrelation time here (``benchmarks/moves.py``);
-    a tenth of the moves jump the whole difference, which lets walkers change between peaks.
+    Draws from a mixture that resembles the posterior have a tenth of the autocorrelation time of differential evolution
+    (``benchmarks/moves.py``). Where it resembles it little, differential evolution takes over; a quarter of its moves
+    jump the whole difference, which lets walkers change between peaks.
     emcee 3.1.6's ``DESnookerMove`` is not used: it gives posteriors that are too narrow (``tests/statistical``).
     """
-    return [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    share = float(np.clip(3.0 * proposal.efficiency, 0.1, 0.9))
+    rest = 1.0 - share
+    return [
+        (emcee.moves.MHMove(proposal.move), share),
+        (emcee.moves.DEMove(), 0.75 * rest),
+        (emcee.moves.DEMove(gamma0=1.0), 0.25 * rest),
+    ]
 
 
 def run_ensembles(
@@ -114,6 +122,7 @@ def run_ensembles(
     list of EnsembleState, Diagnostics
     """
     d = len(names)
+    proposal = fit_proposal(density, start, np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(98,))))
     identity = dict(fingerprint or {}) | {"plan": f"seed {plan.seed}, {plan.n_ensembles} x {plan.walkers(d)} walkers"}
     if path is not None and path.exists():
         states = checkpoint.load(path, identity)
@@ -130,7 +139,7 @@ def run_ensembles(
                 if converged(figures) or states[0].chain.shape[0] >= plan.max_steps:
                     return states, figures
             steps = min(plan.round_steps, plan.max_steps - states[0].chain.shape[0])
-            states = list(pool.map(partial(_advance, density, n_steps=steps), states))
+            states = list(pool.map(partial(_advance, density, proposal, n_steps=steps), states))
             if path is not None:
                 checkpoint.save(path, identity, states)
             bar.update(steps)
@@ -165,7 +174,7 @@ def _begin(density: Density, start: Start, n_walkers: int, stream: np.random.See
     return EnsembleState(points[None], density_at[None], np.zeros(n_walkers), tuple(legacy), 0)
 
 
-def _advance(density: Density, state: EnsembleState, n_steps: int) -> EnsembleState:
+def _advance(density: Density, proposal: Proposal, state: EnsembleState, n_steps: int) -> EnsembleState:
     """Run one ensemble for some steps."""
     failed = 0
 
@@ -176,7 +185,7 @@ def _advance(density: Density, state: EnsembleState, n_steps: int) -> EnsembleSt
         return value
 
     _, n_walkers, d = state.chain.shape
-    sampler = emcee.EnsembleSampler(n_walkers, d, evaluate, moves=moves(), vectorize=True)
+    sampler = emcee.EnsembleSampler(n_walkers, d, evaluate, moves=moves(proposal), vectorize=True)
     begin = emcee.State(state.chain[-1], log_prob=state.log_posterior[-1], random_state=state.random_state)
     end = sampler.run_mcmc(begin, n_steps, skip_initial_state_check=True)
     return EnsembleState(

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize
 
 from shj_bayes.errors import InferenceError
+from shj_bayes.inference.coarse import Coarse
 from shj_bayes.inference.problem import Problem
 from shj_bayes.model.parameters import FloatArray
-
-CHUNK = 16  # parameter sets evaluated in one call while searching
 
 
 class Density(Protocol):
@@ -45,14 +43,14 @@ class Start:
 
 
 def find_start(problem: Problem, n_polish: int = 3) -> Start:
-    """Search a coarse grid of laws, polish the best few, return the best of all.
+    """Search a coarse grid of laws, improve the best few by least squares, climb to the top from each.
 
     Parameters
     ----------
     problem : Problem
         Posterior to search.
     n_polish : int
-        Number of grid points that are polished.
+        Number of grid points that are improved.
 
     Returns
     -------
@@ -63,8 +61,9 @@ def find_start(problem: Problem, n_polish: int = 3) -> Start:
     InferenceError
         If no parameters give a finite posterior density.
     """
-    candidates = [problem.free(theta[None])[0] for theta in _coarse_candidates(problem)[:n_polish]]
-    return polish(problem, candidates)
+    coarse = Coarse(problem)
+    found = [problem.free(_with_noise(problem, theta)[None])[0] for theta in coarse.best_laws(n_polish)]
+    return polish(problem, found)
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
@@ -86,60 +85,42 @@ def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
     InferenceError
         If no candidate has a finite density.
     """
-    best: tuple[float, FloatArray] | None = None
+    best: Start | None = None
     for candidate in candidates:
-        z = np.clip(candidate, -8.0, 8.0)
+        origin = np.clip(candidate, -8.0, 8.0)
+        if best is not None and _distance(best, origin) < 1.0:  # the same hill
+            continue
+        if not np.isfinite(density.log_posterior_free(origin[None])[0]):
+            continue
+        # In units of the curvature the climb takes a dozen steps; in the parameters' own units it takes ninety.
+        root = np.linalg.cholesky(_covariance(density, origin))
         result = minimize(
-            _negative_with_gradient, z, args=(density,), jac=True, method="BFGS", options={"maxiter": 300}
+            _negative_with_gradient,
+            np.zeros(origin.size),
+            args=(density, origin, root),
+            jac=True,
+            method="BFGS",
+            options={"maxiter": 300, "gtol": 1e-3},
         )
-        if np.isfinite(result.fun) and (best is None or result.fun < best[0]):
-            best = (float(result.fun), result.x)
+        if np.isfinite(result.fun) and (best is None or -result.fun > best.log_posterior):
+            top = origin + root @ result.x
+            best = Start(top, _covariance(density, top), -float(result.fun))
     if best is None:
         raise InferenceError("no parameters within the priors give a finite likelihood; look at `shj-bayes check`")
-    return Start(best[1], _covariance(density, best[1]), -best[0])
+    return best
 
 
-def _coarse_candidates(problem: Problem) -> list[FloatArray]:
-    """List laws on a coarse grid, best least squares first, with sigma and phi from their residuals."""
-    run = problem.runs[0]
-    peak = [float(np.percentile(np.abs(r.recording.force_kN), 97)) for r in problem.runs]
-    stroke = float(np.ptp(run.motion.displacement_mm))
-    speed = float(np.percentile(run.motion.speed_mm_s, 95))
-    if not (peak[0] > 0 and stroke > 0 and speed > 0):
-        raise InferenceError(
-            f"nothing to fit: largest force {peak[0]:.3g} kN, stroke {stroke:.3g} mm, speed "
-            f"{speed:.3g} mm/s; all must be above 0"
-        )
-    names = problem.layout.names
-    fixed = {name: peak[run_of(name) - 1] / peak[0] for name in names if name.startswith("ratio")}
-    rows = []
-    for share, knee, beta, effect in product(
-        (0.5, 0.7, 0.85, 1.0), (3, 8, 20, 60, 200), (3.0, 12.0, 80.0), (-0.2, 0.0, 0.25)
-    ):
-        values = {"K": knee * peak[0] / stroke, "Fy": share * peak[0], "beta": beta, "gamma": effect / speed}
-        values |= {"sigma": 1.0, "phi": 0.0, "nu": 10.0} | fixed
-        rows.append([values.get(name, values.get(name.partition("_")[0], 0.0)) for name in names])
-    theta = np.array(rows)
-    scores = np.concatenate([_sum_of_squares(problem, theta[i : i + CHUNK]) for i in range(0, len(theta), CHUNK)])
-    return [_with_noise(problem, theta[i]) for i in np.argsort(scores, kind="stable")]
-
-
-def run_of(name: str) -> int:
-    """Run number that a per-run parameter belongs to."""
-    return 2 if name == "ratio" else int(name.partition("_")[2] or 1)
-
-
-def _residuals(problem: Problem, theta: FloatArray) -> list[FloatArray]:
-    return [r.recording.force_kN - problem.modelled_force(theta, i) for i, r in enumerate(problem.runs, start=1)]
-
-
-def _sum_of_squares(problem: Problem, theta: FloatArray) -> FloatArray:
-    return np.asarray(sum(np.sum(residual**2, axis=1) for residual in _residuals(problem, theta)))
+def _distance(start: Start, z: FloatArray) -> float:
+    """Distance from the top in standard deviations."""
+    gap = z - start.free
+    return float(np.sqrt(gap @ np.linalg.solve(start.covariance, gap)))
 
 
 def _with_noise(problem: Problem, theta: FloatArray) -> FloatArray:
     """Complete a parameter set with sigma and phi read off its residuals."""
-    residual = np.concatenate([r[0] for r in _residuals(problem, theta[None])])
+    residual = np.concatenate(
+        [r.recording.force_kN - problem.modelled_force(theta[None], i)[0] for i, r in enumerate(problem.runs, start=1)]
+    )
     out = theta.copy()
     scale = float(np.std(residual))
     for name, value in (
@@ -151,13 +132,15 @@ def _with_noise(problem: Problem, theta: FloatArray) -> FloatArray:
     return out
 
 
-def _negative_with_gradient(z: FloatArray, density: Density, step: float = 1e-5) -> tuple[float, FloatArray]:
-    """Negative log posterior and its central-difference gradient, all points in one call."""
-    shifts = step * np.vstack([np.zeros(z.size), np.eye(z.size), -np.eye(z.size)])
-    value = density.log_posterior_free(z + shifts)
+def _negative_with_gradient(
+    u: FloatArray, density: Density, origin: FloatArray, root: FloatArray, step: float = 1e-3
+) -> tuple[float, FloatArray]:
+    """Negative log posterior at origin + root u and its central-difference gradient, all points in one call."""
+    shifts = step * np.vstack([np.zeros(u.size), np.eye(u.size), -np.eye(u.size)])
+    value = density.log_posterior_free(origin + (u + shifts) @ root.T)
     if not np.all(np.isfinite(value)):
-        return 1e300, np.zeros(z.size)
-    gradient = (value[1 : 1 + z.size] - value[1 + z.size :]) / (2 * step)
+        return 1e300, np.zeros(u.size)
+    gradient = (value[1 : 1 + u.size] - value[1 + u.size :]) / (2 * step)
     return -float(value[0]), -gradient
 
 
@@ -178,6 +161,8 @@ def _covariance(density: Density, z: FloatArray) -> FloatArray:
     hessian = np.zeros((d, d))
     for (i, j), (pp, pm, mp, mm) in zip(pairs, value, strict=True):
         hessian[i, j] = hessian[j, i] = (pp - pm - mp + mm) / 4
+    if not np.all(np.isfinite(hessian)):  # beside the edge of what doubles can hold
+        return np.diag(width**2)
     values, vectors = np.linalg.eigh(-(hessian + hessian.T) / 2)
     values = np.maximum(values, 1e-3 * max(values.max(), 1e-3))  # a flat direction starts wide, not infinite
     inverse = (vectors / values) @ vectors.T

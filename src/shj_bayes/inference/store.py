@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -16,7 +15,7 @@ import pandas as pd
 
 import shj_bayes
 from shj_bayes.errors import InferenceError
-from shj_bayes.files import write_text
+from shj_bayes.files import check_seal, file_digest, read_json, replacing, reserve, sealed, write_text
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import Diagnostics, Verdict
 from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles, modelled_force
@@ -28,6 +27,11 @@ _read_netcdf: Any = az.from_netcdf  # carries no types
 SCHEMA = "shj-bayes/fit/1"
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
 N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 2000, 25, 4000, 60  # draws; the first two for each ensemble
+FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
+KINDS: dict[str, type] = {
+    **{"device": str, "verdict": str, "reasons": list, "versions": dict, "model": dict},
+    **{"prior_laws": list, "inputs": list, "sampling": dict, "parameters": list},
+}
 PACKAGES = ("arviz", "emcee", "h5py", "numba", "numpy", "pandas", "scipy", "xarray")
 
 
@@ -195,13 +199,18 @@ def fit_record(
 
 
 def write_fit(folder: Path, data: az.InferenceData, table: pd.DataFrame, record: dict[str, Any]) -> None:
-    """Write ``posterior.nc``, ``summary.csv``, ``summary.json`` and, last, ``fit.json`` (whole or not at all)."""
+    """Write ``posterior.nc``, ``summary.csv``, ``summary.json`` and, last, ``fit.json`` (each whole or not at all).
+
+    The record gains ``files``, the SHA-256 of the other three, and ``digest``, that of the record itself.
+    """
     data.attrs.update(schema=SCHEMA, device=record["device"], provenance=json.dumps(record))
-    part = folder / "posterior.part"
-    data.to_netcdf(str(part), engine="h5netcdf", compress=True)
-    os.replace(part, folder / "posterior.nc")
+    with replacing(folder / "posterior.nc") as part:
+        reserve(part, sum(data[group].nbytes for group in data.groups()) + 2**20)  # a MiB of names and attributes
+        data.to_netcdf(str(part), engine="h5netcdf", compress=True)
     write_text(folder / "summary.csv", table.assign(schema=SCHEMA).to_csv(index=False))
     write_text(folder / "summary.json", json.dumps({"schema": SCHEMA, "parameters": record["parameters"]}, indent=1))
+    record["files"] = {name: file_digest(folder / name) for name in FILES}
+    record.update(sealed(record))
     write_text(folder / "fit.json", json.dumps(record, indent=1))
 
 
@@ -211,30 +220,59 @@ def read_record(folder: Path) -> dict[str, Any]:
     Raises
     ------
     InferenceError
-        If there is none, or it is not one of ours.
+        If there is none, it is not one of ours, or it was altered after it was written.
     """
     path = folder / "fit.json"
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InferenceError(
-            f"{folder.name} holds no finished fit ({path.name}: {error.strerror}); run shj-bayes fit"
-        ) from error
-    except ValueError as error:
-        raise InferenceError(f"{path.name} in {folder.name} is damaged ({error}); run the fit again") from error
+    if not path.exists():
+        raise InferenceError(f"{folder.name} holds no finished fit (no {path.name} in it); run shj-bayes fit")
+    record = read_json(path, InferenceError)
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise InferenceError(f"{path.name} in {folder.name} has not the schema {SCHEMA!r}; run the fit again")
+    check_seal(record, path, InferenceError)
+    for key, kind in KINDS.items():
+        if not isinstance(record.get(key), kind):
+            raise InferenceError(f"{path.name} in {folder.name} lacks a proper {key!r}; run the fit again")
     return record
 
 
+def check_files(folder: Path, record: dict[str, Any]) -> None:
+    """Refuse files of a fit that are missing, cut short or altered; a fit of an earlier version has no digests.
+
+    Raises
+    ------
+    InferenceError
+        With the file at fault.
+    """
+    for name in FILES:
+        path = folder / name
+        if not path.is_file():
+            raise InferenceError(f"{name} is missing in {folder.name}; run the fit again")
+        wanted = record.get("files", {}).get(name)
+        if wanted is not None and file_digest(path) != wanted:
+            raise InferenceError(
+                f"{name} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one "
+                "in fit.json); restore it or run the fit again"
+            )
+
+
 def read_posterior(folder: Path) -> az.InferenceData:
-    """Read ``posterior.nc`` of a results folder."""
+    """Read ``posterior.nc`` of a results folder.
+
+    Raises
+    ------
+    InferenceError
+        If it is missing, damaged, or not the one that ``fit.json`` belongs to.
+    """
+    if (folder / "fit.json").exists():
+        check_files(folder, read_record(folder))
     try:
         data: az.InferenceData = _read_netcdf(str(folder / "posterior.nc"), engine="h5netcdf")
         data.load()  # and close: an open file cannot be replaced on Windows
         data.close()
-    except (OSError, ValueError, KeyError) as error:
-        raise InferenceError(f"posterior.nc in {folder.name} cannot be read ({error}); run the fit again") from error
+    except Exception as error:  # the readers below raise dozens of kinds for damaged files; all mean the same
+        raise InferenceError(
+            f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
+        ) from error
     return data
 
 

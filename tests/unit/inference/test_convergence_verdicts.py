@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import emcee
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -160,3 +161,11 @@ def test_each_criterion_on_its_own(change: dict[str, object], word: str) -> None
     outcome = judge(dataclasses.replace(FINE, **change))
     assert outcome.word == word
     assert outcome.reasons
+
+
+@pytest.mark.parametrize("n", [60, 105, 1001])
+@pytest.mark.parametrize("tau", [1.0, 8.0, 40.0])
+def test_autocorrelation_time_is_that_of_emcee(tau: float, n: int) -> None:
+    x = chains(n, tau=tau)
+    expected = np.maximum(np.mean([emcee.autocorr.integrated_time(c, tol=0, quiet=True) for c in x], axis=0), 1.0)
+    np.testing.assert_allclose(autocorrelation_time(list(x)), expected, rtol=1e-12)

@@ -128,9 +128,8 @@ def test_threads_do_not_share_memory(make_small: Make) -> None:
 
 def test_nan_is_reported_with_the_parameters(make_small: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = make_small()
-    monkeypatch.setattr(
-        problem_module, "log_density", lambda _model, residual, *_args, **_more: np.full(residual.shape[0], np.nan)
-    )
+    for function in ("log_density", "log_density_of_sums"):  # of the samples, and of the sums
+        monkeypatch.setattr(problem_module, function, lambda _model, rows, *_, **__: np.full(rows.shape[0], np.nan))
     with pytest.raises(InferenceError, match=r"not a number at K = .*, Fy = .*, beta = .*, phi = .*; this is a bug"):
         problem.log_posterior_free(points(problem, 2))
     with pytest.raises(InferenceError, match="K = "):

@@ -80,7 +80,9 @@ def test_inference_data_groups_and_round_trip(fitted: Fitted) -> None:
         assert back.posterior[name].attrs["unit"]
         assert back.posterior[name].attrs["meaning"]
     assert back.attrs["schema"] == store.SCHEMA
-    assert json.loads(back.attrs["provenance"]) == store.read_record(folder)
+    record = store.read_record(folder)
+    without = {key: value for key, value in record.items() if key not in ("files", "digest")}
+    assert json.loads(back.attrs["provenance"]) == without
 
 
 def test_stored_draws_are_the_posterior_of_the_summary(fitted: Fitted) -> None:
@@ -177,8 +179,8 @@ def test_problem_from_measured_displacement() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "holds no finished fit (fit.json: No such file or directory); run shj-bayes fit"),
-        ("{", "fit.json in "),
+        (None, "holds no finished fit (no fit.json in it); run shj-bayes fit"),
+        ("{", "fit.json is damaged: "),
         ('{"schema": "other/1"}', "has not the schema 'shj-bayes/fit/1'; run the fit again"),
         ("[1]", "has not the schema"),
     ],

@@ -1,0 +1,78 @@
+"""The same posterior by other samplers, side by side in one run: seconds, evaluations, and whether they are right.
+
+Run ``python benchmarks/peers.py`` (half an hour; ``--only NAME ...`` takes some). Every peer samples the device of
+``devices.py`` at 20 Hz with the numpy likelihood of ``numpy_posterior.py`` (NumPyro with the same law in JAX), started
+from the most probable point where it takes a start, until R-hat < 1.01 over four chains or ensembles and ESS >= 1000
+for every parameter, or its own stop. A time counts only if all means are within 0.1 standard deviations of the
+reference and all standard deviations within 3 %: the column "right" says so. The reference is a run of shj-bayes of
+20 000 effective draws. Seconds are processor time, all threads together, so that other work does not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+from devices import device
+from numpy_posterior import NumpyPosterior
+from samplers import SAMPLERS, Draws, reference
+
+from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.start import Start, find_start
+from shj_bayes.model.parameters import FloatArray
+
+LOST = (ImportError, RuntimeError, OSError)  # not installed, or not for this machine
+
+
+def line(name: str, draws: Draws, seconds: float, mean: FloatArray, sd: FloatArray) -> str:
+    """One row of the table."""
+    flat = draws.chains.reshape(-1, mean.size) if draws.weights is None else draws.chains
+    weights = np.full(flat.shape[0], 1 / flat.shape[0]) if draws.weights is None else draws.weights
+    own = weights @ flat
+    off = np.abs(own - mean) / sd
+    width = np.sqrt(weights @ (flat - own) ** 2) / sd
+    right = off.max() < 0.1 and np.all(np.abs(width - 1) < 0.03)
+    return (
+        f"{name:38s} {seconds:8.1f} {draws.evaluations:12d} {draws.ess:8.0f} {draws.evaluations / draws.ess:9.1f}"
+        f" {off.max():11.2f} {width.min():7.3f} {width.max():6.3f}  {'yes' if right else 'NO':4s} {draws.note}"
+    )
+
+
+def timed(work: Callable[[Problem, NumpyPosterior, Start], Draws], beta: float, start: Start) -> tuple[Draws, float]:
+    """Sample with a fresh problem; processor time, s."""
+    problem = device(20.0, beta)
+    posterior = NumpyPosterior(problem)
+    begin = time.process_time()
+    draws = work(problem, posterior, start)
+    return draws, time.process_time() - begin
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--only", nargs="+", default=list(SAMPLERS), choices=list(SAMPLERS))
+    parser.add_argument("--beta", type=float, nargs="+", default=[10.0])
+    options = parser.parse_args()
+    for beta in options.beta:
+        problem = device(20.0, beta)
+        start = find_start(problem)
+        gap = NumpyPosterior(problem)(start.free) - problem.log_posterior_free(start.free[None])[0]
+        assert abs(gap) < 1e-6, gap
+        flat = reference(problem, start).reshape(-1, start.free.size)
+        mean, sd = flat.mean(axis=0), flat.std(axis=0)
+        n = sum(run.recording.n_samples for run in problem.runs)
+        print(f"beta {beta:g}, {n} samples, {mean.size} parameters")
+        print(f"{'':38s}  seconds  evaluations      ESS  per draw  mean off by  sd from    to  right")
+        for name in options.only:
+            try:
+                draws, seconds = timed(SAMPLERS[name], beta, start)
+            except LOST as error:
+                print(f"{name:38s} not run: {error}", flush=True)
+                continue
+            print(line(name, draws, seconds, mean, sd), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""Say so when the first evaluation waits for the compiler; afterwards the machine code is read from numba's cache."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+WAIT_S = 2.0  # reading the cache takes a tenth of it
+TEXT = "compiling the law for this machine: once after installation, up to a minute\n"
+
+
+@contextmanager
+def told_when_slow(tell: bool, wait_s: float = WAIT_S) -> Iterator[None]:
+    """Print one line to standard error if what is inside takes longer than the cache would.
+
+    Parameters
+    ----------
+    tell : bool
+        Whether to print at all (only to a terminal).
+    wait_s : float
+        Seconds after which to print.
+    """
+    if not (tell and sys.stderr.isatty()):
+        yield
+        return
+    timer = threading.Timer(wait_s, lambda: (sys.stderr.write(TEXT), sys.stderr.flush()))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

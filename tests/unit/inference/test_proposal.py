@@ -1,0 +1,111 @@
+"""The fitted proposal: a proper density, close to the target whatever the start, and the same every time."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from shj_bayes.inference.proposal import N_DRAWS, N_ROUNDS, TAIL, Proposal, fit_proposal
+from shj_bayes.inference.start import Start
+
+D = 5
+
+
+class Target:
+    """A log density of many points that counts its calls."""
+
+    def __init__(self, log_density: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.log_density, self.n = log_density, 0
+
+    def log_posterior_free(self, z: np.ndarray) -> np.ndarray:
+        """Count and evaluate."""
+        self.n += len(z)
+        return np.asarray(self.log_density(z))
+
+
+def skewed(z: np.ndarray) -> np.ndarray:
+    """A Gaussian but for the first coordinate, which has a long tail: a sharpness that the data only bound below."""
+    return np.asarray(stats.gumbel_r.logpdf(z[:, 0]) - 0.5 * np.sum(z[:, 1:] ** 2, axis=1))
+
+
+def gaussian(z: np.ndarray) -> np.ndarray:
+    return np.asarray(-0.5 * np.sum((z / SCALE) ** 2, axis=1))
+
+
+SCALE = np.array([1e-3, 0.1, 1.0, 3.0, 20.0])
+FAR = Start(1.5 * SCALE, 0.3 * np.diag(SCALE**2), 0.0)  # off by 1.5 and half as wide
+LAWS = {
+    "gaussian": (gaussian, Start(np.zeros(D), np.diag(SCALE**2), 0.0), 0.7),
+    "gaussian, poor start": (gaussian, FAR, 0.55),
+    "skewed": (skewed, Start(np.zeros(D), np.eye(D), 0.0), 0.55),
+}
+
+
+def acceptance(proposal: Proposal, log_density: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Share of its draws that a chain at rest accepts."""
+    rng = np.random.default_rng(9)
+    z = proposal.draw(8000, rng)
+    weight = np.exp(log_density(z) - proposal.log_density(z))
+    at = rng.choice(weight.size, weight.size, p=weight / weight.sum())
+    return float(np.mean(np.minimum(1.0, weight / weight[at])))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", LAWS)
+def test_it_comes_close_to_the_target(name: str, seed: int) -> None:
+    law, start, least = LAWS[name]
+    target = Target(law)
+    proposal = fit_proposal(target, start, np.random.default_rng(seed))
+    assert acceptance(proposal, law) > least
+    assert target.n <= N_ROUNDS[1] * N_DRAWS
+
+
+def test_a_start_without_any_density_still_gives_a_proposal() -> None:
+    nowhere = Target(lambda z: np.full(len(z), -np.inf))
+    proposal = fit_proposal(nowhere, FAR, np.random.default_rng(1))
+    assert proposal.efficiency == 0.0
+    assert np.all(np.isfinite(proposal.draw(10, np.random.default_rng(1))))
+
+
+def test_same_seed_same_proposal() -> None:
+    a, b = (fit_proposal(Target(skewed), LAWS["skewed"][1], np.random.default_rng(4)) for _ in range(2))
+    for name in ("weights", "means", "roots"):
+        assert np.array_equal(getattr(a, name), getattr(b, name))
+
+
+def mixture(d: int) -> Proposal:
+    root = np.tril(np.full((d, d), 0.3)) + np.eye(d)
+    return Proposal(np.array([0.3, 0.7]), np.stack([np.ones(d), -np.ones(d)]), np.stack([root, 2 * root]), 1.0)
+
+
+def test_the_density_is_that_of_the_t_mixture() -> None:
+    law = mixture(3)
+    z = np.random.default_rng(1).normal(size=(20, 3))
+    expected = sum(
+        w * stats.multivariate_t(m, r @ r.T, df=TAIL).pdf(z)
+        for w, m, r in zip(law.weights, law.means, law.roots, strict=True)
+    )
+    np.testing.assert_allclose(law.log_density(z), np.log(expected), rtol=1e-12)
+    whole, _ = integrate.quad(lambda x: float(np.exp(mixture(1).log_density(np.array([[x]]))[0])), -60, 60)
+    assert whole == pytest.approx(1.0, abs=1e-8)
+
+
+def test_draws_follow_the_density() -> None:
+    law = mixture(2)
+    z = law.draw(40_000, np.random.default_rng(2))
+    mean = law.weights @ law.means
+    np.testing.assert_allclose(z.mean(axis=0), mean, atol=0.06)
+    grow = TAIL / (TAIL - 2)
+    second = sum(
+        w * (np.outer(m, m) + grow * r @ r.T) for w, m, r in zip(law.weights, law.means, law.roots, strict=True)
+    )
+    np.testing.assert_allclose(z.T @ z / len(z), second, rtol=0.05, atol=0.1)
+
+
+def test_the_move_carries_its_hastings_factor() -> None:
+    law = mixture(3)
+    old = np.random.default_rng(1).normal(size=(6, 3))
+    new, factor = law.move(old, np.random.RandomState(1))
+    assert new.shape == old.shape
+    np.testing.assert_allclose(factor, law.log_density(old) - law.log_density(new))
