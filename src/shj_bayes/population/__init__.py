@@ -1,7 +1,7 @@
 """Device to device: what a new device of a set will be like, and how two sets compare.
 
-measurement -> device -> hierarchy -> predict -> loops -> compare -> results, with the paper's tables in
-published and its claims in paper_claims.
+measurement -> device -> hierarchy -> correlation -> predict -> loops -> compare -> results, with the paper's tables in
+published and its claims in paper_claims; tested is the range of strokes and speeds that may be spoken of.
 """
 
 from shj_bayes.population.compare import Comparison, Contrast, compare

@@ -1,24 +1,36 @@
-"""Two sets side by side: how far apart, how sure, and what so few devices can say."""
+"""Two sets, or two kinds of sets, side by side: how far apart, how sure, and what so few devices can say."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 from scipy.special import ndtr
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.population.classical import Classical, Pair, classical, holm
+from shj_bayes.population.compare_words import multiplicity_words, sentence
 from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.power import devices_needed, power
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.selectors import Stratum, strata_of
+
+ROPE = 0.10
+"""Half-width of the region of practical equivalence: 10 % of the value; for gamma 10 % of the force at 10 mm/s."""
+ROPE_SPEED = 10.0
+STATED_FACTOR = 1.5
+"""Difference for which the power is stated: a factor of 1.5; for gamma half the force at 10 mm/s."""
+LEVELS = (0.05, 0.5, 0.95)
+Band = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """One quantity of set a against set b.
+    """One quantity of a against b.
 
     Parameters
     ----------
@@ -27,20 +39,33 @@ class Contrast:
     kind : {"quotient", "difference"}
         a/b for K, Fy, ratio, beta; a - b for gamma.
     q05, q50, q95 : float
-        Of the quotient or difference between the typical devices (medians) of both sets.
+        Of the quotient or difference between the typical devices (medians) of both sides.
+    difference : tuple of float
+        5, 50 and 95 % of a - b of typical devices in ``difference_unit``.
+    difference_unit : str
+        Unit of the quantity.
     probability_level : float
         Probability that the typical device of a is above that of b.
     superiority : float
         Probability that a new device of a is above a new device of b.
+    rope : tuple of float
+        Region of practical equivalence, of the quotient or difference.
+    probability_rope : float
+        Probability that the typical devices differ by less than that.
     n_a, n_b : int
         Devices that give the quantity.
     spread_factor : tuple of float
         5, 50 and 95 % of tau_a / tau_b.
-    welch_p : float or None
-        Two-sided p of Welch's test on the point values, pooled scale; None when either set has fewer
-        than two devices or both have no spread. It does not know of rounding.
+    tests : Classical
+        Welch, Behrens-Fisher, variances, permutation on the point values.
+    holm_p : float or None
+        Permutation p (Welch's where there is none), adjusted for all quantities compared here.
+    power_stated : float
+        Chance that a sample of this size finds a true factor of 1.5 (gamma: 0.05 s/mm).
+    n_to_decide : int
+        Devices a side that would find a difference as large as the one seen, four times in five.
     other_priors : mapping of str to tuple of float
-        5 and 95 % of the same under each other prior of the spread.
+        5 and 95 % under each other prior of the spread.
     sentence : str
         The same in words; "settled" only when every prior of the spread says so.
     """
@@ -51,19 +76,31 @@ class Contrast:
     q05: float
     q50: float
     q95: float
+    difference: Band
+    difference_unit: str
     probability_level: float
     superiority: float
+    rope: tuple[float, float]
+    probability_rope: float
     n_a: int
     n_b: int
-    spread_factor: tuple[float, float, float]
-    welch_p: float | None
+    spread_factor: Band
+    tests: Classical
+    holm_p: float | None
+    power_stated: float
+    n_to_decide: int
     other_priors: Mapping[str, tuple[float, float]]
     sentence: str
+
+    @property
+    def welch_p(self) -> float | None:
+        """Two-sided p of Welch's test."""
+        return self.tests.welch_p
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sets compared in every pooled quantity.
+    """Two sides compared in every pooled quantity.
 
     Parameters
     ----------
@@ -71,82 +108,55 @@ class Comparison:
         Names.
     contrasts : tuple of Contrast
         One per quantity.
+    strata : int
+        Pairs of sets that the comparison runs over; 1 for two sets.
+    multiplicity : str
+        How many comparisons were made here, and how that is allowed for.
     """
 
     set_a: str
     set_b: str
     contrasts: tuple[Contrast, ...]
+    strata: int = 1
+    multiplicity: str = ""
 
     def to_table(self) -> pd.DataFrame:
         """One row per quantity."""
-        return pd.DataFrame(
-            [
-                {
-                    "set_a": self.set_a,
-                    "set_b": self.set_b,
-                    "quantity": c.quantity,
-                    "kind": c.kind,
-                    "unit": c.unit,
-                    "q05": c.q05,
-                    "q50": c.q50,
-                    "q95": c.q95,
-                    **{f"q05_{label}": band[0] for label, band in c.other_priors.items()},
-                    **{f"q95_{label}": band[1] for label, band in c.other_priors.items()},
-                    "probability_level": c.probability_level,
-                    "superiority": c.superiority,
-                    "n_a": c.n_a,
-                    "n_b": c.n_b,
-                    "welch_p": c.welch_p,
-                    "sentence": c.sentence,
-                }
-                for c in self.contrasts
-            ]
-        )
+        return pd.DataFrame([{"set_a": self.set_a, "set_b": self.set_b, **_row(c)} for c in self.contrasts])
 
 
-def _welch(a: list[float], b: list[float]) -> float | None:
-    if min(len(a), len(b)) < 2 or max(np.ptp(a), np.ptp(b)) < 1e-9:
-        return None
-    va, vb = (float(np.var(x, ddof=1)) / len(x) for x in (a, b))
-    degrees = (va + vb) ** 2 / (va**2 / (len(a) - 1) + vb**2 / (len(b) - 1))
-    return float(2.0 * stats.t.sf(abs(np.mean(a) - np.mean(b)) / np.sqrt(va + vb), degrees))
+def _row(c: Contrast) -> dict[str, object]:
+    return {
+        **{k: getattr(c, k) for k in ("quantity", "kind", "unit", "q05", "q50", "q95")},
+        **{f"q05_{label}": band[0] for label, band in c.other_priors.items()},
+        **{f"q95_{label}": band[1] for label, band in c.other_priors.items()},
+        **dict(zip(("difference_q05", "difference_q50", "difference_q95"), c.difference, strict=True)),
+        "difference_unit": c.difference_unit,
+        **{k: getattr(c, k) for k in ("probability_level", "superiority", "probability_rope")},
+        "rope_low": c.rope[0],
+        "rope_high": c.rope[1],
+        "spread_factor_q05": c.spread_factor[0],
+        "spread_factor_q50": c.spread_factor[1],
+        "spread_factor_q95": c.spread_factor[2],
+        "n_a": c.n_a,
+        "n_b": c.n_b,
+        **asdict(c.tests),
+        **{k: getattr(c, k) for k in ("holm_p", "power_stated", "n_to_decide", "sentence")},
+    }
 
 
-def _shift(result: PopulationResult, name: str, pair: tuple[int, int], prior: str) -> tuple[FloatArray, list[float]]:
-    """Difference of the set levels, pooled scale, and 5, 50, 95 % of the quotient or difference."""
-    fit, q = result.fit(name, prior), QUANTITIES[name]
-    shift = fit.mu[:, pair[0]] - fit.mu[:, pair[1]]
-    return shift, np.quantile(q.natural(shift), [0.05, 0.5, 0.95]).tolist()
-
-
-def _sentence(sets: tuple[str, str], name: str, band: list[float], settled: dict[str, bool], n: tuple[int, int]) -> str:
-    q05, q50, q95 = band
-    if QUANTITIES[name].logarithmic:
-        size = f"is {q50:.2f} times that of {sets[1]} (90 % interval {q05:.2f} to {q95:.2f})"
-        open_ = f"a factor of anything from {q05:.2f} to {q95:.2f}"
-    else:
-        unit = QUANTITIES[name].unit
-        size = f"differs from {sets[1]} by {q50:+.3g} {unit} (90 % interval {q05:+.3g} to {q95:+.3g})"
-        open_ = f"anything from {q05:+.3g} to {q95:+.3g} {unit}"
-    if not settled["default"]:
-        verdict = f"the direction is not settled: {open_} is compatible with them"
-    elif not all(settled.values()):
-        against = ", ".join(label for label, yes in settled.items() if not yes)
-        verdict = f"the direction hangs on what is assumed of the spread (not settled under the {against} prior)"
-    else:
-        verdict = "the direction is settled at 90 %, whatever prior of the spread is taken"
-    return f"{sets[0]}: {name} of a typical device {size}; with {n[0]} and {n[1]} devices {verdict}."
-
-
-def compare(result: PopulationResult, set_a: str, set_b: str) -> Comparison:
-    """Compare two sets of a fitted population.
+def compare(result: PopulationResult, set_a: str, set_b: str, *, rope: float = ROPE) -> Comparison:
+    """Compare two sets, or two kinds of sets, of a fitted population.
 
     Parameters
     ----------
     result : PopulationResult
         A fitted population.
     set_a, set_b : str
-        Two different sets.
+        Names of two different sets, or two kinds of sets: "coated" and "uncoated", "corroded" and "uncorroded", "70 %"
+        and "100 %". Kinds are compared stratum by stratum, each stratum alike in all else, and averaged.
+    rope : float
+        Half-width of the region of practical equivalence, as a share.
 
     Returns
     -------
@@ -155,37 +165,107 @@ def compare(result: PopulationResult, set_a: str, set_b: str) -> Comparison:
     Raises
     ------
     PopulationError
-        If a set is unknown or both are the same.
+        If a set is unknown, both are the same, or no sets differ in that respect alone.
     """
-    i, j = result.index(set_a), result.index(set_b)
-    if i == j:
-        raise PopulationError(f"a set cannot be compared with itself ({set_a!r}); name two different sets")
-    a, b = result.sets[i], result.sets[j]
-    contrasts = []
-    for name, fit in result.posteriors.items():
-        q = QUANTITIES[name]
-        shift, band = _shift(result, name, (i, j), "default")
-        others = {label: _shift(result, name, (i, j), label)[1] for label in result.other_priors}
-        none = 1.0 if q.logarithmic else 0.0
-        settled = {label: not x[0] < none < x[2] for label, x in {"default": band, **others}.items()}
-        factor = np.quantile(fit.tau[:, i] / fit.tau[:, j], [0.05, 0.5, 0.95]).tolist()
-        n = (fit.n_devices[i], fit.n_devices[j])
-        contrasts.append(
-            Contrast(
-                quantity=name,
-                unit="1" if q.logarithmic else q.unit,
-                kind="quotient" if q.logarithmic else "difference",
-                q05=band[0],
-                q50=band[1],
-                q95=band[2],
-                probability_level=float(np.mean(shift > 0)),
-                superiority=float(ndtr(shift / np.hypot(fit.tau[:, i], fit.tau[:, j])).mean()),
-                n_a=n[0],
-                n_b=n[1],
-                spread_factor=(factor[0], factor[1], factor[2]),
-                welch_p=_welch(*([x for x in s.points[name] if np.isfinite(x)] for s in (a, b))),
-                other_priors=MappingProxyType({label: (x[0], x[2]) for label, x in others.items()}),
-                sentence=_sentence((a.name, b.name), name, band, settled, n),
-            )
-        )
-    return Comparison(a.name, b.name, tuple(contrasts))
+    if not 0 < rope < 1:
+        raise PopulationError(f"the region of practical equivalence must be a share between 0 and 1; got {rope:g}")
+    a, b, strata = strata_of(result, set_a, set_b)
+    drafts = [_contrast(result, name, (a, b), strata, rope) for name in result.posteriors]
+    adjusted = holm([_leading_p(c.tests) for c in drafts])
+    contrasts = tuple(_with_holm(c, p) for c, p in zip(drafts, adjusted, strict=True))
+    return Comparison(a, b, contrasts, len(strata), multiplicity_words(len(contrasts), len(strata)))
+
+
+def _leading_p(tests: Classical) -> float | None:
+    return tests.permutation_p if tests.permutation_p is not None else tests.welch_p
+
+
+def _with_holm(contrast: Contrast, p: float | None) -> Contrast:
+    return Contrast(**{**vars(contrast), "holm_p": p})
+
+
+def _shift(result: PopulationResult, name: str, strata: Sequence[Stratum], prior: str) -> FloatArray:
+    """Draws of the difference of levels, pooled scale, averaged over strata."""
+    mu = result.fit(name, prior).mu
+    return np.asarray(np.mean([mu[:, a].mean(axis=1) - mu[:, b].mean(axis=1) for a, b in map(_lists, strata)], axis=0))
+
+
+def _lists(stratum: Stratum) -> tuple[list[int], list[int]]:
+    return list(stratum[0]), list(stratum[1])
+
+
+def _points(result: PopulationResult, name: str, strata: Sequence[Stratum]) -> list[Pair]:
+    """Point values of the devices of both sides, stratum by stratum."""
+
+    def side(of_sets: tuple[int, ...]) -> FloatArray:
+        values = np.concatenate([np.array(result.sets[i].points.get(name, ()), dtype=np.float64) for i in of_sets])
+        return np.asarray(values[np.isfinite(values)])
+
+    return [(side(a), side(b)) for a, b in strata]
+
+
+def _contrast(
+    result: PopulationResult, name: str, sides: tuple[str, str], strata: Sequence[Stratum], rope: float
+) -> Contrast:
+    fit, q = result.fit(name), QUANTITIES[name]
+    shift = _shift(result, name, strata, "default")
+    band = _band(q.natural(shift))
+    others = {label: _band(q.natural(_shift(result, name, strata, label))) for label in result.other_priors}
+    none = 1.0 if q.logarithmic else 0.0
+    settled = {label: not x[0] < none < x[2] for label, x in {"default": band, **others}.items()}
+    first, second = ([i for s in strata for i in s[side]] for side in (0, 1))
+    n = (sum(fit.n_devices[i] for i in first), sum(fit.n_devices[i] for i in second))
+    tau_a, tau_b = (np.exp(np.log(fit.tau[:, side]).mean(axis=1)) for side in (first, second))
+    region = (1.0 / (1.0 + rope), 1.0 + rope) if q.logarithmic else (-rope / ROPE_SPEED, rope / ROPE_SPEED)
+    inside = (q.natural(shift) > region[0]) & (q.natural(shift) < region[1])
+    sd = _planning_spread(result, name, [*first, *second])
+    stated = math.log(STATED_FACTOR) if q.logarithmic else 0.5 / ROPE_SPEED
+    apart = [
+        q.natural(fit.mu[:, a].mean(axis=1)) - q.natural(fit.mu[:, b].mean(axis=1)) for a, b in map(_lists, strata)
+    ]
+    needed = devices_needed(float(np.median(shift)), sd)
+    chance = power(stated, sd, *n, strata=len(strata))
+    away = [
+        ndtr((fit.mu[:, [i]] - fit.mu[:, [j]]) / np.hypot(fit.tau[:, [i]], fit.tau[:, [j]])) for i, j in _pairs(strata)
+    ]
+    return Contrast(
+        quantity=name,
+        unit="1" if q.logarithmic else q.unit,
+        kind="quotient" if q.logarithmic else "difference",
+        q05=band[0],
+        q50=band[1],
+        q95=band[2],
+        difference=_band(np.mean(apart, axis=0)),
+        difference_unit=q.unit,
+        probability_level=float(np.mean(shift > 0)),
+        superiority=float(np.mean(away)),
+        rope=region,
+        probability_rope=float(np.mean(inside)),
+        n_a=n[0],
+        n_b=n[1],
+        spread_factor=_band(tau_a / tau_b),
+        tests=classical(_points(result, name, strata), result.seed),
+        holm_p=None,
+        power_stated=chance,
+        n_to_decide=needed,
+        other_priors=MappingProxyType({label: (x[0], x[2]) for label, x in others.items()}),
+        sentence=sentence(sides, name, band, settled, n, (rope, float(np.mean(inside))), (chance, needed)),
+    )
+
+
+def _planning_spread(result: PopulationResult, name: str, sets: list[int]) -> float:
+    """Spread to plan a test with: that of the sets if all spread nearly alike.
+
+    Two devices that happen to agree promise a spread that the next two will not keep.
+    """
+    prior = "alike" if "alike" in result.other_priors else "default"
+    return float(np.median(np.sqrt(np.mean(result.fit(name, prior).tau[:, sets] ** 2, axis=1))))
+
+
+def _pairs(strata: Sequence[Stratum]) -> list[tuple[int, int]]:
+    return [(i, j) for a, b in strata for i in a for j in b]
+
+
+def _band(values: FloatArray) -> Band:
+    low, middle, high = (float(x) for x in np.quantile(values, LEVELS))
+    return low, middle, high

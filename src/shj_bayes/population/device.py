@@ -35,6 +35,9 @@ class Tags:
     material: str = ""
 
 
+NO_TAGS = Tags()
+
+
 @dataclass(frozen=True)
 class DeviceEstimate:
     """What is known about one device.
@@ -42,7 +45,7 @@ class DeviceEstimate:
     Parameters
     ----------
     name : str
-        Unique inside the population.
+        Unique inside its set.
     set_name : str
         The set of nominally identical devices it belongs to.
     measurements : mapping of str to Measurement
@@ -146,6 +149,11 @@ class DeviceEstimate:
         known = self.measurements.get(name)
         return np.nan if known is None else known.point(quantity(name))
 
+    def error(self, name: str) -> float:
+        """How well the point value is known: standard deviation of the likelihood, pooled scale; NaN without it."""
+        known = self.measurements.get(name)
+        return np.nan if known is None else known.likelihood(quantity(name)).centre_and_sd[1]
+
 
 def sets_of(devices: Sequence[DeviceEstimate]) -> dict[str, tuple[DeviceEstimate, ...]]:
     """Group devices by set, in the order in which the sets first appear.
@@ -153,16 +161,18 @@ def sets_of(devices: Sequence[DeviceEstimate]) -> dict[str, tuple[DeviceEstimate
     Raises
     ------
     PopulationError
-        If there is no device, a name is used twice, or devices of a set carry different tags.
+        If there is no device, a name is used twice in a set, or devices of a set carry different tags.
     """
     if not devices:
         raise PopulationError("no device given; a population needs at least one")
     grouped: dict[str, list[DeviceEstimate]] = {}
-    seen: set[str] = set()
+    seen: set[tuple[str, str]] = set()
     for device in devices:
-        if device.name in seen:
-            raise PopulationError(f"two devices are called {device.name!r}; give each its own name")
-        seen.add(device.name)
+        if (device.set_name, device.name) in seen:
+            raise PopulationError(
+                f"two devices of set {device.set_name!r} are called {device.name!r}; give each its own name"
+            )
+        seen.add((device.set_name, device.name))
         group = grouped.setdefault(device.set_name, [])
         if group and group[0].tags != device.tags:
             raise PopulationError(

@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes.errors import PopulationError, ShjError
+from shj_bayes.files import damage_told
 from shj_bayes.inference.store import read_posterior, read_record
-from shj_bayes.population.device import DeviceEstimate
+from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.tested import RangeTested
 
 
-def device_from_fit(folder: Path, name: str, set_name: str) -> DeviceEstimate:
+def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS) -> DeviceEstimate:
     """Read one finished fit as a device of a population.
 
     Parameters
@@ -21,6 +24,8 @@ def device_from_fit(folder: Path, name: str, set_name: str) -> DeviceEstimate:
         Results folder of the fit (``posterior.nc``, ``fit.json``).
     name, set_name : str
         The device and its set.
+    tags : Tags
+        Of the set.
 
     Returns
     -------
@@ -29,11 +34,12 @@ def device_from_fit(folder: Path, name: str, set_name: str) -> DeviceEstimate:
         sampled under, so that the population does not count that prior once for each device.
     """
     record = read_record(folder)
-    laws = {law["name"]: law for law in record["prior_laws"]}
-    posterior = read_posterior(folder)["posterior"]
-    draws = {q: posterior[q].to_numpy().ravel() for q in QUANTITIES if q in posterior}
-    log_prior = {q: _pooled_log_density(laws[q], values) for q, values in draws.items()}
-    return DeviceEstimate.from_posterior(name, set_name, draws, log_prior)
+    with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
+        laws = {law["name"]: law for law in record["prior_laws"]}
+        posterior = read_posterior(folder)["posterior"]
+        draws = {q: posterior[q].to_numpy().ravel() for q in QUANTITIES if q in posterior}
+        log_prior = {q: _pooled_log_density(laws[q], values) for q, values in draws.items()}
+        return DeviceEstimate.from_posterior(name, set_name, draws, log_prior, tags)
 
 
 def _pooled_log_density(law: dict[str, Any], values: FloatArray) -> FloatArray:
@@ -48,3 +54,37 @@ def _pooled_log_density(law: dict[str, Any], values: FloatArray) -> FloatArray:
         density = 0.0 if law["law"] == "uniform" else -0.5 * ((values - law["a"]) / law["b"]) ** 2
         return np.asarray(density + np.log(values))
     return np.asarray(-0.5 * (np.log(values / law["a"]) / law["b"]) ** 2 - np.log(values))
+
+
+def tested_by_fit(folder: Path) -> RangeTested | None:
+    """Amplitudes and peak speeds of a device's recordings; None where its files do not hold them.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder of the fit.
+
+    Returns
+    -------
+    RangeTested or None
+        From the complete half-cycles (the first and last of each run may be cut short).
+    """
+    try:
+        record = read_record(folder)
+        data = read_posterior(folder)["constant_data"]
+        x, speed = data["displacement_mm"].to_numpy(), data["speed_mm_s"].to_numpy()
+        half, run = data["half_cycle_of_sample"].to_numpy(), data["run"].to_numpy()
+    except (ShjError, KeyError):
+        return None
+    amplitudes, peaks = [], []
+    for r in np.unique(run):
+        for h in np.unique(half[run == r])[1:-1]:
+            of_it = (run == r) & (half == h)
+            amplitudes.append(0.5 * float(np.ptp(x[of_it])))
+            peaks.append(float(np.quantile(speed[of_it], 0.98)))
+    if not amplitudes or min(amplitudes) <= 0 or min(peaks) <= 0:
+        return None
+    # A recording on noisy displacement has half-cycles of different size; 2 % at either end is not a range.
+    low, high = np.quantile(amplitudes, (0.02, 0.98)), np.quantile(peaks, (0.1, 0.9))
+    variant = str(record.get("model", {}).get("variant", "seed"))
+    return RangeTested(float(low[0]), float(low[1]), float(high[0]), float(high[1]), variant, folder.name)

@@ -198,7 +198,11 @@ def fit_population(
     return PopulationResult(
         sets=tuple(
             DeviceSet(
-                name, tuple(d.name for d in group), group[0].tags, {q: tuple(d.point(q) for d in group) for q in names}
+                name,
+                tuple(d.name for d in group),
+                group[0].tags,
+                {q: tuple(d.point(q) for d in group) for q in names},
+                {q: tuple(d.error(q) for d in group) for q in names},
             )
             for name, group in grouped.items()
         ),

@@ -255,4 +255,32 @@ class PosteriorDraws:
         return Likelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective)
 
 
-Measurement = Rounded | RoundedRatio | PosteriorDraws
+@dataclass(frozen=True)
+class Stated:
+    """A value with its standard deviation, as a report gives it.
+
+    Parameters
+    ----------
+    mean, sd : float
+        Natural unit.
+    """
+
+    mean: float
+    sd: float
+
+    def __post_init__(self) -> None:
+        """Refuse a spread that is not above zero."""
+        if not (np.isfinite([self.mean, self.sd]).all() and self.sd > 0):
+            raise PopulationError(f"a stated value needs a finite mean and a spread above zero; got {self}")
+
+    def point(self, quantity: Quantity) -> float:
+        """Return the mean on the pooled scale."""
+        return float(quantity.pool(self.mean))
+
+    def likelihood(self, quantity: Quantity) -> Likelihood:
+        """Return a normal on the pooled scale; for a logarithm the spread is sd/mean (first order)."""
+        sd = self.sd / self.mean if quantity.logarithmic else self.sd
+        return Likelihood(False, np.array([self.point(quantity)]), np.array([sd]), np.ones(1))
+
+
+Measurement = Rounded | RoundedRatio | PosteriorDraws | Stated

@@ -13,6 +13,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import Tags
 from shj_bayes.population.priors import PopulationPrior
 from shj_bayes.population.quantities import FloatArray
+from shj_bayes.population.tested import RangeTested
 
 SCHEMA = "shj-bayes/population/1"
 ANY_SET = "(any set)"
@@ -42,16 +43,21 @@ class DeviceSet:
         What makes the set what it is.
     points : mapping of str to tuple of float
         Per quantity the point value of each device on the pooled scale; NaN where it gives none.
+    errors : mapping of str to tuple of float
+        How well each of these is known: standard deviation of the device's likelihood (rounding, or posterior).
     """
 
     name: str
     devices: tuple[str, ...]
     tags: Tags
     points: Mapping[str, tuple[float, ...]] = field(repr=False)
+    errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        """Freeze the mapping."""
-        object.__setattr__(self, "points", MappingProxyType({k: tuple(v) for k, v in self.points.items()}))
+        """Freeze the mappings."""
+        for name in ("points", "errors"):
+            frozen = MappingProxyType({k: tuple(v) for k, v in getattr(self, name).items()})
+            object.__setattr__(self, name, frozen)
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,8 @@ class PopulationResult:
         Smallest effective number of importance draws behind any device; infinity when all are tables.
     seed : int
         Seed of every number here.
+    tested : RangeTested or None
+        Amplitudes and speeds that the devices went through, as far as known.
     """
 
     sets: tuple[DeviceSet, ...]
@@ -134,6 +142,7 @@ class PopulationResult:
     priors: Mapping[str, PopulationPrior]
     importance_draws: Mapping[str, float]
     seed: int
+    tested: RangeTested | None = None
 
     def __post_init__(self) -> None:
         """Freeze the mappings."""

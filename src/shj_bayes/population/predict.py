@@ -1,7 +1,8 @@
 """A new device of a set: device-to-device spread and what is not known about the set, together.
 
-Quantities are drawn independently of each other (see hierarchy), so that a quantity derived from two of them, such
-as the sliding force of the second run, has the spread of both and none of a correlation between them.
+The levels of a set are drawn quantity by quantity, the devices around them with the correlation that the tested
+devices show (see correlation), so that a quantity derived from two of them, such as the sliding force of the second
+run, has the spread of both and of their tie, as far as the devices tell it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
+from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 
@@ -78,12 +80,19 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
     """
     index = None if set_name == ANY_SET else result.index(set_name)
     name = ANY_SET if index is None else result.set_names[index]
-    draws: dict[str, FloatArray] = {}
+    levels, spreads, apart = [], [], []
     for q in result.posteriors:
         labels = [zlib.crc32(text.encode()) for text in ("new device", name, q, prior)]
         rng = np.random.default_rng(np.random.SeedSequence([result.seed, *labels]))
         mu, tau = result.fit(q, prior).level_and_spread(index, rng)
-        draws[q] = QUANTITIES[q].natural(rng.normal(mu, tau))
+        levels.append(mu)
+        spreads.append(tau)
+        apart.append(rng.standard_normal(mu.size))
+    tied = np.linalg.cholesky(correlation_draws(result, levels[0].size, prior))
+    together = np.einsum("nij,jn->in", tied, np.array(apart))
+    draws: dict[str, FloatArray] = {
+        q: QUANTITIES[q].natural(levels[i] + spreads[i] * together[i]) for i, q in enumerate(result.posteriors)
+    }
     if "Fy" in draws and "ratio" in draws:
         draws[SECOND_RUN] = draws["Fy"] * draws["ratio"]
     n = 0 if index is None else len(result.sets[index].devices)

@@ -62,29 +62,31 @@ class PopulationPrior:
 
 
 _SPREAD = (
-    "spread of one set: median 0.2 of the value with a factor e either way, because FEMA P-695 rates the dispersion of "
-    "test data from 0.10 (superior) to 0.50 (poor), geometric middle 0.22; unequal spread: half-normal 1, "
+    "spread of one set: median 0.2 of the value (FEMA P-695 rates the dispersion of test data from 0.10, superior, to "
+    "0.50, poor; geometric middle 0.22) with a factor of 7 either way, which reaches from what rounding alone makes "
+    "(0.03) to more than the value itself; "
+    "unequal spread: half-normal 1, "
     "so that sets may differ by factors of 3 and more; "
 )
 _PRIORS = {
-    "K": PopulationPrior(np.log(20.0), 3.0, 1.0, 0.2, 1.0, 1.0, _SPREAD + "level: 20 kN/mm, a factor 20 either way"),
+    "K": PopulationPrior(np.log(20.0), 3.0, 1.0, 0.2, 2.0, 1.0, _SPREAD + "level: 20 kN/mm, a factor 20 either way"),
     "Fy": PopulationPrior(
-        np.log(80.0), 3.0, 1.0, 0.2, 1.0, 1.0, _SPREAD + "level: 80 kN (two M16 8.8 bolts), a factor 20"
+        np.log(80.0), 3.0, 1.0, 0.2, 2.0, 1.0, _SPREAD + "level: 80 kN (two M16 8.8 bolts), a factor 20"
     ),
     "ratio": PopulationPrior(
-        0.0, 1.0, 0.5, 0.2, 1.0, 1.0, _SPREAD + "level: 1 (no change between runs), a factor e either way"
+        0.0, 1.0, 0.5, 0.2, 2.0, 1.0, _SPREAD + "level: 1 (no change between runs), a factor e either way"
     ),
     "gamma": PopulationPrior(
         0.0,
         0.05,
         0.03,
         0.01,
-        1.0,
+        2.0,
         1.0,
         "level symmetric about 0, 0.05 s/mm (half the force at 10 mm/s); spread of one set: median 0.01 s/mm, a tenth "
-        "of the force at 10 mm/s, with a factor e either way",
+        "of the force at 10 mm/s, with a factor of 7 either way",
     ),
-    "beta": PopulationPrior(np.log(20.0), 2.0, 1.0, 0.3, 1.0, 1.0, "level: 20, a factor 7 either way; spread 0.3"),
+    "beta": PopulationPrior(np.log(20.0), 2.0, 1.0, 0.3, 2.0, 1.0, "level: 20, a factor 7 either way; spread 0.3"),
 }
 
 

@@ -12,12 +12,14 @@ import numpy as np
 import pandas as pd
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.files import write_text
+from shj_bayes.files import check_seal, damage_told, file_digest, read_json, replacing, sealed, write_text
+from shj_bayes.population.correlation import correlation_table
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import how_wide, new_device_table
 from shj_bayes.population.priors import PopulationPrior
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.tested import RangeTested
 
 _DRAWS = "population.npz"
 
@@ -108,6 +110,7 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
                 "devices": [] if group is None else list(group.devices),
                 "tags": None if group is None else asdict(group.tags),
                 "points": {} if group is None else {k: list(v) for k, v in group.points.items()},
+                "errors": {} if group is None else {k: list(v) for k, v in group.errors.items()},
                 "new_device": bands,
                 "how_wide": how_wide(result, name) if "Fy" in result.posteriors else None,
             }
@@ -116,12 +119,13 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
         "schema": SCHEMA,
         "version": _version(),
         "seed": result.seed,
+        "tested": None if result.tested is None else asdict(result.tested),
         "converged": result.converged,
         "sets": sets,
         "quantities": tables["fit"].to_dict("records"),
         "priors": {k: asdict(v) for k, v in result.priors.items()},
         "other_priors": list(result.other_priors),
-        "correlation_between_quantities": "none: quantities are pooled and drawn independently",
+        "correlation_between_quantities": correlation_table(result),
     }
     cleaned: dict[str, Any] = _finite(document)
     return cleaned
@@ -145,8 +149,6 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
     folder.mkdir(parents=True, exist_ok=True)
     table = new_device_table(result).map(safe_cell)
     write_text(folder / "population.csv", table.to_csv(index=False, lineterminator="\n"))
-    text = json.dumps(to_json(result), indent=1, ensure_ascii=False, allow_nan=False)
-    write_text(folder / "population.json", text + "\n")
     arrays: dict[str, FloatArray] = {}
     for label, fits in {"default": result.posteriors, **result.other_priors}.items():
         for name, fit in fits.items():
@@ -154,7 +156,11 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
             arrays |= {f"{key}/mu": fit.mu, f"{key}/tau": fit.tau, f"{key}/hyper": fit.hyper}
             arrays[f"{key}/n_devices"] = np.array(fit.n_devices)
             arrays[f"{key}/diagnostics"] = np.array([fit.r_hat, fit.ess, fit.n_chains])
-    np.savez(folder / _DRAWS, allow_pickle=False, **arrays)
+    with replacing(folder / _DRAWS) as part, part.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
+    document = sealed(to_json(result) | {"draws_sha256": file_digest(folder / _DRAWS)})
+    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+    write_text(folder / "population.json", text + "\n")
     return folder / "population.csv", folder / "population.json", folder / _DRAWS
 
 
@@ -166,19 +172,30 @@ def load_population(folder: Path) -> PopulationResult:
     PopulationError
         If the folder holds no population, or one of another schema.
     """
-    try:
-        document = json.loads((folder / "population.json").read_text(encoding="utf-8"))
+    path = folder / "population.json"
+    if not path.exists():
+        raise PopulationError(
+            f"{folder} holds no readable population (no {path.name} in it); "
+            "run `shj-bayes tables` or `shj-bayes campaign` first"
+        )
+    document = read_json(path, PopulationError)
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise PopulationError(f"{path} is not of schema {SCHEMA}; write it again with this version")
+    check_seal(document, path, PopulationError)
+    if not (folder / _DRAWS).is_file():
+        raise PopulationError(f"{_DRAWS} is missing in {folder.name}; run `shj-bayes tables` or `campaign` again")
+    if document.get("draws_sha256") not in (None, file_digest(folder / _DRAWS)):
+        raise PopulationError(
+            f"{_DRAWS} in {folder.name} was cut short or altered after it was written; run the command again"
+        )
+    with damage_told(f"population.json or {_DRAWS} in {folder.name}", PopulationError):
         with np.load(folder / _DRAWS, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise PopulationError(
-            f"{folder} holds no readable population ({reason}); run `shj-bayes tables` or `shj-bayes campaign` first"
-        ) from error
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
-        raise PopulationError(
-            f"{folder / 'population.json'} is not of schema {SCHEMA}; write it again with this version"
-        )
+        return _from_document(document, arrays)
+
+
+def _from_document(document: dict[str, Any], arrays: dict[str, FloatArray]) -> PopulationResult:
+    """Build a population from the content of its files."""
     fits: dict[str, dict[str, QuantityPosterior]] = {}
     for key in arrays:
         label, name, part = key.split("/")
@@ -208,6 +225,7 @@ def load_population(folder: Path) -> PopulationResult:
                 tuple(s["devices"]),
                 Tags(**s["tags"]),
                 {k: tuple(number(x, np.nan) for x in v) for k, v in s["points"].items()},
+                {k: tuple(number(x, np.nan) for x in v) for k, v in s.get("errors", {}).items()},
             )
             for s in document["sets"]
             if s["name"] != ANY_SET
@@ -217,4 +235,5 @@ def load_population(folder: Path) -> PopulationResult:
         priors={k: PopulationPrior(**v) for k, v in document["priors"].items()},
         importance_draws={r["quantity"]: number(r["importance_draws"], np.inf) for r in document["quantities"]},
         seed=int(document["seed"]),
+        tested=RangeTested(**document["tested"]) if document.get("tested") else None,
     )

@@ -104,7 +104,7 @@ def test_what_is_wrong_is_said(make, words):
 
 def test_sets_refuse_double_names_and_mixed_tags():
     one = DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85)})
-    with pytest.raises(PopulationError, match="two devices are called 'a'"):
+    with pytest.raises(PopulationError, match="two devices of set 's' are called 'a'"):
         sets_of([one, one])
     other = DeviceEstimate("b", "s", {"Fy": Rounded(80, 75, 85)}, Tags(corroded=True))
     with pytest.raises(PopulationError, match="not its tags"):

@@ -1,0 +1,236 @@
+"""From a results folder to margins: population, diagnoses of its devices, sheet, files, page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from shj_bayes.errors import CampaignError, PopulationError
+from shj_bayes.files import check_seal, read_json, write_text
+from shj_bayes.margins.bounds import bounds
+from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
+from shj_bayes.margins.files import design_table, to_json, write_margins
+from shj_bayes.margins.link_elements import link_csv
+from shj_bayes.margins.loops_file import loops, write_loops
+from shj_bayes.margins.opensees import python_script, tcl_script
+from shj_bayes.margins.sheet import PLAIN, Request, Sheet, margins, motion_of
+from shj_bayes.population.device import DeviceEstimate
+from shj_bayes.population.fits import device_from_fit
+from shj_bayes.population.hierarchy import fit_population
+from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.results import load_population
+from shj_bayes.report.campaign import safe_folder
+from shj_bayes.report.margins_page import render_margins
+
+TABLES_NAME = "Published tables"
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Margins of a folder.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The margins.
+    page : Path
+        The designer's sheet.
+    """
+
+    sheet: Sheet
+    page: Path
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """For machines: content of ``margins.json``."""
+        return to_json(self.sheet)
+
+    def text(self, sets: tuple[str, ...] = ()) -> str:
+        """For people: the design table, what to mind, and where the sheet is."""
+        return "\n".join(
+            [
+                margin_text(self.sheet, sets),
+                "",
+                *(f"- {line}" for line in (*self.sheet.diagnoses, *self.sheet.warnings)),
+                "",
+                f"margins: {self.page}",
+            ]
+        )
+
+
+def design_margins(
+    folder: Path,
+    request: Request = PLAIN,
+    *,
+    population: PopulationResult | None = None,
+    progress: bool = False,
+) -> Design:
+    """Draw up and write the margins of a folder that ``campaign`` or ``tables`` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    request : Request
+        Cycle and choices.
+    population : PopulationResult, optional
+        Its population; read from the folder when not given.
+    progress : bool
+        Show a progress bar while populations with found physics are fitted.
+
+    Returns
+    -------
+    Design
+    """
+    if not folder.is_dir():
+        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    result = load_population(folder) if population is None else population
+    campaign, others, words = _models(folder, result, progress)
+    sheet = margins(result, request, diagnosed=others or None, words=words)
+    write_margins(sheet, folder)
+    loop_bands = loops(next(iter(others.values()), result), sheet.motion)
+    write_loops(loop_bands, folder)
+    name = str(campaign["name"]) if campaign else TABLES_NAME
+    page = render_margins(folder, sheet, loop_bands, name=name, simulated=bool(campaign and campaign.get("simulated")))
+    return Design(sheet, page)
+
+
+def export_analysis(
+    folder: Path, out: Path | None = None, amplitude_mm: float | None = None, *, progress: bool = False
+) -> tuple[Path, ...]:
+    """Write the bounds of every set for structural analysis.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that ``campaign`` or ``tables`` wrote.
+    out : Path, optional
+        Where to; ``opensees`` below the folder by default.
+    amplitude_mm : float, optional
+        Of the cycle for effective stiffness and damping; the largest tested by default.
+    progress : bool
+        Show a progress bar while populations with found physics are fitted.
+
+    Returns
+    -------
+    tuple of Path
+        ``connection_materials.py``, ``connection_materials.tcl``, ``link-elements.csv``.
+    """
+    if not folder.is_dir():
+        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    result = load_population(folder)
+    motion = motion_of(result, Request(amplitude_mm=amplitude_mm))
+    if motion is None:
+        raise PopulationError(
+            "this population does not say at which amplitudes and speeds its devices were tested, so no material can "
+            "be written; run the campaign or the tables again with this version"
+        )
+    campaign, others, _ = _models(folder, result, progress)
+    drawn = bounds(list(others.values()) or [result], motion)
+    source = str(campaign["name"]) if campaign else TABLES_NAME
+    place = folder / "opensees" if out is None else out
+    place.mkdir(parents=True, exist_ok=True)
+    cycle = f"{motion.amplitude_mm:.3g} mm at a peak speed of {motion.guard.speed_mm_s:.3g} mm/s"
+    files = {
+        "connection_materials.py": python_script(drawn, motion, source),
+        "connection_materials.tcl": tcl_script(drawn, source),
+        "link-elements.csv": link_csv(drawn, cycle),
+    }
+    for name, text in files.items():
+        write_text(place / name, text)
+    return tuple(place / name for name in files)
+
+
+def _models(
+    folder: Path, result: PopulationResult, progress: bool
+) -> tuple[dict[str, Any] | None, dict[str, PopulationResult], tuple[str, ...]]:
+    """Campaign record, populations with the physics that diagnoses found, and what they found in words."""
+    campaign = _campaign(folder)
+    found = _found(folder, campaign, result) if campaign else None
+    if found is None:
+        return campaign, {}, ()
+    others = {
+        label: replace(fit_population(devices, seed=result.seed, progress=progress), tested=result.tested)
+        for label, devices in found.devices
+    }
+    return campaign, others, found.words
+
+
+def _campaign(folder: Path) -> dict[str, Any] | None:
+    """Content of ``campaign.json``; None for the published tables."""
+    path = folder / "campaign.json"
+    if not path.exists():
+        return None
+    record = read_json(path, CampaignError)
+    check_seal(record, path, CampaignError)
+    try:
+        for group in record["sets"]:
+            for device in group["devices"]:
+                str(group["name"]), str(device["name"]), str(device["folder"])
+        str(record["name"])
+    except (KeyError, TypeError) as error:
+        raise CampaignError(f"{path.name} is damaged ({error}); run shj-bayes campaign again") from error
+    return dict(record)
+
+
+def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> Cases:
+    """Collect populations with the physics that diagnoses of the campaign's devices found."""
+    devices: list[DeviceEstimate] = []
+    diagnoses, notes = {}, []
+    tags = {group.name: group.tags for group in result.sets}
+    for group in campaign["sets"]:
+        for entry in group["devices"]:
+            name, place = str(entry["name"]), str(entry["folder"])
+            known = group["name"] in tags and name in result.sets[result.index(group["name"])].devices
+            if not known or not safe_folder(place):
+                continue
+            diagnosis, why = find_diagnosis(folder / place)
+            if diagnosis is not None:
+                diagnoses[str(group["name"]), name] = diagnosis
+            if why:
+                notes.append(f"{group['name']}, {name}: {why}")
+            devices.append(device_from_fit(folder / place, name, group["name"], tags[group["name"]]))
+    return cases(devices, diagnoses, notes)
+
+
+def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
+    """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
+    table = design_table(sheet)
+    names = list(dict.fromkeys(row.set_name for row in sheet.rows))
+    unknown = [s for s in sets if s not in names]
+    if unknown:
+        raise PopulationError(f"there is no set {unknown[0]!r}; sets are: {', '.join(repr(n) for n in names)}")
+    lines = []
+    for name in sets or names:
+        shown = "(all devices)" if name.startswith("(") else name
+        part = table[table["set"] == shown]
+        lines += ["", f"{name}: {part['devices'].max()} devices"]
+        lines.append(f"  {'':18}{'new device':>26}{'EN 1990 X_k':>20}{'EN 1990 X_d':>20}{'95/95 one-sided':>20}")
+        for line in part.to_dict("records"):
+            pairs = [
+                f"{line.get(f'{head}, low', float('nan')):.3g} to {line.get(f'{head}, high', float('nan')):.3g}"
+                for head in ("EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
+            ]
+            band = f"{line['middle']:.3g} ({line['new device, low']:.3g} to {line['new device, high']:.3g})"
+            unit = "" if line["unit"] == "1" else f" {line['unit']}"
+            head = f"{line['quantity']}{unit}"
+            lines.append(f"  {head:18}{band:>26}{pairs[0]:>20}{pairs[1]:>20}{pairs[2]:>20}")
+        lines += [f"  {text}" for text in _factor_lines(sheet, name)]
+    return "\n".join(lines[1:])
+
+
+def _factor_lines(sheet: Sheet, name: str) -> list[str]:
+    own = {row.kind.partition(", importance")[0]: row for row in sheet.rows if row.set_name == name}
+
+    def value(kind: str) -> str:
+        return f"{own[kind].value:.3g}" if kind in own else "-"
+
+    return [
+        f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "
+        f"{value('lambda_max with the floor for dampers')}, bounds {value('ASCE 7 lower bound force')} to "
+        f"{value('ASCE 7 upper bound force')} kN; EN 15129 {value('EN 15129 LBDP')} to {value('EN 15129 UBDP')} kN",
+        f"phi {value('phi equivalent, first run')}, after a first earthquake "
+        f"{value('phi equivalent, after a first earthquake')}, phi_o {value('phi_o equivalent')} "
+        "(NZ practice 0.70 and 1.40)",
+    ]

@@ -1,0 +1,155 @@
+"""Margins as files: everything as CSV, Excel and JSON, a short table for the terminal."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from shj_bayes.files import write_text
+from shj_bayes.margins.row import COLUMNS, HIGH, LOW, MIDDLE, Margin
+from shj_bayes.margins.sheet import Sheet
+from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.results import safe_cell
+
+SCHEMA = "shj-bayes/margins/1"
+STEM = "margins"
+HEADS = {
+    "set_name": "set",
+    "degrees": "degrees_of_freedom",
+    "without_diagnosis": "value_of_the_law_as_published",
+}
+"""Columns whose name in a file says more than the one in the code."""
+SHOWN: tuple[tuple[str, str, str], ...] = (
+    ("new device", "new device, 5 %", LOW),
+    ("new device", "new device, 50 %", MIDDLE),
+    ("new device", "new device, 95 %", HIGH),
+)
+
+
+def to_table(sheet: Sheet) -> pd.DataFrame:
+    """Every margin, one line each; names made safe for spreadsheets."""
+    table = pd.DataFrame([{c: getattr(row, c) for c in COLUMNS} for row in sheet.rows])
+    return table.rename(columns=HEADS).map(safe_cell)
+
+
+def to_json(sheet: Sheet) -> dict[str, Any]:
+    """Content of ``margins.json``; infinite degrees of freedom read "known", what does not apply is null."""
+    motion = sheet.motion
+    return {
+        "schema": SCHEMA,
+        "amplitude_mm": None if motion is None else motion.amplitude_mm,
+        "speed_mm_s": None if motion is None else motion.guard.speed_mm_s,
+        "tested": None if motion is None else asdict(motion.guard.tested),
+        "extrapolated": motion is not None and motion.guard.beyond,
+        "models": list(sheet.models),
+        "warnings": list(sheet.warnings),
+        "diagnoses": list(sheet.diagnoses),
+        "margins": [_record(row) for row in sheet.rows],
+    }
+
+
+def _record(row: Margin) -> dict[str, Any]:
+    record = {HEADS.get(c, c): getattr(row, c) for c in COLUMNS}
+    if math.isinf(row.degrees):
+        record["degrees_of_freedom"] = "known"
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
+
+
+def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
+    """Write ``margins.csv``, ``margins.xlsx`` and ``margins.json``.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        What to write.
+    folder : Path
+        Where to; it must exist.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+    """
+    table = to_table(sheet)
+    paths = tuple(folder / f"{STEM}.{ending}" for ending in ("csv", "xlsx", "json"))
+    write_text(paths[0], table.to_csv(index=False, lineterminator="\n"))
+    _write_excel(sheet, table, paths[1])
+    write_text(paths[2], json.dumps(to_json(sheet), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    return paths
+
+
+def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
+    """One page for design, one with every margin (filter it), one with what to mind."""
+    part = path.with_name(f"{path.stem}.part.xlsx")
+    notes = [*sheet.warnings, *sheet.diagnoses]
+    # Strings are never turned into formulas or links, whatever a set is called.
+    with pd.ExcelWriter(part, engine="openpyxl") as book:
+        design_table(sheet).map(safe_cell).to_excel(book, sheet_name="Design", index=False)
+        table.to_excel(book, sheet_name="All margins", index=False)
+        pd.DataFrame({"to mind": notes or ["nothing"]}).map(safe_cell).to_excel(book, sheet_name="To mind", index=False)
+        for name in ("Design", "All margins", "To mind"):
+            page = book.sheets[name]
+            page.freeze_panes = "A2"
+            page.auto_filter.ref = page.dimensions
+            for column in page.columns:
+                longest = max(len(str(cell.value or "")) for cell in column[:200])
+                page.column_dimensions[column[0].column_letter].width = min(60, longest + 2)
+    part.replace(path)
+
+
+CHOSEN: tuple[tuple[str, str, str], ...] = (
+    ("new device", "new device, 5 %", "new device, 95 %"),
+    (
+        "EN 1990 characteristic",
+        "EN 1990 characteristic, lognormal, V common",
+        "EN 1990 characteristic, lognormal, V common",
+    ),
+    ("EN 1990 design", "EN 1990 design, lognormal, V common", "EN 1990 design, lognormal, V common"),
+    (
+        "tolerance 95/95 one-sided",
+        "tolerance 95/95 one-sided, lognormal, V common",
+        "tolerance 95/95 one-sided, lognormal, V common",
+    ),
+)
+_ALONE = "V unknown"
+
+
+def design_table(sheet: Sheet) -> pd.DataFrame:
+    """Short table for design: per set and quantity the new device, EN 1990 values and a tolerance limit, low and high.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Where no spread is common to several sets, that of the set's own devices is used.
+    """
+    index = {row.key: row for row in sheet.rows}
+    lines = []
+    for name in dict.fromkeys(row.set_name for row in sheet.rows):
+        for quantity in dict.fromkeys(row.quantity for row in sheet.rows if row.set_name == name):
+            middle = index.get((name, quantity, "new device, 50 %", MIDDLE))
+            if middle is None:
+                continue
+            line: dict[str, Any] = {
+                "set": "(all devices)" if name == ANY_SET else name,
+                "quantity": quantity,
+                "unit": middle.unit,
+                "devices": middle.n_devices,
+                "middle": middle.value,
+            }
+            for head, low, high in CHOSEN:
+                for side, kind in ((LOW, low), (HIGH, high)):
+                    row = index.get((name, quantity, kind, side)) or index.get(
+                        (name, quantity, kind.replace("V common", _ALONE), side)
+                    )
+                    if row is not None:
+                        line[f"{head}, {side}"] = row.value
+                        line[f"{head}, clause"] = row.clause
+                        if math.isfinite(row.degrees):
+                            line[f"{head}, degrees of freedom"] = row.degrees
+            lines.append(line)
+    return pd.DataFrame(lines)

@@ -1,0 +1,77 @@
+"""One margin: a number with its unit, where it comes from, and what it is for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from shj_bayes.errors import PopulationError
+
+BANDS, TESTING, TOLERANCE, FACTORS = "new device", "EN 1990", "tolerance", "factor"
+LOW, MIDDLE, HIGH = "low", "middle", "high"
+
+
+@dataclass(frozen=True)
+class Margin:
+    """A margin of one set in one quantity.
+
+    Parameters
+    ----------
+    set_name : str
+        The set, or "(any set)" for one never tested.
+    quantity : str
+        Fy, Fy_second, ratio, degradation, K, energy or force.
+    method : str
+        new device, EN 1990, tolerance or factor.
+    kind : str
+        What it is, in a few words.
+    side : {"low", "middle", "high"}
+        Which side of the typical value it bounds.
+    value : float
+        The number; NaN where it cannot be given, with the reason in ``note``.
+    unit : str
+        Its unit, "1" for none.
+    n_devices : int
+        Devices of the set (of all sets for one never tested).
+    degrees : float
+        Degrees of freedom of the spread; infinity where it is taken as known; NaN where the notion does not apply.
+    clause, formula, inputs, purpose : str
+        Clause, formula in words and signs, the numbers put into it, and what it is for.
+    note : str
+        What to mind.
+    without_diagnosis : float
+        The same from the law as published, where a diagnosis changed it; NaN otherwise.
+    """
+
+    set_name: str
+    quantity: str
+    method: str
+    kind: str
+    side: str
+    value: float
+    unit: str
+    n_devices: int
+    degrees: float
+    clause: str
+    formula: str
+    inputs: str
+    purpose: str
+    note: str = ""
+    without_diagnosis: float = math.nan
+
+    def __post_init__(self) -> None:
+        """Refuse a number without origin."""
+        if self.side not in (LOW, MIDDLE, HIGH):
+            raise PopulationError(f"a margin is low, middle or high, not {self.side!r}")
+        if not (self.clause and self.formula and self.purpose and self.unit):
+            raise PopulationError(
+                f"the margin {self.kind!r} of {self.quantity} lacks a clause, formula, unit or purpose"
+            )
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """What makes it comparable with the same margin of another model."""
+        return self.set_name, self.quantity, self.kind, self.side
+
+
+COLUMNS = tuple(f.name for f in fields(Margin))

@@ -1,0 +1,132 @@
+"""Statistical tolerance limits: normal populations, one sample or several with a common unknown variance.
+
+Factors k are for limits mean -+ k s. A limit of a log-normal quantity is that of its logarithm, taken back. Numbers of
+the standard's own tables come out to the last printed digit, because the factors are exact and not approximations.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from scipy import optimize, stats
+
+from shj_bayes.errors import PopulationError
+
+CLAUSE = "ISO 16269-6"
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(101)
+_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
+
+
+def _check(n: int, degrees: float, coverage: float, confidence: float) -> None:
+    if n < 1 or degrees < 1:
+        raise PopulationError(
+            f"a tolerance limit from {n} devices with {degrees:g} degrees of freedom cannot be given: the spread needs "
+            "two devices of one set at least; test more, or use the spread of several sets together"
+        )
+    if not (0 < coverage < 1 and 0 < confidence < 1):
+        raise PopulationError(
+            f"coverage {coverage:g} and confidence {confidence:g} are shares: both must lie between 0 and 1"
+        )
+
+
+@cache
+def one_sided(n: int, coverage: float, confidence: float, degrees: float | None = None) -> float:
+    """Factor of a one-sided limit, spread unknown: exact, from the noncentral t distribution.
+
+    Parameters
+    ----------
+    n : int
+        Devices behind the mean.
+    coverage, confidence : float
+        Share of devices beyond the limit on the safe side, and how surely.
+    degrees : float, optional
+        Degrees of freedom of the spread; n - 1 when it comes from the same devices, more when it is pooled over
+        several sets.
+
+    Returns
+    -------
+    float
+        k = t'(confidence; degrees, z sqrt(n)) / sqrt(n) with z the normal quantile of the coverage.
+    """
+    nu = n - 1 if degrees is None else degrees
+    _check(n, nu, coverage, confidence)
+    return float(stats.nct.ppf(confidence, nu, stats.norm.ppf(coverage) * math.sqrt(n)) / math.sqrt(n))
+
+
+def one_sided_known(n: int, coverage: float, confidence: float) -> float:
+    """Factor of a one-sided limit when the spread is known: z(coverage) + z(confidence)/sqrt(n)."""
+    _check(n, math.inf, coverage, confidence)
+    return float(stats.norm.ppf(coverage) + stats.norm.ppf(confidence) / math.sqrt(n))
+
+
+@cache
+def two_sided(n: int, coverage: float, confidence: float, degrees: float | None = None) -> float:
+    """Factor of a two-sided limit mean +- k s, spread unknown: exact, by quadrature over the error of the mean.
+
+    Parameters
+    ----------
+    n : int
+        Devices behind the mean.
+    coverage, confidence : float
+        Share of devices between the limits, and how surely.
+    degrees : float, optional
+        Degrees of freedom of the spread; n - 1 when not given.
+
+    Returns
+    -------
+    float
+        The k that solves E[P(chi2 > degrees r(Z)^2 / k^2)] = confidence, Z the error of the mean in standard
+        deviations, r(Z) the half-width that covers the share from there (ISO 16269-6, exact form).
+    """
+    nu = n - 1 if degrees is None else degrees
+    _check(n, nu, coverage, confidence)
+    z = np.abs(_NODES) / math.sqrt(n)
+    half = np.array([_half_width(float(value), coverage) for value in z])
+
+    def short_by(k: float) -> float:
+        return float(_WEIGHTS @ stats.chi2.sf(nu * (half / k) ** 2, nu)) - confidence
+
+    return float(optimize.brentq(short_by, 1e-3, 1e6, xtol=1e-9, rtol=1e-12))
+
+
+@cache
+def _half_width(z: float, coverage: float) -> float:
+    """Half-width r with Phi(z + r) - Phi(z - r) = coverage."""
+
+    def short_by(r: float) -> float:
+        return float(stats.norm.cdf(z + r) - stats.norm.cdf(z - r)) - coverage
+
+    return float(optimize.brentq(short_by, 0.0, z + 40.0, xtol=1e-12))
+
+
+def wilks(coverage: float, confidence: float, *, sides: int = 1) -> int:
+    """Smallest number of devices whose extremes are distribution-free limits.
+
+    Parameters
+    ----------
+    coverage, confidence : float
+        Share of devices covered, and how surely.
+    sides : {1, 2}
+        1: the smallest (or largest) alone is the limit; 2: both.
+
+    Returns
+    -------
+    int
+    """
+    _check(1, 1.0, coverage, confidence)
+    n = sides
+    while covered_by_extremes(n, coverage, sides=sides) < confidence:
+        n += 1
+    return n
+
+
+def covered_by_extremes(n: int, coverage: float, *, sides: int = 2) -> float:
+    """Confidence with which the extremes of n devices hold a share of all devices.
+
+    Two devices hold 90 % of all with a confidence of 0.01: the distance between two devices is no band.
+    """
+    if sides == 1:
+        return 1.0 - coverage**n
+    return 1.0 - n * coverage ** (n - 1) + (n - 1) * coverage**n

@@ -1,0 +1,79 @@
+"""A comparison in words: never "no effect" from a small sample, but the interval and what would decide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from shj_bayes.population.power import MOST
+from shj_bayes.population.quantities import QUANTITIES
+
+TRUSTED = 0.95
+
+
+def sentence(
+    sides: tuple[str, str],
+    name: str,
+    band: Sequence[float],
+    settled: Mapping[str, bool],
+    n: tuple[int, int],
+    equivalence: tuple[float, float],
+    decide: tuple[float, int],
+) -> str:
+    """Say how two sides differ in one quantity, how sure that is, and what would decide.
+
+    Parameters
+    ----------
+    sides : tuple of str
+        Names.
+    name : str
+        Quantity.
+    band : sequence of float
+        5, 50 and 95 % of the quotient or difference.
+    settled : mapping of str to bool
+        Whether each prior of the spread gives the direction.
+    n : tuple of int
+        Devices.
+    equivalence : tuple of float
+        Half-width of the region of practical equivalence, and its probability.
+    decide : tuple of (float, int)
+        Power for a factor of 1.5, and devices a side that would decide a difference as large as the one seen.
+    """
+    q05, q50, q95 = band
+    quantity = QUANTITIES[name]
+    if quantity.logarithmic:
+        size = f"is {q50:.2f} times that of {sides[1]} (90 % interval {q05:.2f} to {q95:.2f})"
+        open_ = f"a factor of anything from {q05:.2f} to {q95:.2f}"
+        stated = "a true factor of 1.5"
+    else:
+        unit = quantity.unit
+        size = f"differs from {sides[1]} by {q50:+.3g} {unit} (90 % interval {q05:+.3g} to {q95:+.3g})"
+        open_ = f"anything from {q05:+.3g} to {q95:+.3g} {unit}"
+        stated = f"a true difference of 0.05 {unit}"
+    if not settled["default"]:
+        verdict = f"the direction is not settled: {open_} is compatible with them"
+    elif not all(settled.values()):
+        against = ", ".join(label for label, yes in settled.items() if not yes)
+        verdict = f"the direction hangs on what is assumed of the spread (not settled under the {against} prior)"
+    else:
+        verdict = "the direction is settled at 90 %, whatever prior of the spread is taken"
+    text = f"{sides[0]}: {name} of a typical device {size}; with {n[0]} and {n[1]} devices {verdict}."
+    share, probability = equivalence
+    if probability > TRUSTED:
+        return f"{text} They differ by less than {100 * share:.0f} % with a probability of {probability:.2f}."
+    if all(settled.values()):
+        return text
+    chance, needed = decide
+    count = f"about {needed}" if needed < MOST else f"more than {MOST}"
+    return (
+        f"{text} A sample of this size finds {stated} with a power of {chance:.2f}; {count} devices a side would find "
+        "a difference as large as the one seen four times in five (if sets spread nearly alike)."
+    )
+
+
+def multiplicity_words(n_quantities: int, n_strata: int) -> str:
+    """Say how many comparisons were made at once, and how that is allowed for."""
+    over = f", each averaged over {n_strata} pairs of sets alike in all else" if n_strata > 1 else ""
+    return (
+        f"{n_quantities} quantities were compared{over}. The p-values marked Holm allow for that number; the posterior "
+        "draws the sets towards each other by itself. Whoever picks among many pairs must divide once more."
+    )

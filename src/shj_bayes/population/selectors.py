@@ -1,0 +1,81 @@
+"""What may be compared: two sets by name, or two kinds of sets (coated, corroded, a coverage) stratum by stratum."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.population.device import Tags
+from shj_bayes.population.posterior import PopulationResult
+
+Kind = tuple[Callable[[Tags], bool], Callable[[Tags], Tags]]
+"""Which sets belong, and their tags without what is compared: sets with the same rest form a stratum."""
+Stratum = tuple[tuple[int, ...], tuple[int, ...]]
+WORDS = "coated, uncoated, corroded, uncorroded, or a coverage such as '70 %'"
+
+
+def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, str, tuple[Stratum, ...]]:
+    """Find the sets to compare.
+
+    Parameters
+    ----------
+    result : PopulationResult
+        A fitted population.
+    first, second : str
+        Names of two sets, or two kinds of sets.
+
+    Returns
+    -------
+    str, str
+        Both sides by name.
+    tuple of (first, second)
+        Positions of the sets of both sides, stratum by stratum; all else is alike within a stratum.
+
+    Raises
+    ------
+    PopulationError
+        If a set is unknown, both are the same, or no two sets differ in what is compared alone.
+    """
+    kinds = _kind(result, first), _kind(result, second)
+    if kinds[0] is None and kinds[1] is None:
+        i, j = result.index(first), result.index(second)
+        if i == j:
+            raise PopulationError(f"a set cannot be compared with itself ({first!r}); name two different sets")
+        return result.set_names[i], result.set_names[j], (((i,), (j,)),)
+    if kinds[0] is None or kinds[1] is None:
+        raise PopulationError(f"compare two sets, or two kinds of sets ({WORDS}); got {first!r} and {second!r}")
+    sides: list[dict[Tags, list[int]]] = [{}, {}]
+    for i, group in enumerate(result.sets):
+        for side, kind in zip(sides, kinds, strict=True):
+            assert kind is not None
+            if kind[0](group.tags):
+                side.setdefault(kind[1](group.tags), []).append(i)
+    found = tuple((tuple(a), tuple(sides[1][rest])) for rest, a in sides[0].items() if rest in sides[1])
+    if not found or any(set(a) & set(b) for a, b in found):
+        raise PopulationError(
+            f"no two sets differ in '{first}' against '{second}' alone; the tags of the sets (material, coating, "
+            "coverage_percent, corroded in the manifest) say what each is"
+        )
+    return first, second, found
+
+
+def _kind(result: PopulationResult, words: str) -> Kind | None:
+    """Read a kind of sets from words; None for the name of a set, which goes first."""
+    folded = words.strip().casefold()
+    if folded in {name.casefold() for name in result.set_names}:
+        return None
+    if folded in ("corroded", "uncorroded", "not corroded"):
+        wanted = folded == "corroded"
+        return (lambda tags: tags.corroded is wanted), (lambda tags: replace(tags, corroded=False))
+    if folded in ("coated", "uncoated", "not coated"):
+        bare = folded != "coated"
+        return (lambda tags: (tags.coating == "none") is bare), (
+            lambda tags: replace(tags, coating="", coverage_percent=None)
+        )
+    match = re.fullmatch(r"(?:coverage\s*)?(\d+(?:\.\d+)?)\s*%?", folded)
+    if match:
+        percent = float(match[1])
+        return (lambda tags: tags.coverage_percent == percent), (lambda tags: replace(tags, coverage_percent=None))
+    return None

@@ -1,0 +1,109 @@
+"""The designer's sheet: margins of every set on two printed pages, each number with unit, clause and n."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from shj_bayes.margins.sheet import PUBLISHED_LAW, Sheet
+from shj_bayes.margins.speed_guard import published_factors
+from shj_bayes.population.loops import LoopBand
+from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.report import margins_numbers as numbers
+from shj_bayes.report.page import Picture, write_page
+
+MARGINS_PAGE = "margins.html"
+MAX_PICTURES = 4
+FAR_SPEED = 300.0
+"""Speed of an earthquake's stroke (95 mm at a period of 1.5 to 2 s), mm/s."""
+COVERAGE = {2: 0.896, 4: 0.892}
+"""Simulated coverage of the 90 % band of a new device, by devices per set: decision 0006, typical truth, 500 campaigns;
+`python benchmarks/population.py coverage -n 500` prints it again."""
+
+
+def render_margins(
+    folder: Path, sheet: Sheet, loops: Sequence[LoopBand] = (), *, name: str, simulated: bool = False
+) -> Path:
+    """Write ``margins.html``.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    sheet : Sheet
+        The margins.
+    loops : sequence of LoopBand
+        Bands of the loop of a new device; drawn where the sheet has room, that is for few sets.
+    name : str
+        Title of the campaign or of the tables.
+    simulated : bool
+        True where the recordings were simulated.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    tested = numbers.testing_table(sheet, "Fy"), numbers.testing_table(sheet, "Fy_second")
+    content: dict[str, Any] = {
+        "name": name,
+        "simulated": simulated,
+        "cycle": _cycle(sheet),
+        "bands": numbers.band_table(sheet),
+        "quantities": numbers.BANDS,
+        "tests": numbers.TESTED,
+        "testing": [
+            {"title": "first run", "rows": tested[0]},
+            {"title": "after a first earthquake (second run)", "rows": tested[1]},
+        ],
+        "factors": numbers.factor_table(sheet),
+        "importance": numbers.importance_of(sheet),
+        "left_out": max(0, len({row.set_name for row in sheet.rows}) - 1 - numbers.MAX_SETS),
+        "warnings": sheet.warnings,
+        "diagnoses": sheet.diagnoses,
+        "beside": len(sheet.models) > 1 or sheet.models[0] != PUBLISHED_LAW,
+        "far": published_factors(FAR_SPEED),
+        "coverage": ", ".join(f"{100 * c:.1f} % with {n}" for n, c in COVERAGE.items()),
+        "n_rows": len(sheet.rows),
+        "loops": _pictures(loops),
+    }
+    return write_page(folder, "margins.html", content, name=MARGINS_PAGE)
+
+
+def _pictures(loops: Sequence[LoopBand]) -> list[Picture]:
+    """Loop bands of the tested sets, as far as two pages have room for them."""
+    by_set: dict[str, list[LoopBand]] = {}
+    for band in loops:
+        if band.set_name != ANY_SET:
+            by_set.setdefault(band.set_name, []).append(band)
+    if len(by_set) > MAX_PICTURES:
+        return []
+    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
+    from shj_bayes.report.figures.population import loop  # noqa: PLC0415
+
+    return [
+        Picture(
+            loop(bands),
+            f"Force over displacement of a new device of {name}: middle and 90 % band of the first and the second run.",
+            "At each displacement 90 % of new devices lie in the band. Values: loops.csv.",
+            name,
+        )
+        for name, bands in by_set.items()
+    ]
+
+
+def _cycle(sheet: Sheet) -> dict[str, str] | None:
+    """Amplitude, speed and what was tested, as text."""
+    motion = sheet.motion
+    if motion is None:
+        return None
+    tested = motion.guard.tested
+    return {
+        "amplitude": f"{motion.amplitude_mm:.3g} mm",
+        "speed": f"{motion.guard.speed_mm_s:.3g} mm/s",
+        "tested_amplitude": f"{tested.smallest_mm:.3g} to {tested.largest_mm:.3g} mm",
+        "tested_speed": f"up to {tested.fastest_mm_s:.3g} mm/s",
+        "source": tested.source,
+        "beyond": "yes" if motion.guard.beyond else "",
+    }

@@ -1,0 +1,230 @@
+"""Factors of codes and standards against printed tables and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins import asce7, en1990, en15129, nz, tolerance
+from shj_bayes.margins.asce7 import Bounds
+from shj_bayes.margins.cycle import steady_cycle
+from shj_bayes.margins.link_elements import wen_exponent
+from shj_bayes.margins.opensees import SHARPEST, exponent_of_steel02
+from shj_bayes.population.paper_claims import pair_spread
+from shj_bayes.population.published import published_rows
+
+# EN 1990 Annex D, as printed
+D1_KNOWN = {1: 2.31, 2: 2.01, 3: 1.89, 4: 1.83, 5: 1.80, 6: 1.77, 8: 1.74, 10: 1.72, 20: 1.68, 30: 1.67}
+D1_UNKNOWN = {3: 3.37, 4: 2.63, 5: 2.33, 6: 2.18, 8: 2.00, 10: 1.92, 20: 1.76, 30: 1.73}
+D1_KNOWN_EXACT = {1: 2.3262, 2: 2.0145, 3: 1.8993, 4: 1.8390, 5: 1.8018, 6: 1.7766, 8: 1.7446, 10: 1.7251, 20: 1.6855}
+D1_UNKNOWN_EXACT = {
+    2: 7.7327,
+    3: 3.3717,
+    4: 2.6311,
+    5: 2.3353,
+    6: 2.1765,
+    8: 2.0095,
+    10: 1.9226,
+    20: 1.7718,
+    30: 1.7272,
+}
+D2_KNOWN = {1: 4.36, 2: 3.77, 3: 3.56, 4: 3.44, 5: 3.37, 6: 3.33, 8: 3.27, 10: 3.23, 20: 3.16, 30: 3.13}
+D2_UNKNOWN = {4: 11.40, 5: 7.85, 6: 6.36, 8: 5.07, 10: 4.51, 20: 3.64, 30: 3.44}
+D2_UNKNOWN_EXACT = {4: 11.420, 5: 7.858, 6: 6.366, 8: 5.076, 10: 4.507, 20: 3.668, 30: 3.452}
+
+# one-sided .95/.75, .95/.90, .95/.95, .90/.95, .99/.95; two-sided .90/.95, .95/.95, .99/.95
+ONE = ((0.95, 0.75), (0.95, 0.90), (0.95, 0.95), (0.90, 0.95), (0.99, 0.95))
+TWO = (0.90, 0.95, 0.99)
+LIMITS = {
+    2: (5.1215, 13.0897, 26.2597, 20.5815, 37.0936, 31.0922, 36.5192, 46.9444),
+    3: (3.1518, 5.3115, 7.6559, 6.1553, 10.5527, 8.3059, 9.7888, 12.6471),
+    4: (2.6806, 3.9566, 5.1439, 4.1619, 7.0424, 5.3681, 6.3411, 8.2207),
+    5: (2.4634, 3.3998, 4.2027, 3.4066, 5.7411, 4.2906, 5.0769, 6.5980),
+    6: (2.3356, 3.0919, 3.7077, 3.0063, 5.0620, 3.7326, 4.4222, 5.7577),
+    8: (2.1883, 2.7543, 3.1873, 2.5819, 4.3539, 3.1560, 3.7455, 4.8892),
+    10: (2.1037, 2.5684, 2.9110, 2.3546, 3.9811, 2.8563, 3.3934, 4.4369),
+    20: (1.9320, 2.2078, 2.3960, 1.9260, 3.2952, 2.3188, 2.7603, 3.6210),
+    30: (1.8686, 2.0798, 2.2198, 1.7773, 3.0639, 2.1451, 2.5549, 3.3546),
+}
+PRINTED_TWO_SIDED = {  # Statistics for Environmental Engineers, Table 21.1, confidence 95 %
+    4: (5.37, 6.34, 8.22),
+    5: (4.29, 5.08, 6.60),
+    6: (3.73, 4.42, 5.76),
+    7: (3.39, 4.02, 5.24),
+    8: (3.16, 3.75, 4.89),
+    9: (2.99, 3.55, 4.63),
+    10: (2.86, 3.39, 4.44),
+    12: (2.67, 3.17, 4.16),
+    15: (2.49, 2.96, 3.89),
+    20: (2.32, 2.76, 3.62),
+    25: (2.22, 2.64, 3.46),
+    30: (2.15, 2.55, 3.35),
+    40: (2.06, 2.45, 3.22),
+    60: (1.96, 2.34, 3.07),
+}
+
+
+@pytest.mark.parametrize("n", D1_KNOWN)
+def test_en1990_variation_known(n):
+    assert en1990.factor_known(n) == pytest.approx(D1_KNOWN[n], abs=0.02)
+    assert en1990.factor_known(n, en1990.DESIGN) == pytest.approx(D2_KNOWN[n], abs=0.03)
+    if n in D1_KNOWN_EXACT:
+        assert en1990.factor_known(n) == pytest.approx(D1_KNOWN_EXACT[n], abs=1e-4)
+
+
+@pytest.mark.parametrize("n", D1_UNKNOWN_EXACT)
+def test_en1990_variation_unknown(n):
+    assert en1990.factor_unknown(n) == pytest.approx(D1_UNKNOWN_EXACT[n], abs=1e-4)
+    if n in D1_UNKNOWN:
+        assert en1990.factor_unknown(n) == pytest.approx(D1_UNKNOWN[n], abs=0.02)
+    if n in D2_UNKNOWN:
+        assert en1990.factor_unknown(n, en1990.DESIGN) == pytest.approx(D2_UNKNOWN[n], abs=0.03)
+        assert en1990.factor_unknown(n, en1990.DESIGN) == pytest.approx(D2_UNKNOWN_EXACT[n], abs=6e-4)
+
+
+def test_en1990_limits_and_design_level():
+    assert en1990.factor_known(10**9) == pytest.approx(1.6449, abs=1e-4)
+    fractile = float(stats.norm.sf(3.04))
+    found = [en1990.factor_unknown(n, fractile) for n in (4, 5, 6, 8, 10)]
+    assert found == pytest.approx([10.784, 7.514, 6.129, 4.923, 4.387], abs=1e-3)
+
+
+def test_en1990_pooled_spread_of_the_paper():
+    """Factors of DOMAIN 2.4 and the bands about a coating's mean of 2.7, from the published pairs."""
+    assert en1990.factor_unknown(2, degrees=5) == pytest.approx(2.4679, abs=1e-4)
+    k = en1990.factor_unknown(2, degrees=10)
+    assert k == pytest.approx(2.2198, abs=1e-4)
+    rows = published_rows()
+    wanted = {"Fy1": (0.47, 2.14), "Fy2": (0.33, 3.06), "ratio": (0.51, 1.96), "K": (0.54, 1.84)}
+    value = {
+        "Fy1": lambda row: row.values["Fy", 1],
+        "Fy2": lambda row: row.values["Fy", 2],
+        "ratio": lambda row: row.ratio,
+        "K": lambda row: row.values["K", 1],
+    }
+    for name, band in wanted.items():
+        sd = pair_spread(value[name], rows)
+        found = [en1990.lognormal_value(0.0, sd, k, side) for side in (-1, 1)]
+        assert found == pytest.approx(band, abs=0.006)
+
+
+def test_en1990_values():
+    assert en1990.normal_value(80.0, 0.1, 2.0) == pytest.approx(64.0)
+    assert en1990.normal_value(80.0, 0.1, 2.0, +1) == pytest.approx(96.0)
+    assert en1990.lognormal_value(math.log(80.0), 0.1, 2.0) == pytest.approx(80 * math.exp(-0.2))
+    assert en1990.sd_of_log(0.1) == pytest.approx(math.sqrt(math.log(1.01)))
+    assert en1990.variation_of_log(en1990.sd_of_log(0.37)) == pytest.approx(0.37)
+    with pytest.raises(PopulationError, match="two for the spread"):
+        en1990.factor_unknown(1)
+
+
+@pytest.mark.parametrize("n", LIMITS)
+def test_tolerance_factors(n):
+    found = [tolerance.one_sided(n, *p) for p in ONE] + [tolerance.two_sided(n, p, 0.95) for p in TWO]
+    assert found == pytest.approx(LIMITS[n], abs=1.01e-4)
+
+
+@pytest.mark.parametrize("n", PRINTED_TWO_SIDED)
+def test_two_sided_factors_as_printed(n):
+    found = [tolerance.two_sided(n, p, 0.95) for p in TWO]
+    assert found == pytest.approx(PRINTED_TWO_SIDED[n], abs=0.0051)
+
+
+def test_tolerance_worked_example():
+    """NIST, n = 43, 90 % with 99 % confidence; the handbook's own k2 (Howe) and k1 (Natrella) are approximations."""
+    assert tolerance.two_sided(43, 0.90, 0.99) == pytest.approx(2.2228, abs=1e-4)
+    assert tolerance.one_sided(43, 0.90, 0.99) == pytest.approx(1.8740, abs=1e-4)
+    assert pytest.approx((97.010576, 97.12942), abs=1e-5) == (97.07 - 2.2173 * 0.0268, 97.07 + 2.2173 * 0.0268)
+
+
+def test_tolerance_limits_for_many_devices_and_known_spread():
+    assert tolerance.two_sided(10**6, 0.95, 0.95) == pytest.approx(1.96, abs=0.005)
+    assert tolerance.one_sided_known(4, 0.95, 0.95) == pytest.approx(1.6449 + 1.6449 / 2, abs=1e-4)
+    pooled = tolerance.one_sided(2, 0.95, 0.95, 10**7)
+    assert pooled == pytest.approx(tolerance.one_sided_known(2, 0.95, 0.95), abs=1e-3)
+
+
+def test_common_variance_covers_what_it_says():
+    """Ten sets of two with one variance: the limits of set 1 hold 95 % of devices in 95 % of campaigns."""
+    one, two = tolerance.one_sided(2, 0.95, 0.95, 10), tolerance.two_sided(2, 0.90, 0.95, 10)
+    x = np.random.default_rng(41).standard_normal((40_000, 10, 2))
+    mean, sd = x[:, 0].mean(axis=1), np.sqrt(x.var(axis=2, ddof=1).mean(axis=1))
+    held = stats.norm.sf(mean - one * sd) >= 0.95
+    both = stats.norm.cdf(mean + two * sd) - stats.norm.cdf(mean - two * sd) >= 0.90
+    error = math.sqrt(0.95 * 0.05 / 40_000)
+    assert held.mean() == pytest.approx(0.95, abs=4 * error)
+    assert both.mean() == pytest.approx(0.95, abs=4 * error)
+    alone = tolerance.one_sided(2, 0.95, 0.95)  # the factor for a set's own spread must not be right here
+    assert (stats.norm.sf(mean - alone * sd) >= 0.95).mean() > 0.99
+
+
+def test_distribution_free_numbers():
+    assert [tolerance.wilks(0.95, 0.95), tolerance.wilks(0.90, 0.95)] == [59, 29]
+    two = [tolerance.wilks(p, c, sides=2) for p, c in ((0.95, 0.95), (0.90, 0.95), (0.90, 0.90), (0.99, 0.95))]
+    assert two == [93, 46, 38, 473]
+    assert tolerance.covered_by_extremes(2, 0.90) == pytest.approx(0.0100)
+
+
+def test_tolerance_refuses_what_cannot_be():
+    with pytest.raises(PopulationError, match="two devices of one set"):
+        tolerance.one_sided(1, 0.95, 0.95)
+    with pytest.raises(PopulationError, match="between 0 and 1"):
+        tolerance.two_sided(5, 95.0, 0.95)
+
+
+def test_asce7():
+    total = asce7.modification(Bounds(1.0, 1.56), Bounds(0.7, 1.3), Bounds(0.85, 1.15))
+    assert (total.low, total.high) == pytest.approx((0.595, 2.1229), abs=1e-4)
+    assert asce7.with_floor(Bounds(0.9, 1.1)) == Bounds(0.85, 1.2)
+    assert asce7.with_floor(Bounds(0.5, 2.0)) == Bounds(0.5, 2.0)
+    assert asce7.with_floor(asce7.NONE, "isolator") == Bounds(0.60, 1.8)
+    assert Bounds.around(0.8, 1.3) == Bounds(0.8, 1.3)
+    with pytest.raises(PopulationError, match="lower <= 1"):
+        Bounds(1.1, 1.2)
+
+
+def test_en15129():
+    assert [en15129.combined(2.0, c) for c in ("III", "II", "I")] == pytest.approx([1.9, 1.7, 1.6])
+    factors = en15129.bound_factors([Bounds(0.8, 1.2), asce7.NONE, asce7.NONE, Bounds(0.5, 1.0)])
+    assert (factors.low, factors.high) == pytest.approx((0.86 * 0.65, 1.14))
+    with pytest.raises(PopulationError, match="I, II or III"):
+        en15129.combined(1.0, "IV")
+
+
+def test_new_zealand_practice():
+    assert nz.slip_capacity(2, 0.21, 95.0) == pytest.approx(79.8)
+    assert nz.equivalent_factors(56.0, 112.0, 80.0) == pytest.approx((nz.PRACTICE_PHI, nz.PRACTICE_PHI_O))
+    with pytest.raises(PopulationError, match="above zero"):
+        nz.equivalent_factors(1.0, 2.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("dep", "factor"),
+    [(30, 1.2618), (60, 1.1309), (-30, 0.7382), (-60, 0.8691), (-90, 0.9127), (-120, 0.9346), (-150, 0.9476)],
+)
+def test_energy_of_a_sine_with_the_speed_law(dep, factor):
+    """Rigid limit: E = 4 A Fy (1 + pi/4 v0/dep)."""
+    cycle = steady_cycle(np.array([[1e5, 80.0, 200.0, 1 / dep]]), 95.0, 10.0)
+    assert cycle.energy_kJ[0] * 1000 / (4 * 95 * 80) == pytest.approx(factor, abs=2e-4)
+    assert cycle.force_kN[0] == pytest.approx(80 * (1 + 10 / dep), rel=1e-3)
+
+
+def test_effective_damping():
+    rigid = steady_cycle(np.array([[1e5, 80.0, 500.0, 0.0]]), 95.0, 10.0)
+    assert rigid.damping[0] == pytest.approx(0.63662, abs=5e-4)
+    elastic = steady_cycle(np.array([[18.0, 80.0, 500.0, 0.0]]), 95.0, 10.0)
+    assert elastic.energy_kJ[0] * 1000 == pytest.approx(4 * 80 * (95 - 80 / 18), rel=1e-3)
+    assert elastic.damping[0] == pytest.approx(2 / np.pi * (1 - 80 / (18 * 95)), rel=1e-3)
+    assert elastic.stiffness_kN_mm[0] == pytest.approx(80 / 95, rel=1e-3)
+
+
+def test_exponents_of_other_programs():
+    """Wen with exponent 2 is a hyperbolic tangent; Steel02 meets the knee of Eq. (1)."""
+    beta = -math.log(2.0) / math.log(math.tanh(1.0))
+    assert wen_exponent(beta) == pytest.approx(2.0, abs=1e-6)
+    assert wen_exponent(300.0) == 20.0
+    r = exponent_of_steel02(10.0)
+    assert -1 + 2 * 2 ** (-1 / r) == pytest.approx(2 ** (-1 / 10))
+    assert exponent_of_steel02(400.0) == SHARPEST

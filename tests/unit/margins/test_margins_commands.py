@@ -1,0 +1,82 @@
+"""The commands on a written population: margins, export, compare."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from shj_bayes.cli import main
+from shj_bayes.population.results import write_population
+
+LABEL = "=cmd|'<b>"
+
+
+@pytest.fixture(scope="module")
+def folder(population, tmp_path_factory):
+    place = tmp_path_factory.mktemp("tables")
+    write_population(population, place)
+    return place
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def test_margins_prints_a_table_and_writes_the_sheet(folder):
+    done = run("margins", folder, "--set", "Zinc 70", "--amplitude", 48)
+    assert done.exit_code == 0, done.output
+    assert "Zinc 70: 2 devices" in done.output
+    assert "corroded" not in done.output.split("\n- ")[0]
+    page = (folder / "margins.html").read_text(encoding="utf-8")
+    assert "<strong>48 mm</strong>" in page
+    assert "by 11 for dep = +30" in page
+    assert "by -9 for dep = -30" in page
+    assert "In 500 simulated campaigns" in page
+    assert "&lt;b&gt;" in page
+    assert "cmd|&#39;<b>" not in page
+    for name in ("margins.csv", "margins.xlsx", "margins.json", "loops.csv"):
+        assert (folder / name).stat().st_size > 1000
+
+
+def test_speeds_that_were_not_tested_are_refused(folder):
+    done = run("margins", folder, "--speed", 300)
+    assert done.exit_code == 1
+    assert "was not tested" in done.output
+    assert "--extrapolate" in done.output
+
+
+def test_an_unknown_set_is_named_with_those_there_are(folder):
+    done = run("margins", folder, "--set", "Zink", "--speed", 8)
+    assert done.exit_code == 1
+    assert "'Zinc 70 corroded'" in done.output
+
+
+def test_export_writes_scripts_and_a_table(folder, tmp_path):
+    done = run("export", folder, "--to", "opensees", "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    record = json.loads(done.output)
+    assert record["schema"] == "shj-bayes/export/1"
+    names = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert names == ["connection_materials.py", "connection_materials.tcl", "link-elements.csv"]
+    table = (tmp_path / "out" / "link-elements.csv").read_text(encoding="utf-8")
+    assert "'=cmd" in table
+    compile((tmp_path / "out" / "connection_materials.py").read_text(encoding="utf-8"), "script", "exec")
+    assert run("export", folder, "--to", "elsewhere").exit_code == 2
+
+
+def test_compare_prints_a_table_and_counts_its_tests(folder):
+    done = run("compare", folder, "corroded", "uncorroded", "--rope", 15)
+    assert done.exit_code == 0, done.output
+    assert "P(same)" in done.output
+    assert "5 quantities were compared" in done.output
+    record = json.loads(run("compare", folder, "corroded", "uncorroded", "--json").output)
+    assert record["contrasts"][0]["permutation_p"] is not None
+    assert record["strata"] == 1
+    assert run("compare", folder, "corroded", LABEL).exit_code == 1
+
+
+def test_a_folder_without_a_population_says_what_to_run(tmp_path):
+    for command in (("margins", tmp_path), ("export", tmp_path, "--to", "opensees")):
+        done = run(*command)
+        assert done.exit_code == 1
+        assert "shj-bayes tables" in done.output
