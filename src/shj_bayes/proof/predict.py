@@ -1,0 +1,59 @@
+"""What a finished diagnosis predicts for a displacement history that it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.history import histories
+from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.recording.motion import Motion
+
+
+def predict(
+    record: Mapping[str, Any], tested: Sequence[tuple[FloatArray, Motion]], new: tuple[FloatArray, Motion], when: str
+) -> FloatArray:
+    """Force for a further run of the device, with the parameter means of the diagnosis.
+
+    The device carries on from its last run: same clamping, travel counted on. Lengths and speeds that effects refer to
+    (half stroke, peak speed) are those of the tested runs, whatever the new motion.
+
+    Parameters
+    ----------
+    record : mapping
+        Content of ``diagnosis.json``.
+    tested : sequence of (array, Motion)
+        Times (s) and motion of the runs that were diagnosed.
+    new : (array, Motion)
+        Times and motion of the further run.
+    when : {"before", "after"}
+        The law as published, or with the effects that were found.
+
+    Returns
+    -------
+    array, shape (n_samples,)
+        Force, kN.
+    """
+    scales = histories([time for time, _ in tested], [motion for _, motion in tested])[0]
+    last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
+    middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
+    history = replace(
+        last,
+        position_mm=new[1].displacement_mm - middle,
+        half_stroke_mm=scales.half_stroke_mm,
+        peak_speed_mm_s=scales.peak_speed_mm_s,
+        n_runs=scales.n_runs,
+    )
+    values = {name: float(row[when]["mean"]) for name, row in record["shift"].items()}
+    ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
+    base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])
+    found = record["effects"] if when == "after" else []
+    own = {e["id"]: {name: float(p["mean"]) for name, p in e["parameters"].items()} for e in found}
+    effects = [catalogue()[name] for name in own]
+    return np.asarray(force_with_effects(history, base, effects, own, variant=record["model"]["variant"]))

@@ -1,0 +1,132 @@
+"""Displacement histories on a fine grid: the paper's Table 1, an improved test, and a slowed earthquake."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from shj_bayes.errors import ModelError
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.protocol import table_1
+
+PEAK_SPEED_MM_S = {
+    "paper": 10.25,
+    "improved": 42.0,
+}  # fastest that each protocol moves; bounds gamma and the earthquake
+EASE_S = 0.3  # a controller eases from one block into the next
+# half stroke mm, peak speed mm/s, cycles, seconds of rest at the first positive end of the stroke
+IMPROVED: tuple[tuple[float, float, int, float], ...] = (
+    (6.0, 10.0, 3, 0.0),
+    (24.0, 10.0, 3, 0.0),
+    (95.0, 10.0, 2, 60.0),
+    (24.0, 2.0, 1, 0.0),
+    (24.0, 40.0, 4, 0.0),
+    (48.0, 10.0, 2, 180.0),
+    (72.0, 20.0, 2, 0.0),
+    (95.0, 40.0, 3, 0.0),
+    (24.0, 10.0, 2, 10.0),
+    (6.0, 10.0, 2, 0.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Displacement of one run on a fine grid.
+
+    Parameters
+    ----------
+    time_s : array, shape (n,)
+        Times, evenly spaced from 0, s.
+    x_mm : array, shape (n,)
+        Displacement, mm.
+    every : int
+        Every how many fine samples the recorder takes one.
+    """
+
+    time_s: FloatArray
+    x_mm: FloatArray
+    every: int
+
+    @property
+    def dt_s(self) -> float:
+        """Step of the fine grid, s."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    @property
+    def v_mm_s(self) -> FloatArray:
+        """Velocity, mm/s."""
+        return np.asarray(np.gradient(self.x_mm, self.dt_s))
+
+
+def course(
+    protocol: str, rate_Hz: float, fine: int, rng: np.random.Generator | None = None, speed: float = 10.0
+) -> Course:
+    """Lay out a protocol.
+
+    Parameters
+    ----------
+    protocol : {"paper", "improved", "earthquake"}
+        Table 1; several speeds, rests and return blocks; or a band-limited random motion.
+    rate_Hz : float
+        Sampling rate of the recording, Hz.
+    fine : int
+        Fine steps between two samples of the recording.
+    rng : numpy.random.Generator, optional
+        Chance of the earthquake.
+    speed : float
+        Peak speed of the earthquake, mm/s.
+
+    Returns
+    -------
+    Course
+    """
+    dt = 1.0 / (rate_Hz * fine)
+    if protocol == "paper":
+        table = [(b.amplitude_mm, 2 * np.pi * b.amplitude_mm * b.frequency_Hz, b.n_cycles, 0.0) for b in table_1()]
+        x = _blocks(table, dt)
+    elif protocol == "improved":
+        x = _blocks(list(IMPROVED), dt)
+    elif protocol == "earthquake":
+        assert rng is not None
+        x = _earthquake(rng, speed, dt)
+    else:
+        raise ModelError(f"protocol '{protocol}' is not known; choose paper, improved or earthquake")
+    return Course(np.arange(x.size, dtype=np.float64) * dt, x, fine)
+
+
+def _blocks(table: list[tuple[float, float, int, float]], dt: float) -> FloatArray:
+    """Blocks one after another, eased where the speed changes from one to the next."""
+    parts = [_sine(*block, dt) for block in table]
+    x = np.concatenate(parts)
+    smooth = gaussian_filter1d(x, EASE_S / dt, mode="nearest")
+    ends = np.concatenate([[0.0], np.cumsum([part.size for part in parts])]) * dt
+    time = np.arange(x.size) * dt
+    share = np.max([np.exp(-(((time - end) / (3 * EASE_S)) ** 4)) for end in ends], axis=0)
+    return np.asarray(x + share * (smooth - x))
+
+
+def _sine(amplitude: float, speed: float, cycles: int, rest: float, dt: float) -> FloatArray:
+    """Sine cycles from and to zero, with a rest at the first positive end of the stroke."""
+    duration = cycles * 2 * np.pi * amplitude / speed
+    moving = np.arange(int(duration / dt)) * dt
+    x = amplitude * np.sin(speed / amplitude * moving)
+    if not rest:
+        return np.asarray(x)
+    first = int(np.pi / 2 * amplitude / speed / dt)
+    return np.concatenate([x[:first], np.full(round(rest / dt), amplitude), x[first:]])
+
+
+def _earthquake(rng: np.random.Generator, speed: float, dt: float) -> FloatArray:
+    """Random motion that swells and fades, 12 times its longest period, with a peak speed and within +-90 mm."""
+    longest = 2 * np.pi * 60.0 / speed
+    time = np.arange(int(12 * longest / dt)) * dt
+    swell = np.interp(time / time[-1], [0.0, 0.15, 0.5, 1.0], [0.0, 1.0, 0.8, 0.35])
+    x = np.zeros(time.size)
+    for k in range(24):
+        frequency = (0.6 + 2.4 * k / 23) / longest
+        x += np.sin(2 * np.pi * frequency * time + rng.uniform(0, 2 * np.pi)) / (0.4 + frequency * longest) ** 1.5
+    x *= swell
+    x *= speed / np.abs(np.gradient(x, dt)).max()
+    return np.asarray(x * min(1.0, 90.0 / np.abs(x).max()))

@@ -1,0 +1,128 @@
+"""What the key says that a diagnosis can be held against: what can be seen of it, and the true base parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.inference.problem import Run
+from shj_bayes.mismatch.evidence import Evidence, evidence_of
+from shj_bayes.mismatch.refit import Refit, make_model, refit
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Priors
+from shj_bayes.proof.cases import Key
+from shj_bayes.proof.make import Made, make
+from shj_bayes.proof.simulators.simulator import simulators_by_id
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.recording import Recording
+
+PRACTICAL = 0.01  # of Fy: the size that the tool calls negligible for design (mismatch/thresholds.py), fixed here
+EVIDENCE = 25.0  # log-likelihood that the visible part must be worth under the trial's own noise
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What is known about a trial once its key is open.
+
+    Parameters
+    ----------
+    base : dict of str to float
+        Base parameters of the same rig without noise and without what is concealed: Eq. (1) fitted to it.
+    visible_share : float
+        Part of what is concealed that no base parameters can take up, 99th percentile, as a share of Fy.
+    evidence : float
+        Log-likelihood that this part is worth under the trial's noise.
+    bare_share : float
+        The same percentile for the rig without anything concealed: what the nuisances and the Iwan element leave.
+    residual_kN : array, shape (n,)
+        The visible part, kN, at the samples of `evidence_of`.
+    scene : Evidence
+        Those samples.
+    """
+
+    base: dict[str, float]
+    visible_share: float
+    evidence: float
+    bare_share: float
+    residual_kN: FloatArray
+    scene: Evidence
+
+    @property
+    def detectable(self) -> bool:
+        """Whether what is concealed matters and can be told from the noise at all."""
+        return self.visible_share >= PRACTICAL and self.evidence >= EVIDENCE
+
+
+def truth_of(key: Key, priors: Priors, made: list[Made] | None = None) -> Truth:
+    """Work out the truth of a trial from its key.
+
+    Parameters
+    ----------
+    key : Key
+        The opened key.
+    priors : Priors
+        Of the base parameters; they hold the fit where the recording says nothing.
+    made : list of Made, optional
+        The trial's recordings, where they have been made already.
+
+    Returns
+    -------
+    Truth
+    """
+    made = made or make(key)
+    bare_scene, bare = _fit_perfect(make(key, effects=()) if key.effects else made, key, priors)
+    scene, fit = _fit_perfect(made, key, priors)
+    residual = fit.residual_kN
+    own = scene.weight > 0
+    noise = np.concatenate([one.noise_kN for one in made])
+    phi = float(np.clip(np.corrcoef(noise[:-1], noise[1:])[0, 1], 0.0, 0.99))
+    full = np.concatenate([one.clean_kN for one in made]).size / max(own.sum(), 1)
+    # Thinned samples of slow residuals: each stands for `full` samples of the recording.
+    innovation = np.mean((1 - phi) ** 2 * residual[own] ** 2)
+    worth = 0.5 * innovation / (noise.var() * (1 - phi**2)) * own.sum() * full
+    names = bare.model.names
+    return Truth(
+        base={name: bare.model.values(bare.z)[name] for name in names},
+        visible_share=float(np.percentile(np.abs(residual[own]), 99)) / key.device.Fy,
+        evidence=float(worth),
+        bare_share=float(np.percentile(np.abs(bare.residual_kN[bare_scene.weight > 0]), 99)) / key.device.Fy,
+        residual_kN=residual,
+        scene=scene,
+    )
+
+
+def effect_truths(key: Key) -> dict[str, dict[str, float]]:
+    """List true values of the catalogue's parameters by effect, where the physics has an exact counterpart."""
+    known = simulators_by_id()
+    out = {}
+    for one in key.effects:
+        values = dict(known[one.id].truth(one.size, one.shape, key.device))
+        if one.id == "sensor_lag" and "size" in values:  # the nuisances add to it
+            values["size"] += key.nuisance.lag_s
+        if one.id == "load_offset" and "size" in values:
+            values["size"] += key.nuisance.offset_kN / key.device.Fy
+        out[one.id] = values
+    return out
+
+
+def kept_base(key: Key) -> set[str]:
+    """Name the base parameters that keep their meaning beside everything that is concealed."""
+    names = {"K", "Fy", "beta", "gamma", "ratio"}
+    for one in key.effects:
+        names &= set(simulators_by_id()[one.id].base)
+    return names
+
+
+def _fit_perfect(made: list[Made], key: Key, priors: Priors) -> tuple[Evidence, Refit]:
+    """Fit the base law to what a recorder without noise would show."""
+    runs = []
+    for one in made[:2]:
+        perfect = Recording(one.recording.time_s, one.x_mm, one.clean_kN)
+        runs.append(Run(perfect, motion_of(perfect)))
+    scene = evidence_of(runs, 4000)
+    model = make_model(priors, len(runs), (), variant="continuous")
+    device = {"K": key.device.K, "Fy": key.device.Fy, "beta": key.device.beta, "gamma": key.device.gamma}
+    device["ratio"] = key.device.ratio
+    z = [float(law.to_free(np.asarray(device[name]))) for name, law in zip(model.names, model.priors, strict=True)]
+    return scene, refit(scene, model, [np.array(z)], sigma_kN=key.nuisance.noise_kN)

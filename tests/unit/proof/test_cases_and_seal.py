@@ -1,0 +1,101 @@
+"""Keys: same seed same keys, stated shares, sealed against change; recordings that give nothing away."""
+
+import os
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shj_bayes.errors import ModelError, ProofError
+from shj_bayes.proof import seal
+from shj_bayes.proof.cases import Key, canonical, draw_keys
+from shj_bayes.proof.make import make
+from shj_bayes.proof.run import write_recordings
+
+SEED = 31  # of development
+
+
+def test_same_seed_same_keys_and_another_seed_others():
+    first, second, other = draw_keys(SEED, 12), draw_keys(SEED, 12), draw_keys(SEED + 1, 12)
+    assert [canonical(a.to_dict()) for a in first] == [canonical(b.to_dict()) for b in second]
+    assert [canonical(a.to_dict()) for a in first] != [canonical(b.to_dict()) for b in other]
+
+
+@pytest.mark.parametrize("n", [20, 100, 201])
+def test_shares_are_as_stated(n):
+    kinds = Counter(key.kind for key in draw_keys(SEED, n))
+    assert kinds["nothing"] >= n / 2
+    assert kinds["outside"] == pytest.approx(0.15 * n, abs=1)
+    assert kinds["two"] == pytest.approx(0.15 * n, abs=1)
+    assert kinds["one"] > 0
+
+
+def test_two_effects_are_never_the_same():
+    for key in draw_keys(SEED, 200):
+        assert len({one.id for one in key.effects}) == len(key.effects)
+        assert len(key.effects) == {"nothing": 0, "one": 1, "outside": 1, "two": 2}[key.kind]
+
+
+def test_a_key_survives_its_text():
+    for key in draw_keys(SEED, 10):
+        assert Key.from_dict(key.to_dict()) == key
+
+
+def test_no_trials_are_refused():
+    with pytest.raises(ModelError, match="0 trials asked for; allowed is 1 or more"):
+        draw_keys(SEED, 0)
+
+
+def test_the_digest_notices_every_change():
+    key = next(key for key in draw_keys(SEED, 20) if key.effects)
+    sealed = seal.digest_of(key, "00")
+    assert seal.digest_of(key, "00") == sealed
+    assert seal.digest_of(key, "01") != sealed
+    size = key.effects[0].size
+    changed = replace(key, effects=(replace(key.effects[0], size=float(np.nextafter(size, 1e9))), *key.effects[1:]))
+    assert seal.digest_of(changed, "00") != sealed
+
+
+def test_the_secret_is_for_this_user_and_for_one_seed(tmp_path):
+    first = seal.write_secret(tmp_path, SEED, 5)
+    assert seal.write_secret(tmp_path, SEED, 5) == first
+    assert len(set(first["nonces"])) == 5
+    if os.name == "posix":
+        assert (tmp_path / seal.SECRET).stat().st_mode & 0o077 == 0
+    with pytest.raises(ProofError, match="unfinished proof of 5 trials, seed 31"):
+        seal.write_secret(tmp_path, SEED, 6)
+
+
+def test_opening_publishes_what_was_sealed(tmp_path):
+    secret = seal.write_secret(tmp_path, SEED, 3)
+    keys = seal.open_seal(tmp_path)
+    seed, again, nonces = seal.read_opened(tmp_path)
+    assert (seed, again, nonces) == (SEED, keys, secret["nonces"])
+    assert not (tmp_path / seal.SECRET).exists()
+
+
+def test_recordings_hold_three_columns_and_nothing_else(tmp_path):
+    null, full = draw_keys(SEED, 20)[0], next(key for key in draw_keys(SEED, 20) if key.effects)
+    for key in (null, full):
+        paths = write_recordings(key, tmp_path / str(key.number))
+        assert [path.name for path in paths] == ["run1.csv", "run2.csv"]
+        for path in paths:
+            lines = path.read_text(encoding="utf-8").splitlines()
+            assert lines[0] == "time_s,displacement_mm,force_kN"
+            assert all(set(line) <= set("0123456789.,-+e") for line in lines[1:])
+
+
+def test_recordings_are_made_again_to_the_byte(tmp_path):
+    key = draw_keys(SEED, 20)[3]
+    first = [path.read_bytes() for path in write_recordings(key, tmp_path / "a")]
+    again = [path.read_bytes() for path in write_recordings(Key.from_dict(key.to_dict()), tmp_path / "b")]
+    assert first == again
+
+
+def test_the_held_out_earthquake_leaves_the_recordings_alone():
+    key = draw_keys(SEED, 20)[2]
+    short, long = make(key), make(key, heldout=True)
+    assert len(long) == 3
+    for a, b in zip(short, long, strict=False):
+        assert np.array_equal(a.recording.force_kN, b.recording.force_kN)

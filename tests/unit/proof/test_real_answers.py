@@ -1,0 +1,122 @@
+"""Withheld answers against canned diagnoses: agreement and disagreement are found, and no answer is copied."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from shj_bayes.cli import main
+from shj_bayes.errors import ProofError
+from shj_bayes.proof import real
+from shj_bayes.proof.answers import CASES
+from shj_bayes.proof.real import prove_recordings
+
+BY_ID = {case.id: case for case in CASES}
+
+
+def diagnosis(verdict="named", where=(), fy_kN=0.02, gamma=0.0, heldout=0.5, **effects):
+    """As much of a diagnosis as the comparisons read."""
+    found = [{"id": k, "parameters": {n: {"mean": v} for n, v in values.items()}} for k, values in effects.items()]
+    return {
+        "verdict": verdict,
+        "effects": found,
+        "words": ["words"],
+        "location": [{"coordinate": name} for name in where],
+        "shift": {"Fy": {"after": {"mean": fy_kN}}, "gamma": {"after": {"mean": gamma}}},
+        "after": {"heldout_rmse_kN": heldout},
+    }
+
+
+@pytest.fixture
+def band(tmp_path):
+    """A band actuator that is moved from 4 to 9 s; the force while pushing goes from 2000 to 2600 lb."""
+    time = np.linspace(0, 15, 1501)
+    moved = (time > 4) & (time < 9)
+    pushing = np.sin(2 * np.pi * time) > 0
+    path = tmp_path / "band.csv"
+    pd.DataFrame(
+        {
+            "Time (s)": time,
+            "Band position 1 (in)": 0.655 - 0.03 * moved,
+            "Band force 1 (lb)": np.where(pushing, 40.0, 1400.0),
+            "Band force 2 (lb)": np.where(pushing, np.where(moved, 2600.0, 2000.0), 40.0),
+        }
+    ).to_csv(path, index=False)
+    return path
+
+
+def test_a_change_of_clamping_is_compared_in_time_and_size(band):
+    step = {"size": 0.15, "begin": 4 / 15, "length": 5 / 15, "side": 1.0}
+    judged = BY_ID["brfd step"].judge(diagnosis(tension_step=step), band, {})
+    assert [one.agrees for one in judged] == [True, True, True]
+    assert "from 4.0 to 9.0 s (band force push +30%, pull +0%)" in judged[0].words
+    late = BY_ID["brfd step"].judge(diagnosis(tension_step=step | {"begin": 0.8}), band, {})
+    assert not late[0].agrees
+    weak = BY_ID["brfd step"].judge(diagnosis(tension_step=step | {"size": -0.15}), band, {})
+    assert [one.agrees for one in weak] == [True, False, True]
+
+
+def test_no_change_of_clamping_differs(band):
+    assert [one.agrees for one in BY_ID["brfd step"].judge(diagnosis(), band, {})] == [False]
+
+
+def test_pressure_is_compared_as_a_constant_force(tmp_path):
+    path = tmp_path / "seal.txt"
+    pd.DataFrame(np.full((50, 7), 1.0)).to_csv(path, sep="\t", header=False, index=False)
+    near = diagnosis(load_offset={"size": 2.5})
+    assert [one.agrees for one in BY_ID["seal KDN_1bar"].judge(near, path, {})] == [True]
+    far = diagnosis(load_offset={"size": 1.0})
+    judged = BY_ID["seal KDN_1bar"].judge(far, path, {})
+    assert "pushes with 49.1 N; diagnosed constant 20.0 N" in judged[0].words
+    assert not judged[0].agrees
+
+
+def test_published_friction_and_mass_are_compared(tmp_path):
+    own = diagnosis(fy_kN=0.0204, gamma=203.5 / 20.4 / 1000, inertia={"size": 96.0}, load_offset={"size": -3.16 / 20.4})
+    assert all(one.agrees for one in BY_ID["emps"].judge(own, tmp_path, {}))
+    assert [one.agrees for one in BY_ID["emps"].judge(diagnosis(), tmp_path, {})] == [True, False, False, False]
+
+
+def test_a_catalogue_without_the_effect_must_say_unknown(tmp_path):
+    hidden = diagnosis("unknown", where=["slip since reversal"], heldout=1.0)
+    judged = BY_ID["brfd slack hidden"].judge(hidden, tmp_path, {"brfd slack": diagnosis(heldout=0.6)})
+    assert [one.agrees for one in judged] == [True, True, True]
+    named = diagnosis("named", where=["travel"], heldout=0.6)
+    judged = BY_ID["brfd slack hidden"].judge(named, tmp_path, {"brfd slack": diagnosis(heldout=0.9)})
+    assert [one.agrees for one in judged] == [False, False, False]
+
+
+def test_the_diagnosis_sees_three_columns(band, tmp_path, monkeypatch):
+    """Of a recording with band columns only time, displacement and force go behind the fence."""
+    folder = tmp_path / "recordings" / "brfd-lehigh"
+    folder.mkdir(parents=True)
+    table = pd.read_csv(band)
+    table.insert(1, "Displacement (in)", np.sin(2 * np.pi * table["Time (s)"]))
+    table.insert(2, "Force (kip)", np.sign(np.cos(2 * np.pi * table["Time (s)"])) * 3.0)
+    table.to_csv(folder / "ds4_step0.03ea1forward.csv.gz", index=False)
+    seen = []
+
+    def serve(tasks, workers, done):
+        for task in tasks:
+            seen.append(task["recordings"][0].read_text(encoding="utf-8"))
+            done(task, diagnosis())
+
+    monkeypatch.setattr(real, "in_parallel", serve)
+    result = prove_recordings(tmp_path / "recordings", tmp_path / "out")
+    assert [text.splitlines()[0] for text in seen] == ["time_s,displacement_mm,force_kN"]
+    assert {len(line.split(",")) for line in seen[0].splitlines()} == {3}
+    assert "0 of 1 comparisons agree" in result.text
+    assert "DIFFERS" in result.text
+    assert "no change of clamping was named" in result.page.read_text(encoding="utf-8")
+    stored = json.loads((tmp_path / "out" / "recordings.json").read_text(encoding="utf-8"))
+    assert len(stored["absent"]) == len({case.file for case in CASES}) - 1
+
+
+def test_wrong_folders_are_refused_in_words(tmp_path):
+    with pytest.raises(ProofError, match="is not a folder"):
+        prove_recordings(tmp_path / "none", tmp_path / "out")
+    done = CliRunner().invoke(main, ["prove", "--recordings", str(tmp_path), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 1
+    assert "holds none of the recordings looked for" in done.output
