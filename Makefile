@@ -3,10 +3,10 @@
 
 PYTHON ?= python3
 
-.PHONY: demo test check recover bench clean
+.PHONY: demo test check docs prove fuzz kill thousand calibrate audit minimum recover bench clean
 
-demo test check recover bench:
+demo test check docs prove fuzz kill thousand calibrate audit minimum recover bench:
 	$(PYTHON) tasks.py $@
 
 clean:
-	rm -rf .venv shj-bayes-demo shj-bayes-tables
+	rm -rf .venv shj-bayes-demo shj-bayes-tables shj-bayes-proof

@@ -3,8 +3,16 @@
 demo     install into .venv and run the whole job on data that ship with the project
 test     install and run the tests
 check    the gates: ruff, mypy, imports, tests
+docs     build the documentation site into build/docs; a warning or a link to nowhere is an error
+prove    200 concealed-effect trials, sealed, diagnosed, opened, scored (under an hour; goes on where it stopped)
+fuzz     read 6000 damaged files of every kind; a traceback, a hang or a garbled refusal is an error (15 minutes)
+kill     kill fits and campaigns at random moments, resume them, compare the bits; full disk, lost folder (20 minutes)
+thousand a campaign of 1000 devices, 5 % of them broken, a worker killed midway (about 40 minutes)
+calibrate  ranks and coverage of 300 simulated devices (goes on where it stopped); the page is kept in reports
+audit    look every pinned package up in the public list of known weaknesses (needs the network)
+minimum  the tests with the oldest versions of all dependencies that pyproject.toml allows
 recover  fit recordings simulated from the 25 published rows and print where the truth lies (about 15 minutes)
-bench    the law, the moves and the population model, measured
+bench    speed: the law, the likelihood, a fit, proposals, effects, population, other samplers (an hour)
 
 Only the standard library is used here, because this file runs before anything is installed.
 """
@@ -24,6 +32,8 @@ PYTHON = BIN / ("python.exe" if sys.platform == "win32" else "python")
 TOOL = BIN / ("shj-bayes.exe" if sys.platform == "win32" else "shj-bayes")
 STAMP = VENV / "installed-from"
 
+QUIET = ("--quiet", "--disable-pip-version-check")
+
 TASKS: dict[str, list[list[str]]] = {
     "demo": [[str(TOOL), "demo", "--out", "shj-bayes-demo"]],
     "test": [[str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2"]],
@@ -33,8 +43,22 @@ TASKS: dict[str, list[list[str]]] = {
         [str(PYTHON), "-m", "mypy"],
         [str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2"],
     ],
+    "docs": [
+        [str(PYTHON), "-m", "pip", "install", *QUIET, "--require-hashes", "-r", "requirements-docs.txt"],
+        [str(PYTHON), "-m", "sphinx", "-W", "--keep-going", "-q", "docs", "build/docs"],
+    ],
+    "prove": [[str(TOOL), "prove", "-n", "200", "--workers", "2", "--out", "shj-bayes-proof"]],
+    "fuzz": [[str(PYTHON), "tests/fuzz/run.py", "-n", "6000"]],
+    "kill": [[str(PYTHON), "benchmarks/kill.py"]],
+    "thousand": [[str(PYTHON), "benchmarks/thousand.py"]],
+    "calibrate": [[str(PYTHON), "benchmarks/calibrate.py", "-n", "300"]],
+    "audit": [
+        [str(PYTHON), "-m", "pip", "install", *QUIET, "--target", "build/audit", "pip-audit"],
+        [str(PYTHON), "tests/audit.py", "build/audit"],
+    ],
+    "minimum": [[str(PYTHON), "tests/minimum.py"]],
     "recover": [[str(PYTHON), "benchmarks/recover.py"]],
-    "bench": [[str(PYTHON), f"benchmarks/{name}.py"] for name in ("law", "moves", "population")],
+    "bench": [[str(PYTHON), "benchmarks/bench.py"]],
 }
 
 
@@ -59,7 +83,7 @@ def install() -> None:
     print("installing into .venv (a minute or two, once)", file=sys.stderr, flush=True)
     if not PYTHON.exists():
         venv.EnvBuilder(with_pip=True, symlinks=sys.platform != "win32").create(VENV)
-    pip = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip = [str(PYTHON), "-m", "pip", "install", *QUIET]
     for command in (
         [*pip, "--require-hashes", "-r", "requirements.txt"],
         [*pip, "--no-deps", "--no-build-isolation", "--editable", "."],

@@ -46,14 +46,14 @@ BREAKAGES = (
     Breakage(
         "law: exponent 1/beta left out",
         "model/kernel.py",
-        "return e * _exp2(-(max(soft, power) if power > 60.0 else soft) * per_beta)",
-        "return e * _exp2(-(max(soft, power) if power > 60.0 else soft))",
+        "    b = 1.0 / beta\n",
+        "    b = 1.0\n",
     ),
     Breakage(
         "law: signed v instead of |v|",
         "model/kernel.py",
-        "_branch_seed(out[a:b], x[a:b], speed[a:b], turning[k], reset, law)",
-        "_branch_seed(out[a:b], x[a:b], sense * speed[a:b], turning[k], reset, law)",
+        "_span(out[j, a:b], x[a:b], speed[a:b], part,",
+        "_span(out[j, a:b], x[a:b], direction[k] * speed[a:b], part,",
     ),
     Breakage(
         "likelihood: log sqrt(1 - phi^2) left out",

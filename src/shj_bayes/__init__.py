@@ -2,6 +2,41 @@
 
 The package is the method, one room per step:
 recording -> model -> inference -> mismatch -> population -> report.
+
+For scripts and notebooks: read a `Recording`, `fit` it, `diagnose` it, run a `Campaign`, `load` what was finished.
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from shj_bayes.api import Campaign, CampaignResult, Diagnosis, FitResult, diagnose, fit, load, tables
+    from shj_bayes.recording.recording import Recording
+
 __version__ = "0.1.0"
+__all__ = [  # noqa: RUF022 - in the order of the pipeline
+    "Recording",
+    "fit",
+    "FitResult",
+    "diagnose",
+    "Diagnosis",
+    "Campaign",
+    "CampaignResult",
+    "tables",
+    "load",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: the command line must not wait for what it does not need."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    room = "shj_bayes.recording.recording" if name == "Recording" else "shj_bayes.api"
+    return getattr(importlib.import_module(room), name)
+
+
+def __dir__() -> list[str]:
+    """Names for completion."""
+    return sorted([*globals(), *__all__])

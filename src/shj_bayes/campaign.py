@@ -14,9 +14,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from shj_bayes.errors import CampaignError, ShjError
-from shj_bayes.files import folder_name, plain_name, read_toml, write_text
+from shj_bayes.errors import CampaignError, ShjError, plain_text
+from shj_bayes.files import folder_name, plain_name, read_toml, sealed, write_text
 from shj_bayes.pipeline import DeviceResult, Options, fit_device
+from shj_bayes.population.device import NO_TAGS, Tags
+from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
@@ -30,6 +32,12 @@ OPTION_KINDS: dict[str, Any] = {
     "free": list,
     "seed": int,
     "max_steps": int,
+}
+TAG_KINDS: dict[str, tuple[Any, str]] = {
+    "material": (str, "a text"),
+    "coating": (str, "a text"),
+    "coverage_percent": (int | float, "a number"),
+    "corroded": (bool, "true or false"),
 }
 MAX_TRIES = 2  # a device that was under way when a worker died is tried once more
 
@@ -46,12 +54,15 @@ class Device:
         Consecutive runs.
     options : Options
         How to read and fit it.
+    tags : Tags
+        What makes its set what it is: material, coating, coverage, corroded.
     """
 
     name: str
     set_name: str
     recordings: tuple[Path, ...]
     options: Options
+    tags: Tags = NO_TAGS
 
     @property
     def folder(self) -> str:
@@ -80,7 +91,7 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one device: ``done``, ``kept`` (unchanged) or ``failed`` with the reason."""
+    """What became of one device: ``done``, ``kept`` (unchanged) or ``failed``, with the reason."""
 
     device: Device
     status: str
@@ -192,9 +203,15 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
         )
     except ShjError as error:
         return Outcome(device, "failed", str(error))
+    except OSError as error:
+        where = f" ({Path(str(error.filename)).name})" if error.filename else ""
+        reason = plain_text(error.strerror or str(error))
+        return Outcome(device, "failed", f"{reason}{where}; check the path, the rights and the free space")
+    except MemoryError:
+        return Outcome(device, "failed", "not enough memory; use fewer --workers, or export fewer samples")
     except Exception as error:  # one bad device must not stop a thousand good ones; the type says it is a bug
-        return Outcome(device, "failed", f"unexpected {type(error).__name__}: {error}")
-    return Outcome(device, "done" if result.fresh else "kept", verdict=result.record["verdict"])
+        return Outcome(device, "failed", plain_text(f"unexpected {type(error).__name__}: {error}"))
+    return Outcome(device, "done" if result.fresh else "kept", result.note, result.record["verdict"])
 
 
 def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -204,12 +221,14 @@ def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str
         entry = {"name": o.device.name, "folder": o.device.folder}
         entry |= {"status": o.status, "reason": o.reason, "verdict": o.verdict}
         sets.setdefault(o.device.set_name, []).append(entry)
-    return {
-        "schema": SCHEMA,
-        "name": manifest.name,
-        "simulated": manifest.simulated,
-        "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
-    }
+    return sealed(
+        {
+            "schema": SCHEMA,
+            "name": manifest.name,
+            "simulated": manifest.simulated,
+            "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
+        }
+    )
 
 
 def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[Device]:
@@ -219,7 +238,8 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
     for number, entry in enumerate(sets, start=1):
         set_name = _text(path, f"[[set]] number {number}", entry, "name")
         where = f"set '{set_name}'"
-        _known(path, where, entry, ("name", "options", "device"))
+        _known(path, where, entry, ("name", "options", "device", *TAG_KINDS))
+        tags = _tags(path, where, entry)
         if not isinstance(entry.get("device"), list) or not entry["device"]:
             raise CampaignError(f"{path.name}: {where} has no [[set.device]] table (mind the double brackets)")
         own = _options(path, where, defaults, entry.get("options", {}))
@@ -235,7 +255,25 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
             if "\x00" in "".join(files):
                 raise CampaignError(f"{path.name}: {at} names a file with a NUL character")
             recordings = tuple(path.parent / f for f in files)
-            yield Device(name, set_name, recordings, _options(path, at, own, device.get("options", {})))
+            yield Device(name, set_name, recordings, _options(path, at, own, device.get("options", {})), tags)
+
+
+def _tags(path: Path, where: str, entry: dict[str, Any]) -> Tags:
+    """Read what makes a set what it is, for contrasts between sets."""
+    values: dict[str, Any] = {}
+    for key, (kind, words) in TAG_KINDS.items():
+        value = entry.get(key)
+        if value is None:
+            continue
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            raise CampaignError(f"{path.name}: {where} has {key} = {value!r}; it needs {words}")
+        values[key] = plain_name(value) if isinstance(value, str) else value
+    percent = values.get("coverage_percent")
+    if percent is not None:
+        if not 0 <= percent <= 100:
+            raise CampaignError(f"{path.name}: {where} has coverage_percent = {percent!r}; allowed is 0 to 100")
+        values["coverage_percent"] = float(percent)
+    return Tags(**values)
 
 
 def _known(path: Path, where: str, entry: dict[str, Any], allowed: tuple[str, ...]) -> None:
@@ -260,7 +298,8 @@ def _options(path: Path, where: str, base: Options, entry: Any) -> Options:
     values: dict[str, Any] = {}
     for key, value in entry.items():
         if key not in OPTION_KINDS:
-            raise CampaignError(f"{path.name}: {where} has the option '{key}'; known are {', '.join(OPTION_KINDS)}")
+            known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(key, OPTION_KINDS)}"
+            raise CampaignError(f"{path.name}: {where} has the option '{key}'; {known}")
         if not isinstance(value, OPTION_KINDS[key]) or isinstance(value, bool):
             words = {str: "a text", list: "a list of texts", int: "a whole number"}.get(OPTION_KINDS[key], "a number")
             raise CampaignError(f"{path.name}: {where} option {key} = {value!r}; it needs {words}")

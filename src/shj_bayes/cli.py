@@ -14,12 +14,24 @@ import click
 
 import shj_bayes
 from shj_bayes.errors import CampaignError, ShjError
+from shj_bayes.examples import EXAMPLES
 
 Command = Callable[..., Any]
 
 
+class _Command(click.Command):
+    """A command whose help ends with examples."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        if examples := EXAMPLES.get(str(self.name)):
+            with formatter.section("Examples"):
+                formatter.write_text("\b\n" + "\n".join(examples))
+
+
 class _Group(click.Group):
     """Turn every expected error into one line and exit 1; Ctrl-C says how to go on."""
+
+    command_class = _Command
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -159,12 +171,7 @@ def fit(
     free: str,
     **options: Any,
 ) -> None:
-    """Posterior of one device; several recordings are its consecutive runs.
-
-    \b
-    shj-bayes fit run1.csv run2.csv -o results
-    shj-bayes fit test.txt -o results --columns time=1,displacement=5,force=7 --units ms,mm,N
-    """  # noqa: D301  \b is click's mark for lines that stay as they are
+    """Posterior of one device; several recordings are its consecutive runs."""
     from shj_bayes.pipeline import Options, fit_device
 
     shared = Options(free=tuple(part.strip() for part in free.split(",") if part.strip()), **options)
@@ -266,14 +273,72 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of the cycle; largest tested by default.")
+@click.option("--speed", "speed_mm_s", type=float, metavar="MM/S", help="Peak speed; largest tested by default.")
+@click.option("--extrapolate", is_flag=True, help="Allow a speed that was not tested: the spread of bounded laws.")
+@click.option(
+    "--nominal", "nominal_kN", type=float, metavar="KN", help="Nominal sliding force; typical device by default."
+)
+@click.option(
+    "--importance",
+    type=click.Choice(["I", "II", "III"]),
+    default="II",
+    show_default=True,
+    help="Importance class of the structure (EN 15129).",
+)
+@click.option("--set", "sets", multiple=True, metavar="NAME", help="Print this set only; may be given again.")
+@OUTPUT
+def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **request: Any) -> None:
+    """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
+    from shj_bayes.design import design_margins
+    from shj_bayes.margins.sheet import Request
+
+    design = design_margins(folder, Request(**request), progress=not (quiet or as_json))
+    if as_json:
+        click.echo(json.dumps(design.record, indent=1))
+    elif not quiet:
+        click.echo(design.text(sets))
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("--to", "target", type=click.Choice(["opensees"]), required=True, help="OpenSees, and a link table.")
+@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="By default DIR/opensees.")
+@click.option("--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of the cycle; largest tested by default.")
+@OUTPUT
+def export(folder: Path, target: str, out: Path | None, amplitude_mm: float | None, as_json: bool, quiet: bool) -> None:
+    """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
+    from shj_bayes.design import export_analysis
+
+    paths = export_analysis(folder, out, amplitude_mm, progress=not (quiet or as_json))
+    if as_json:
+        click.echo(json.dumps({"schema": "shj-bayes/export/1", "to": target, "files": [str(p) for p in paths]}))
+    elif not quiet:
+        click.echo("\n".join(str(path) for path in paths))
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.argument("set_a", metavar="A")
 @click.argument("set_b", metavar="B")
+@click.option(
+    "--rope",
+    type=click.FloatRange(0, 100, min_open=True, max_open=True),
+    default=10.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="Differences below this count as the same.",
+)
 @OUTPUT
-def compare(folder: Path, set_a: str, set_b: str, as_json: bool, quiet: bool) -> None:
-    """Compare two sets of a campaign or of the tables in DIR."""
+def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, quiet: bool) -> None:
+    """Compare two sets of a campaign or of the tables in DIR.
+
+    A and B are names of sets, or kinds of sets that are compared pair by pair: corroded and uncorroded, coated and
+    uncoated, "70 %" and "100 %".
+    """
     from shj_bayes.summary import compare_sets
 
-    record, text = compare_sets(folder, set_a, set_b)
+    record, text = compare_sets(folder, set_a, set_b, rope)
     if as_json:
         click.echo(json.dumps(record, indent=1))
     elif not quiet:
@@ -302,6 +367,92 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
     for path in write_simulated(stem, dep_mm_s=dep, **options):
         if not quiet:
             click.echo(path)
+
+
+@main.command("open")
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option(
+    "--page", type=click.Choice(["report", "diagnosis", "margins"]), help="Page to open, where DIR has several."
+)
+@click.option("--pdf", is_flag=True, help="Print the page to PDF beside it, by an installed Chromium, Chrome or Edge.")
+def open_(folder: Path, page: str | None, pdf: bool) -> None:
+    """Open the page of a result in the browser, or print it to PDF; nothing is served."""
+    from shj_bayes.report.browse import open_page, page_of, write_pdf
+
+    found = page_of(folder, page)
+    if pdf:
+        click.echo(write_pdf(found))
+    elif open_page(found):
+        click.echo(found)
+    else:
+        click.echo(f"no browser could be started; open this file yourself: {found.resolve()}")
+
+
+@main.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
+    """Print what makes a shell complete commands and options; the guide says where to put it."""
+    from click.shell_completion import get_completion_class
+
+    found = get_completion_class(shell)
+    if found is None:
+        raise ShjError(f"there is no completion for {shell}")
+    click.echo(found(main, {}, "shj-bayes", "_SHJ_BAYES_COMPLETE").source())
+
+
+@main.command()
+@click.option("-n", "n", type=click.IntRange(1, 9999), default=200, show_default=True, help="Number of trials.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**32 - 1), default=20261121, show_default=True, help="Of what is concealed."
+)
+@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the results.")
+@click.option("--check", "checked", type=click.Path(path_type=Path, file_okay=False), help="Check a finished proof.")
+@click.option(
+    "--recordings", type=click.Path(path_type=Path, file_okay=False), help="Real recordings, answer withheld."
+)
+@click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")
+@WORKERS
+@OUTPUT
+def prove(
+    n: int,
+    seed: int,
+    out: Path | None,
+    checked: Path | None,
+    recordings: Path | None,
+    full: bool,
+    workers: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Concealed-effect trials: sealed, diagnosed behind a fence, opened, scored; or --check of a finished proof."""
+    speak = not (as_json or quiet)
+    if checked is not None:
+        from shj_bayes.proof.check import check
+
+        lines = check(checked, workers=workers or 2, progress=speak)
+        if as_json:
+            click.echo(json.dumps({"checked": lines}))
+        elif speak:
+            click.echo("\n".join([*lines, "the transcript holds"]))
+        return
+    if out is None:
+        raise click.UsageError("Missing option '-o' / '--out'.")
+    if recordings is not None:
+        from shj_bayes.proof.real import prove_recordings
+
+        real = prove_recordings(recordings, out, workers=workers or 2, progress=speak)
+        if as_json:
+            click.echo(json.dumps(real.record, indent=1))
+        elif speak:
+            click.echo(real.text)
+        return
+    from shj_bayes.proof.run import prove as run_proof
+
+    proof = run_proof(out, n=n, seed=seed, workers=workers or 2, quick=not full, progress=speak)
+    if as_json:
+        click.echo(json.dumps(proof.score, indent=1))
+    elif speak:
+        click.echo(proof.text)
 
 
 @main.command()

@@ -10,12 +10,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import shj_bayes
-from shj_bayes.errors import InferenceError, ModelError, RecordingError
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text
 from shj_bayes.files import plain_name
 from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
 from shj_bayes.inference.sampler import Plan
-from shj_bayes.inference.store import read_record
+from shj_bayes.inference.store import check_files, read_record
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.law import VARIANTS
 from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE
@@ -27,6 +29,7 @@ from shj_bayes.recording.recording import Recording
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
+from shj_bayes.suggest import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -67,10 +70,13 @@ class Options:
         """Refuse choices that no fit could take, before any device is read."""
         for word, value, allowed in (("model", self.model, VARIANTS), ("noise", self.noise, NOISE_PARAMETERS)):
             if value not in allowed:
-                raise ModelError(f"{word} '{value}' is not known; choose one of {', '.join(allowed)}")
+                raise ModelError(
+                    f"{word} '{value}' is not known; choose one of {', '.join(allowed)}{did_you_mean(value, allowed)}"
+                )
         wrong = [name for name in self.free if name not in SHAREABLE]
         if wrong:
-            raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}")
+            hint = did_you_mean(wrong[0], SHAREABLE)
+            raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}{hint}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,12 +127,15 @@ class DeviceResult:
         False when an earlier, unchanged result was found and kept.
     residual : str
         What the page says of the residual: nothing beyond noise, or where it has a structure.
+    note : str
+        Why an earlier result was not kept although it is of the same fit: which file was damaged.
     """
 
     folder: Path
     record: dict[str, Any]
     fresh: bool
     residual: str = ""
+    note: str = ""
 
     @property
     def text(self) -> str:
@@ -134,7 +143,7 @@ class DeviceResult:
         record = self.record
         lines = [f"{record['device']}: {record['verdict']}"]
         lines += [f"  {reason}" for reason in record["reasons"]]
-        lines += [f"  {self.residual}"] if self.residual else []
+        lines += [f"  {extra}" for extra in (self.residual, self.note) if extra]
         lines += ["", f"  {'':8}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in record["parameters"]:
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
@@ -146,7 +155,7 @@ class DeviceResult:
 
 
 def fit_device(
-    paths: Sequence[Path],
+    paths: Sequence[Path | Recording],
     folder: Path,
     options: Options,
     *,
@@ -160,8 +169,8 @@ def fit_device(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Consecutive runs, in the order they were made.
+    paths : sequence of Path or Recording
+        Consecutive runs, in the order they were made; as files, or as read.
     folder : Path
         Results folder.
     options : Options
@@ -183,10 +192,14 @@ def fit_device(
         If a recording cannot be used.
     """
     recordings = _usable(paths, options)
-    name = name or _default_name(recordings[0])
+    name = plain_name(name) if name else _default_name(recordings[0])
     priors = read_priors(options.priors)
-    key = _key([r.source.sha256 for r in recordings], options, priors.sha256, name)
-    finished = _finished(folder, key)
+    digests = [
+        _digest(recording) if isinstance(given, Recording) else recording.source.sha256
+        for given, recording in zip(paths, recordings, strict=True)
+    ]
+    key = _key(digests, options, priors.sha256, name)
+    finished, note = _finished(folder, key)
     if finished is None:
         problem = make_problem(recordings, priors=priors, noise=options.noise, free=options.free, variant=options.model)
         plan = Plan(seed=options.seed, max_steps=options.max_steps)
@@ -196,10 +209,10 @@ def fit_device(
             (folder / CHECKPOINT).unlink(missing_ok=True)
     else:
         fresh = False
-    if fresh or not (folder / "report.html").exists():
+    if fresh or _stale(folder):
         render_device(folder)
     left = read_residual(folder)
-    return DeviceResult(folder, finished, fresh, left[1] if left else "")
+    return DeviceResult(folder, finished, fresh, left[1] if left else "", note)
 
 
 def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
@@ -221,7 +234,8 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
     try:
         recording = read(path, **reading)
     except RecordingError as error:
-        return {"name": path.name, "usable": False, "error": str(error)}, f"{path.name}: NOT USABLE\n  {error}"
+        name = plain_text(path.name)
+        return {"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {error}"
     try:
         motion = motion_of(recording)
     except RecordingError:
@@ -230,7 +244,7 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
 
 
 def diagnose_device(
-    paths: Sequence[Path],
+    paths: Sequence[Path | Recording],
     folder: Path,
     options: Options,
     *,
@@ -259,7 +273,7 @@ def diagnose_device(
     DiagnosisResult
     """
     recordings = _usable(paths, options)
-    name = name or _default_name(recordings[0])
+    name = plain_name(name) if name else _default_name(recordings[0])
     problem = make_problem(recordings, priors=read_priors(options.priors), variant=options.model)
     diagnosis = diagnose(
         problem.runs,
@@ -288,9 +302,14 @@ def dep_words(row: dict[str, Any]) -> str:
     return f"  (dep {first:.4g} to {second:.4g} mm/s)"
 
 
-def _usable(paths: Sequence[Path], options: Options) -> list[Recording]:
-    """Read recordings; refuse those that must not be fitted."""
-    recordings = [read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz) for path in paths]
+def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recording]:
+    """Read recordings that are not read yet; refuse those that must not be fitted."""
+    recordings = [
+        path
+        if isinstance(path, Recording)
+        else read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
+        for path in paths
+    ]
     for recording in recordings:
         blocking = [f.message for f in recording.findings if f.severity == "unusable"]
         if blocking:
@@ -305,17 +324,31 @@ def _default_name(recording: Recording) -> str:
     )
 
 
+def _digest(recording: Recording) -> str:
+    """Digest of what a recording holds, for one that may have been changed since it was read."""
+    arrays = (recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
+    return hashlib.sha256(b"".join(np.asarray(values).tobytes() for values in arrays)).hexdigest()
+
+
 def _key(digests: list[str], options: Options, priors: str, name: str) -> str:
     """Digest of all that the result depends on."""
     content = [digests, asdict(options), priors, name, shj_bayes.__version__, sorted(BASE)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _finished(folder: Path, key: str) -> dict[str, Any] | None:
-    """Record of an unchanged finished fit, or None."""
+def _finished(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]:
+    """Record of an unchanged finished fit, or None; and, where files of a fit were damaged, which and how."""
+    if not (folder / "fit.json").exists():
+        return None, ""
     try:
         record = read_record(folder)
-    except InferenceError:
-        return None
-    complete = (folder / "posterior.nc").exists() and (folder / "summary.csv").exists()
-    return record if record.get("key") == key and complete else None
+        check_files(folder, record)
+    except InferenceError as error:
+        return None, f"done anew: {error}"
+    return (record, "") if record.get("key") == key else (None, "")
+
+
+def _stale(folder: Path) -> bool:
+    """Whether the page is missing or older than the fit, as after a process was killed between the two."""
+    page = folder / "report.html"
+    return not page.exists() or page.stat().st_mtime_ns < (folder / "fit.json").stat().st_mtime_ns

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from shj_bayes.campaign import Manifest, Outcome, campaign_record
+from shj_bayes.design import design_margins
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.compare import compare
-from shj_bayes.population.fits import device_from_fit
+from shj_bayes.population.compare import Comparison, compare
+from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.paper_claims import paper_claims
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.predict import new_device_table
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, to_json, write_population
+from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 
 SHOWN = ("Fy", "Fy_second", "ratio", "K", "gamma")
@@ -68,27 +70,48 @@ def summarise_campaign(
     record = campaign_record(manifest, outcomes)
     population = None
     if usable:
-        devices = [device_from_fit(folder / o.device.folder, o.device.name, o.device.set_name) for o in usable]
-        population = fit_population(devices, seed=seed, progress=progress)
+        places = [folder / o.device.folder for o in usable]
+        devices = [
+            device_from_fit(place, o.device.name, o.device.set_name, o.device.tags)
+            for place, o in zip(places, usable, strict=True)
+        ]
+        ranges = [tested_by_fit(place) for place in places]
+        population = replace(
+            fit_population(devices, seed=seed, progress=progress),
+            tested=common([r for r in ranges if r]) if all(ranges) else None,
+        )
         write_population(population, folder)
-        record["population"] = to_json(population)
-        lines += ["", band_text(population)]
+        design = design_margins(folder, population=population, progress=progress)
+        record["population"], record["margins"] = to_json(population), design.record
+        lines += ["", band_text(population), "", design.text()]
     page = render_campaign(folder, population)
-    return Summary(record, "\n".join([*lines, "", f"report: {page}"]), bool(usable))
+    return Summary(record, "\n".join([*lines, f"report: {page}"]), bool(usable))
 
 
 def summarise_tables(folder: Path, *, seed: int, progress: bool = False) -> Summary:
     """Pool the published tables and write their page; arguments as for `summarise_campaign`."""
-    population = fit_population(published_devices(), seed=seed, progress=progress)
+    population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
     claims = paper_claims()
     write_population(population, folder)
+    design = design_margins(folder, population=population, progress=progress)
     page = render_tables(folder, population, claims)
-    text = "\n".join([band_text(population), "", *(f"- {claim.sentence}" for claim in claims), "", f"report: {page}"])
-    return Summary({"population": to_json(population), "claims": [vars(claim) for claim in claims]}, text)
+    answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
+    text = "\n".join([band_text(population), "", *answers, "", design.text(), f"report: {page}"])
+    record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
+    return Summary(record, text)
 
 
-def compare_sets(folder: Path, set_a: str, set_b: str) -> tuple[dict[str, Any], str]:
-    """Compare two sets of a folder that `campaign` or `tables` wrote.
+def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.0) -> tuple[dict[str, Any], str]:
+    """Compare two sets, or two kinds of sets, of a folder that `campaign` or `tables` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    set_a, set_b : str
+        Names of sets, or kinds: coated, uncoated, corroded, uncorroded, "70 %".
+    rope_percent : float
+        Half-width of the region of practical equivalence, per cent.
 
     Returns
     -------
@@ -97,11 +120,37 @@ def compare_sets(folder: Path, set_a: str, set_b: str) -> tuple[dict[str, Any], 
     """
     if not folder.is_dir():
         raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
-    comparison = compare(load_population(folder), set_a, set_b)
+    comparison = compare(load_population(folder), set_a, set_b, rope=rope_percent / 100.0)
     table = comparison.to_table()
-    text = "\n".join(f"- {sentence}" for sentence in table["sentence"])
+    lines = [*comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
     rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
-    return {"schema": "shj-bayes/comparison/1", "set_a": set_a, "set_b": set_b, "contrasts": rows}, text
+    record = {
+        "schema": "shj-bayes/comparison/1",
+        "set_a": comparison.set_a,
+        "set_b": comparison.set_b,
+        "strata": comparison.strata,
+        "multiplicity": comparison.multiplicity,
+        "contrasts": rows,
+    }
+    return record, "\n".join([*lines, "", comparison.multiplicity])
+
+
+def comparison_lines(comparison: Comparison) -> list[str]:
+    """Comparison as a table of text, one line per quantity."""
+    head = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted", "Holm", "spread a/b")
+    lines = [f"a: {comparison.set_a}   b: {comparison.set_b}"]
+    lines.append(f"  {'':14}" + "".join(f"{word:>18}" if i < 2 else f"{word:>14}" for i, word in enumerate(head)))
+    for c in comparison.contrasts:
+        p = ["-" if x is None else f"{x:.3f}" for x in (c.tests.welch_p, c.tests.permutation_p, c.holm_p)]
+        cells = [c.probability_level, c.probability_rope, c.superiority]
+        unit = "" if c.unit == "1" else f" {c.unit}"
+        lines.append(
+            f"  {c.quantity + unit:14}{c.q50:>18.3g}{f'{c.q05:.3g} to {c.q95:.3g}':>18}"
+            + "".join(f"{x:>14.2f}" for x in cells)
+            + "".join(f"{x:>14}" for x in p)
+            + f"{c.spread_factor[1]:>14.2f}"
+        )
+    return lines
 
 
 def band_text(population: PopulationResult) -> str:

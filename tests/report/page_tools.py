@@ -1,5 +1,9 @@
 """What tests ask of a page, read as a browser would read it."""
 
+import base64
+import hashlib
+import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,13 +16,19 @@ class Page(HTMLParser):
         self.raw = path.read_text(encoding="utf-8")
         self.tags: list[tuple[str, dict[str, str]]] = []
         self.words: list[str] = []
+        self.code = False
         self.feed(self.raw)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.code = tag == "script"
         self.tags.append((tag, {key: value or "" for key, value in attrs}))
 
+    def handle_endtag(self, tag: str) -> None:
+        self.code = False
+
     def handle_data(self, data: str) -> None:
-        self.words.append(data)
+        if not self.code:
+            self.words.append(data)
 
     @property
     def text(self) -> str:
@@ -36,18 +46,34 @@ class Page(HTMLParser):
 
 _TAGS = (
     "html head meta title style body header main nav footer p h1 h2 h3 ul li div span strong small data a figure img "
-    "figcaption table caption thead tbody tr th td dl dt dd"
+    "figcaption table caption thead tbody tr th td dl dt dd details summary script noscript"
 )
 ALLOWED_TAGS = frozenset(_TAGS.split(" "))
 
 
+def check_scripts(page: Page, policy: str) -> None:
+    """The only script that can run is ours: its digest stands in the policy; all others are data."""
+    scripts = re.findall(r"<script([^>]*)>(.*?)</script>", page.raw, re.DOTALL)
+    assert len(scripts) == page.raw.count("<script")
+    code = [text for attributes, text in scripts if not attributes]
+    assert len(code) == 1
+    digest = base64.b64encode(hashlib.sha256(code[0].encode("utf-8")).digest()).decode("ascii")
+    assert f"script-src 'sha256-{digest}'" in policy
+    data = [(attributes, text) for attributes, text in scripts if attributes]
+    for attributes, text in data:
+        assert attributes == ' type="application/json" id="loops-data"'
+        assert "<" not in text
+        json.loads(text)
+
+
 def check_safe(page: Page) -> None:
-    """A page that loads nothing, runs nothing and describes its pictures."""
+    """A page that loads nothing, runs nothing but our script and describes its pictures."""
     assert {name for name, _ in page.tags} <= ALLOWED_TAGS
     assert not any(key.startswith("on") for _, attrs in page.tags for key in attrs)
     policy = next(m["content"] for m in page.all("meta") if m.get("http-equiv") == "Content-Security-Policy")
     assert "default-src 'none'" in policy
-    assert "script" not in policy
+    assert "unsafe" not in policy.replace("style-src 'unsafe-inline'", "")
+    check_scripts(page, policy)
     for image in page.all("img"):
         assert image["src"].startswith("data:image/")
         assert len(image["alt"]) > 20

@@ -29,7 +29,7 @@ PAGES = sorted(
     {
         *TOP.glob("*.md"),
         *(page for folder in FOLDERS for page in (TOP / folder).glob("*.md")),
-        *TOP.glob("docs/decisions/*.md"),
+        *TOP.glob("docs/*/*.md"),
         *TOP.glob("data/*/README.md"),
     }
 )

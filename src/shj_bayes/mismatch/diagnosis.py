@@ -202,11 +202,11 @@ def _posterior(
 ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     """Draws of the shown model: sampled with emcee, or from the jackknife over cycles in a quick look."""
     quick, progress, threads = how
+    spread = content.jackknife(evidence, fit)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+    near = content.natural(fit, fit.z + rng.standard_normal((2000, fit.z.size)) * spread)
     if quick:
-        spread = content.jackknife(evidence, fit)
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
-        z = fit.z + rng.standard_normal((2000, fit.z.size)) * spread
-        return content.natural(fit, z), {"how": "jackknife over cycles (first look)", "verdict": "tentative"}
+        return near, {"how": "jackknife over cycles (first look)", "verdict": "tentative"}
     thin = evidence_of(runs, SAMPLED)
     start = refit(thin, fit.model, [fit.z])
     draws, verdict = sample(
@@ -216,7 +216,8 @@ def _posterior(
         progress=progress,
         threads=threads,
     )
-    spread = content.jackknife(evidence, fit)
+    if verdict.word != "reliable":  # the mean of walkers on several hills is on none of them
+        return near, {"how": f"jackknife over cycles, as emcee did not settle in {STEPS} steps", "verdict": "tentative"}
     draws |= {
         name: _widened(draws[name], prior, float(least))
         for name, prior, least in zip(fit.model.names, fit.model.priors, spread, strict=True)

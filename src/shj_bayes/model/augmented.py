@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, combine
-from shj_bayes.model.effects.kernel import delayed, rate_free_force
+from shj_bayes.model.effects.kernel import rate_free_force
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
@@ -55,7 +55,7 @@ def force_with_effects(
         force = force + _surface(history, base, total, (share, delay, smooth), start_force_kN * share)
     force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * history.speed_mm_s) + total.added_kN
     if total.lag_s and late is None:
-        force = delayed(history.time_s, np.ascontiguousarray(force), total.lag_s)
+        force = np.interp(history.time_s - total.lag_s, history.time_s, force)
     return np.asarray(force)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from shj_bayes.errors import ReportError
+from shj_bayes.files import check_seal, read_json
 from shj_bayes.population.paper_claims import Claim
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.results import load_population
@@ -19,6 +19,7 @@ from shj_bayes.report.residual_file import read_residual
 from shj_bayes.report.sets import Interval
 from shj_bayes.report.sets_page import population_content, tested_motion
 
+MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
 
 
@@ -59,6 +60,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
         "verdicts": {w: sum(d["verdict"] == w for d in done) for w in ("reliable", "tentative", "unusable")},
         "n_structured": sum(bool(d["structured"]) for d in done),
         "population": population_content(population, intervals, motion) if population else None,
+        "margins": MARGINS if (folder / MARGINS).exists() else "",
     }
     return write_page(folder, "campaign.html", content)
 
@@ -88,6 +90,7 @@ def render_tables(folder: Path, population: PopulationResult, claims: Sequence[C
         ],
         "n_devices": sum(len(group.devices) for group in population.sets),
         "population": population_content(population, {}, PUBLISHED_MOTION),
+        "margins": MARGINS if (folder / MARGINS).exists() else "",
     }
     folder.mkdir(parents=True, exist_ok=True)
     return write_page(folder, "tables.html", content)
@@ -136,19 +139,22 @@ def safe_folder(place: str) -> bool:
 def _read_campaign(folder: Path) -> dict[str, Any]:
     path = folder / "campaign.json"
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = read_json(path, ReportError)
+        check_seal(record, path, ReportError)
         sets = [{"name": str(g["name"]), "devices": [dict(d) for d in g["devices"]]} for g in record["sets"]]
         return {"name": str(record["name"]), "simulated": record.get("simulated", False), "sets": sets}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, ReportError) as error:
         raise ReportError(f"{folder.name} holds no readable campaign.json ({error}); run shj-bayes campaign") from error
 
 
 def _parameters(place: Path) -> list[dict[str, Any]]:
     """Rows of ``summary.json``; none where it cannot be read."""
     try:
-        rows = json.loads((place / "summary.json").read_text(encoding="utf-8"))["parameters"]
-        return [row for row in rows if all(key in row for key in ("name", "sd", "q05", "q50", "q95"))]
-    except (OSError, ValueError, KeyError, TypeError):
+        rows = read_json(place / "summary.json", ReportError)["parameters"]
+        for row in rows:
+            row.update({key: float(row[key]) for key in ("sd", "q05", "q50", "q95")}, name=str(row["name"]))
+        return list(rows)
+    except (ReportError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return []
 
 

@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes.errors import ReportError
+from shj_bayes.files import damage_told
 from shj_bayes.model.parameters import describe
 from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
-from shj_bayes.report.page import write_page
+from shj_bayes.report.page import LOOPS, write_page
 from shj_bayes.report.residual_file import write_residual
+from shj_bayes.report.viewer import device_viewer, thinning_words
 
 
 def render_device(folder: Path) -> Path:
@@ -36,10 +39,14 @@ def render_device(folder: Path) -> Path:
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
     from shj_bayes.report.device_pictures import draw  # noqa: PLC0415
 
-    device = read_device(folder)
-    numbers = numbers_of(device)
-    write_residual(folder, numbers.structure)
-    return write_page(folder, "device.html", content(device, numbers) | {"pictures": draw(device, numbers)})
+    with damage_told(f"fit.json or posterior.nc in {folder.name}", ReportError):
+        device = read_device(folder)
+        numbers = numbers_of(device)
+        viewer = device_viewer(device, numbers)
+        moving = {"pictures": draw(device, numbers), "viewer": viewer, "thinning": thinning_words(viewer)}
+        filled = content(device, numbers) | moving
+        write_residual(folder, numbers.structure)
+        return write_page(folder, "device.html", filled, LOOPS)
 
 
 def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:

@@ -10,7 +10,9 @@ from typing import Any
 from shj_bayes.errors import ReportError
 from shj_bayes.report import diagnosis_words as say
 from shj_bayes.report.diagnosis_data import DiagnosisData, number, read_diagnosis
-from shj_bayes.report.page import write_page
+from shj_bayes.report.page import LOOPS, write_page
+from shj_bayes.report.page import PAGE as PAGE_OF_FIT
+from shj_bayes.report.viewer import diagnosis_viewer, thinning_words
 
 PAGE = "diagnosis.html"
 
@@ -39,14 +41,16 @@ def render_diagnosis(folder: Path) -> Path:
     data = read_diagnosis(folder)
     try:
         pictures = draw(data, parities(data))
-        filled = content(data) | {"pictures": pictures}
+        viewer = diagnosis_viewer(data)
+        filled = content(data) | {"pictures": pictures, "viewer": viewer, "thinning": thinning_words(viewer)}
+        filled["fit"] = PAGE_OF_FIT if (folder / PAGE_OF_FIT).exists() else ""
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise ReportError(
             f"diagnosis.json in {folder.name} cannot be shown, {type(error).__name__}: {error}; run diagnose again"
         ) from error
     # Beside the old page, then in its place: a reader never sees half a page.
     with TemporaryDirectory(dir=folder, prefix=".page-") as part:
-        os.replace(write_page(Path(part), "diagnosis.html", filled), folder / PAGE)
+        os.replace(write_page(Path(part), "diagnosis.html", filled, LOOPS), folder / PAGE)
     return folder / PAGE
 
 

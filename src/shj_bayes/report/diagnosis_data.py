@@ -30,8 +30,8 @@ class Channels:
 
     Parameters
     ----------
-    position_mm, speed_mm_s, slip_mm, travel_m : array
-        Displacement from mid-stroke, speed, distance since the last reversal, distance in all.
+    time_s, position_mm, speed_mm_s, slip_mm, travel_m : array
+        Time, displacement from mid-stroke, speed, distance since the last reversal, distance in all.
     direction : array of int
         +1 while displacement grows (push), -1 while it falls.
     run, block : array of int
@@ -42,6 +42,7 @@ class Channels:
         Measured, modelled by the base law, modelled by the law with what was found.
     """
 
+    time_s: FloatArray = field(repr=False)
     position_mm: FloatArray = field(repr=False)
     speed_mm_s: FloatArray = field(repr=False)
     slip_mm: FloatArray = field(repr=False)
@@ -133,7 +134,7 @@ def _read_channels(folder: Path) -> Channels:
             channels = Channels(
                 **{
                     name: np.asarray(data[name].to_numpy(), dtype=np.float64)
-                    for name in ("position_mm", "speed_mm_s", "slip_mm", "travel_m")
+                    for name in ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
                 },
                 direction=_whole(np.sign(data["direction"].to_numpy())),
                 run=_whole(data["run"].to_numpy()),

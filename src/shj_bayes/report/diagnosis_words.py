@@ -59,7 +59,9 @@ def first_lines(data: DiagnosisData) -> list[str]:
     """Sentences under the verdict: what was left out, its likely cause, what follows."""
     record = data.record
     if record.get("words"):
-        return [str(line) for line in record["words"][1:]]
+        lines = [str(line) for line in record["words"][1:]]
+        # Of several effects the first screen names each; their causes stand where each is described.
+        return lines if len(record["effects"]) < 2 else [line.partition(" Likely cause:")[0] for line in lines]
     out = [f"{e['statement']}{_cause(e)}" for e in record["effects"]]
     out += [f"Next test: {record['next_test']}"] if record.get("next_test") else []
     return out

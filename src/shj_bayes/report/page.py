@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 
 import shj_bayes
 from shj_bayes.files import write_text
 
 PAGE = "report.html"
+TABLES, LOOPS = ("sheet", "tables"), ("sheet", "tables", "loops")  # scripts of a page, in the order they run
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,41 @@ def _environment() -> jinja2.Environment:
     )
 
 
-def write_page(folder: Path, template: str, content: dict[str, Any]) -> Path:
+@cache
+def script(names: tuple[str, ...]) -> Markup:
+    """Scripts of this package as one text that may stand in a page as it is.
+
+    Indentation is left out, which takes a fifth off; there is no other minifier to trust.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Files of ``scripts``, without ending.
+
+    Returns
+    -------
+    Markup
+    """
+    sources = [(Path(__file__).parent / "scripts" / f"{name}.js").read_text(encoding="utf-8") for name in names]
+    return Markup("\n".join(line.strip() for source in sources for line in source.splitlines()))
+
+
+@cache
+def policy(text: Markup) -> Markup:
+    """Content-security policy of a page: no network at all, and no script but the one whose text has this digest.
+
+    Source: W3C Content Security Policy Level 3, section 8.4 (hash of the inline script's text, SHA-256, base64).
+    """
+    digest = base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+    return Markup(
+        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    )
+
+
+def write_page(
+    folder: Path, template: str, content: dict[str, Any], scripts: Sequence[str] = TABLES, *, name: str = PAGE
+) -> Path:
     """Fill a template and put the page into a folder, whole or not at all.
 
     Parameters
@@ -62,13 +101,19 @@ def write_page(folder: Path, template: str, content: dict[str, Any]) -> Path:
         Name of the template.
     content : dict
         What it needs.
+    scripts : sequence of str
+        Scripts that make it move; without them it is a plain page.
+    name : str
+        Name of the file.
 
     Returns
     -------
     Path
         The page.
     """
-    text = _environment().get_template(template).render(version=shj_bayes.__version__, **content)
-    path = folder / PAGE
+    code = script(tuple(scripts))
+    fixed = {"version": shj_bayes.__version__, "script": code, "policy": policy(code)}
+    text = _environment().get_template(template).render(**fixed, **content)
+    path = folder / name
     write_text(path, text)
     return path

@@ -6,7 +6,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from shj_bayes.files import write_text
+from shj_bayes.errors import ReportError
+from shj_bayes.files import read_json, write_text
 from shj_bayes.report import words
 from shj_bayes.report.residuals import Structure
 
@@ -27,7 +28,7 @@ def write_residual(folder: Path, structure: Structure) -> None:
 def read_residual(folder: Path) -> tuple[bool, str] | None:
     """Whether the residual of a device is structured, and the sentence; None where nothing was written."""
     try:
-        record = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        record = read_json(folder / FILE, ReportError)
         return bool(record["structured"]), str(record["statement"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ReportError, KeyError, TypeError):
         return None

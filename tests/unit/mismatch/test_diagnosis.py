@@ -106,7 +106,7 @@ def test_an_effect_outside_the_catalogue_is_unknown_with_its_period():
 
 
 def test_a_catalogue_without_the_effect_does_not_name_another_with_confidence():
-    record = quick(trials.simulate({"slack": {"size": 2.5}}, 7), without=("slack",)).record
+    record = quick(trials.simulate({"slack": {"size": 2.5, "softness": 0.1}}, 7), without=("slack",)).record
     assert record["verdict"] == "unknown"
 
 

@@ -153,22 +153,3 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
                 reset = _held(
                     _elastic(reach, reset, sense, stiffness, slack, take_up, delay), sense, capacity, beta, knee, smooth
                 )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def delayed(time, force, lag):  # type: ignore[no-untyped-def]
-    """Give the force of `lag` ago at each time, straight between samples; as `numpy.interp`, which looks for each."""
-    out = np.empty(force.size)
-    j = 0
-    for i in range(force.size):
-        t = time[i] - lag
-        while j > 0 and time[j] > t:
-            j -= 1
-        while j + 1 < force.size and time[j + 1] <= t:
-            j += 1
-        if t <= time[0] or j + 1 == force.size:
-            out[i] = force[0] if t <= time[0] else force[-1]
-        else:
-            slope = (force[j + 1] - force[j]) / (time[j + 1] - time[j])
-            out[i] = slope * (t - time[j]) + force[j]
-    return out

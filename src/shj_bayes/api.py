@@ -1,0 +1,360 @@
+"""The commands as functions, for scripts and notebooks: the same files, the same numbers.
+
+Every function writes a folder as the command of its name does, and gives it back as a value. Without a folder it works
+in a temporary one that lives as long as the value.
+"""
+
+from __future__ import annotations
+
+import shutil
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import arviz as az
+import pandas as pd
+
+from shj_bayes.campaign import Manifest, read_manifest, run_campaign
+from shj_bayes.errors import ReportError
+from shj_bayes.files import read_json
+from shj_bayes.inference.store import read_posterior, read_record
+from shj_bayes.pipeline import Options, diagnose_device, fit_device
+from shj_bayes.recording.recording import Recording
+from shj_bayes.report.browse import open_page, page_of
+from shj_bayes.summary import compare_sets, summarise_campaign, summarise_tables
+
+
+class _Held:
+    """A temporary folder that is removed with the last result that holds it.
+
+    ``tempfile.TemporaryDirectory`` does the same and warns that nobody closed it, which here is as it should be.
+    """
+
+    def __init__(self) -> None:
+        self.folder = Path(mkdtemp(prefix="shj-bayes-"))
+        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+
+
+Recordings = str | Path | Recording | Sequence[str | Path | Recording]
+
+
+@dataclass(frozen=True, eq=False)
+class _Result:
+    """A folder of results.
+
+    Parameters
+    ----------
+    folder : Path
+        Where its files are.
+    record : dict
+        What the command of the same name prints with ``--json``.
+    """
+
+    folder: Path
+    record: dict[str, Any] = field(repr=False)
+    _held: _Held | None = field(default=None, repr=False)
+
+    @property
+    def page(self) -> Path:
+        """The page of this result, one HTML file."""
+        return page_of(self.folder)
+
+    def open(self) -> bool:
+        """Open the page in the browser; False when there is none."""
+        return open_page(self.page)
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult(_Result):
+    """The posterior of one device; made by `fit` or `load`."""
+
+    @property
+    def verdict(self) -> str:
+        """``reliable``, ``tentative`` or ``unusable``."""
+        return str(self.record["verdict"])
+
+    @property
+    def summary(self) -> pd.DataFrame:
+        """Parameter table: one row each, indexed by name, with unit, mean, sd, quantiles and convergence."""
+        return pd.DataFrame(self.record["parameters"]).set_index("name")
+
+    @cached_property
+    def data(self) -> az.InferenceData:
+        """Posterior, priors and predictions as an ArviZ object; what is in it stands in the guide to results."""
+        return read_posterior(self.folder)
+
+    @property
+    def draws(self) -> pd.DataFrame:
+        """Posterior draws, shape (n_draws, n_parameters), one column for each parameter; ready for corner."""
+        names = list(self.summary.index)
+        posterior: Any = self.data
+        return pd.DataFrame({name: posterior.posterior[name].to_numpy().ravel() for name in names})
+
+    def _repr_html_(self) -> str:
+        reasons = "; ".join(self.record["reasons"])
+        columns = ["unit", "mean", "sd", "q05", "q95"]
+        table = self.summary[columns].to_html(float_format="{:.5g}".format)
+        return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b> ({escape(reasons)})</p>{table}"
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(_Result):
+    """What the law leaves out of one device; made by `diagnose` or `load`."""
+
+    @property
+    def page(self) -> Path:
+        """The diagnosis page."""
+        return page_of(self.folder, "diagnosis")
+
+    @property
+    def verdict(self) -> str:
+        """``adequate``, ``named``, ``family`` or ``unknown``."""
+        return str(self.record["verdict"])
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of the effects that were named."""
+        return tuple(str(effect["id"]) for effect in self.record["effects"])
+
+    @property
+    def candidates(self) -> pd.DataFrame:
+        """Every effect tried, indexed by id: its gain on held-out cycles, and why it was kept or dropped."""
+        return pd.DataFrame(self.record["candidates"]).set_index("id")
+
+    @property
+    def shift(self) -> pd.DataFrame:
+        """Mean and spread of every base parameter before and after, indexed by name."""
+        rows = {
+            name: {f"{key}_{when}": row[when][key] for when in ("before", "after") for key in ("mean", "sd")}
+            for name, row in self.record["shift"].items()
+        }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def _repr_html_(self) -> str:
+        words = " ".join(str(line) for line in self.record["words"])
+        table = self.shift.to_html(float_format="{:.5g}".format)
+        return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b>. {escape(words)}</p>{table}"
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignResult(_Result):
+    """Many devices and what they say about a new one; made by `Campaign.run`, `tables` or `load`."""
+
+    @cached_property
+    def bands(self) -> pd.DataFrame:
+        """Bands of a new device: one row for each set and quantity, the content of ``population.csv``."""
+        return pd.read_csv(self.folder / "population.csv")
+
+    @property
+    def devices(self) -> dict[tuple[str, str], FitResult]:
+        """Fits by (set, device); devices that failed are not among them."""
+        found = {}
+        for group in self.record.get("sets", ()):
+            for device in group["devices"]:
+                place = self.folder / str(device["folder"])
+                if device["status"] != "failed" and (place / "fit.json").is_file():
+                    found[str(group["name"]), str(device["name"])] = FitResult(place, read_record(place), self._held)
+        return found
+
+    def compare(self, set_a: str, set_b: str) -> pd.DataFrame:
+        """Compare two sets: one row for each quantity, with a sentence.
+
+        Raises
+        ------
+        PopulationError
+            If there is no such set; the message names the nearest.
+        """
+        return pd.DataFrame(compare_sets(self.folder, set_a, set_b)[0]["contrasts"])
+
+    def _repr_html_(self) -> str:
+        columns = ["set", "n_devices", "quantity", "unit", "q05", "q50", "q95"]
+        table = self.bands[columns].to_html(index=False, float_format="{:.4g}".format)
+        return f"<p><b>A new device of each set</b>: 5, 50 and 95 %</p>{table}"
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """A campaign as its manifest describes it.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Sets, devices and recordings.
+    """
+
+    manifest: Manifest
+
+    @classmethod
+    def read(cls, path: str | Path) -> Campaign:
+        """Read a manifest.
+
+        Raises
+        ------
+        CampaignError
+            With the table and the value at fault.
+        """
+        return cls(read_manifest(Path(path)))
+
+    def run(
+        self, out: str | Path | None = None, *, seed: int = 1, workers: int = 0, progress: bool = False
+    ) -> CampaignResult:
+        """Fit what is missing or changed, then pool, compare and write the page.
+
+        Parameters
+        ----------
+        out : str or Path, optional
+            Folder for the results.
+        seed : int
+            Seed of the population; devices have theirs in the manifest.
+        workers : int
+            Devices at the same time, 0 for one per processor. Where processes are spawned (Windows, macOS), a script
+            needs ``if __name__ == "__main__":`` around this call.
+        progress : bool
+            Show a progress bar.
+
+        Returns
+        -------
+        CampaignResult
+        """
+        folder, held = _place(out)
+        outcomes = run_campaign(self.manifest, folder, workers=workers, progress=progress)
+        result = summarise_campaign(self.manifest, outcomes, folder, seed=seed, progress=progress)
+        return CampaignResult(folder, result.record, held)
+
+
+def fit(
+    recordings: Recordings,
+    out: str | Path | None = None,
+    *,
+    name: str | None = None,
+    progress: bool = False,
+    threads: int = 0,
+    **options: Any,
+) -> FitResult:
+    """Sample the posterior of one device.
+
+    Parameters
+    ----------
+    recordings : path or Recording, or a sequence of them
+        Consecutive runs of one device, in the order they were made.
+    out : str or Path, optional
+        Folder for the results; an unchanged finished fit there is kept, an unfinished one gone on with.
+    name : str, optional
+        Name of the device; that of the first file by default.
+    progress : bool
+        Show a progress bar on standard error.
+    threads : int
+        Ensembles at the same time, 0 for one per processor.
+    **options
+        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps.
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    ShjError
+        If a recording cannot be used or an option is not known.
+    """
+    folder, held = _place(out)
+    shared = Options(**options)
+    result = fit_device(_listed(recordings), folder, shared, name=name, progress=progress, threads=threads)
+    return FitResult(folder, result.record, held)
+
+
+def diagnose(
+    recordings: Recordings,
+    out: str | Path | None = None,
+    *,
+    without: Sequence[str] = (),
+    name: str | None = None,
+    quick: bool = False,
+    progress: bool = False,
+    threads: int = 0,
+    **options: Any,
+) -> Diagnosis:
+    """Find what the law leaves out of one device.
+
+    Parameters
+    ----------
+    recordings, out, name, progress, threads, **options
+        As for `fit`.
+    without : sequence of str
+        ``velocity`` runs the law without speed dependence; other ids are not tried.
+    quick : bool
+        A first look with approximate intervals.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    ShjError
+        If a recording cannot be used or an effect is not known.
+    """
+    folder, held = _place(out)
+    shared = Options(**options)
+    result = diagnose_device(
+        _listed(recordings), folder, shared, without=without, name=name, quick=quick, progress=progress, threads=threads
+    )
+    return Diagnosis(folder, result.record, held)
+
+
+def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:
+    """Pool the published, rounded parameter tables alone; parameters as for `Campaign.run`.
+
+    Returns
+    -------
+    CampaignResult
+    """
+    folder, held = _place(out)
+    result = summarise_tables(folder, seed=seed, progress=progress)
+    return CampaignResult(folder, result.record, held)
+
+
+def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
+    """Read a finished result; of a folder that holds both a fit and a diagnosis, the fit.
+
+    Parameters
+    ----------
+    folder : str or Path
+        What was given to ``-o`` or ``out``.
+
+    Returns
+    -------
+    FitResult, Diagnosis or CampaignResult
+
+    Raises
+    ------
+    ReportError
+        If it holds no result.
+    """
+    place = Path(folder)
+    if (place / "fit.json").is_file():
+        return FitResult(place, read_record(place))
+    for name, kind in (("diagnosis", Diagnosis), ("campaign", CampaignResult), ("population", CampaignResult)):
+        if (place / f"{name}.json").is_file():
+            result: Diagnosis | CampaignResult = kind(place, read_json(place / f"{name}.json", ReportError))
+            return result
+    raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
+
+
+def _listed(recordings: Recordings) -> list[Path | Recording]:
+    """One recording or several, as a list."""
+    given = [recordings] if isinstance(recordings, str | Path | Recording) else recordings
+    return [Path(item) if isinstance(item, str) else item for item in given]
+
+
+def _place(out: str | Path | None) -> tuple[Path, _Held | None]:
+    """Folder of a result, and the temporary one that must be held on to."""
+    if out is not None:
+        return Path(out), None
+    held = _Held()
+    return held.folder, held

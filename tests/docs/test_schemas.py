@@ -1,0 +1,75 @@
+"""Files of results are what their JSON Schemas in docs/schemas say."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import shj_bayes
+from shj_bayes.report.residual_file import read_residual
+from shj_bayes.simulated import write_simulated
+
+jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
+TRUTH = {
+    "K": 18.0, "Fy": 80.0, "beta": 10.0, "dep_mm_s": 60.0, "ratio": 0.875, "sigma": 1.0, "phi": 0.8, "rate_Hz": 3.0,
+}  # fmt: skip
+
+
+def schema(name: str) -> dict[str, Any]:
+    return dict(json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8")))
+
+
+def check(file: Path) -> None:
+    jsonschema.Draft202012Validator(schema(file.stem)).validate(json.loads(file.read_text(encoding="utf-8")))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("files")
+    runs = [p.name for p in write_simulated(folder / "a", seed=3, **TRUTH) if p.suffix == ".csv"]
+    text = 'schema = "shj-bayes/campaign/1"\nname = "c"\n[defaults]\nmax_steps = 200\n[[set]]\nname = "s"\n'
+    text += f'[[set.device]]\nname = "d"\nrecordings = {json.dumps(runs)}\n'
+    text += '[[set.device]]\nname = "gone"\nrecordings = ["gone.csv"]\n'
+    (folder / "c.toml").write_text(text, encoding="utf-8")
+    shj_bayes.Campaign.read(folder / "c.toml").run(folder / "out", workers=1)
+    shj_bayes.diagnose([folder / name for name in runs], folder / "look", quick=True)
+    return folder
+
+
+@pytest.mark.parametrize("path", sorted(SCHEMAS.glob("*.json")), ids=lambda p: p.stem)
+def test_schemas_are_sound_and_refuse_nothing_in_particular(path: Path) -> None:
+    found = schema(path.name.partition(".")[0])
+    jsonschema.Draft202012Validator.check_schema(found)
+    assert list(jsonschema.Draft202012Validator(found).iter_errors({}))
+
+
+def test_fresh_files_are_as_described(results: Path) -> None:
+    device = next(p.parent for p in (results / "out").glob("devices/*/fit.json"))
+    assert read_residual(device)
+    files = [device / f"{name}.json" for name in ("fit", "summary", "residual")]
+    files += [
+        results / "out" / "campaign.json",
+        results / "out" / "population.json",
+        results / "look" / "diagnosis.json",
+    ]
+    assert {file.stem for file in files} == {p.name.partition(".")[0] for p in SCHEMAS.glob("*.json")}
+    for file in files:
+        check(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("fit", {"verdict": "splendid"}),
+        ("diagnosis", {"p_value": 1.5}),
+        ("campaign", {"sets": [{"name": "s"}]}),
+        ("summary", {"parameters": []}),
+    ],
+)
+def test_wrong_files_are_refused(results: Path, name: str, change: dict[str, Any]) -> None:
+    device = next(p.parent for p in (results / "out").glob("devices/*/fit.json"))
+    place = {"diagnosis": results / "look", "campaign": results / "out"}.get(name, device)
+    content = json.loads((place / f"{name}.json").read_text(encoding="utf-8")) | change
+    assert list(jsonschema.Draft202012Validator(schema(name)).iter_errors(content))
