@@ -23,6 +23,7 @@ from shj_bayes.simulated import write_simulated
 
 TOP = Path(__file__).resolve().parents[2]
 FENCE = re.compile(r"^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
+WORKERS = re.compile(r" --workers \d+")  # changes nothing but the time it takes
 FOLDERS = ("docs", "docs/guides", "docs/method", "docs/reference")
 # Pages whose commands need what only their own rooms make; test_documents holds them to the parser.
 APART = ("proof.md", "security.md", "speed.md")
@@ -68,7 +69,7 @@ def commands() -> list[str]:
     """Every command line of the documents and of the help, once, in an order in which each finds what it needs."""
     lines = [line for _, body in snippets("sh") for line in body.splitlines() if line.startswith("shj-bayes")]
     lines += [line for examples in EXAMPLES.values() for line in examples]
-    plain = {shlex.join(shlex.split(line, comments=True)[1:]) for line in lines}
+    plain = {shlex.join(shlex.split(WORKERS.sub("", line), comments=True)[1:]) for line in lines}
     known = {line for line in plain if line.split()[0] in main.commands}  # one to come has its examples already
     order = {name: place for place, name in enumerate(RUN_FIRST)}
     return sorted(known, key=lambda line: (order.get(line.split()[0], len(order)), line))
