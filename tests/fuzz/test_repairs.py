@@ -214,3 +214,11 @@ def test_an_unlikely_size_in_an_assumed_unit_is_refused_until_the_unit_is_stated
     assert right.usable
     compared(right, rtol=1e-6)
     assert read(path, units="s,mm,kN").usable  # said to be so: then it is so
+
+
+def test_milliseconds_stated_as_seconds_are_mentioned(tmp_path):
+    """A stated unit is believed, but hours of a device that hardly moves are worth a word."""
+    long = read(written(tmp_path, (ROWS * (1e3, 1, 1)).tolist()), units="time=s")
+    assert long.time_s[-1] > 36_000
+    assert [f.severity for f in long.findings if f.code == "time-long"] == ["warning"]
+    assert "time-long" not in {f.code for f in read(written(tmp_path, ROWS.tolist())).findings}

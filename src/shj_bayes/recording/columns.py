@@ -11,7 +11,7 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording.formula import Value, evaluate
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
-from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units
+from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units, role_of
 
 # Headers that mean the channel and nothing else; a header that merely contains one of the words is a weaker claim.
 _EXACT: dict[Role, set[str]] = {
@@ -21,8 +21,8 @@ _EXACT: dict[Role, set[str]] = {
 }
 _CONTAINS: dict[Role, tuple[str, ...]] = {
     "time": ("time",),
-    "displacement": ("displacement", "disp", "stroke", "slip", "lvdt", "deflection", "deformation"),
-    "force": ("force", "load"),
+    "displacement": ("displacement", "disp", "stroke", "slip", "lvdt", "deflection", "deformation", "weg", "hub"),
+    "force": ("force", "load", "kraft"),
 }
 _OPTION = re.compile(r"\s*(?P<role>\w+)\s*=(?P<what>.*)$", re.DOTALL)
 _HOW = "--columns time=...,displacement=...,force=... (column name, number, or a formula such as #7 - 49.087*#6)"
@@ -96,7 +96,7 @@ def choose(
             if text is not None
             else Value(column.values, (column,), True)
             if column
-            else _no(table, role)
+            else _no(table, role, asked)
         )
         chosen[role] = text if text is not None else (column.header or column.name if column else "")
     n = _length(values, table)
@@ -208,14 +208,30 @@ def _words(name: str) -> str:
     return " ".join(re.split(r"[\s_\-./]+", name.strip().lower())).strip()
 
 
-def _no(table: Table, role: Role) -> Value:
-    """Refuse a file in which a channel cannot be found."""
+def _no(table: Table, role: Role, asked: dict[Role, str]) -> Value:
+    """Refuse a file in which a channel cannot be found; say what would name all that are missing at once."""
     if role == "time" and "wf_increment" in table.scalars:
         return Value(np.asarray(table.scalars["wf_increment"]))
     what = "no time column" if role == "time" else f"no {role} column"
     header = "" if table.has_header else " and no header"
     rate = "; if it was sampled at a constant rate, give it with --rate HZ" if role == "time" else ""
-    raise RecordingError(f"{table.name}: {what}{header} found; {table.summary}; name it with {_HOW}{rate}")
+    likely = [f"{r}={n}" for r in ROLES if r not in asked and not _named(table, r) and (n := _by_unit(table, r))]
+    perhaps = f"; going by the units, perhaps --columns {','.join(likely)}" if likely else ""
+    raise RecordingError(f"{table.name}: {what}{header} found; {table.summary}; name it with {_HOW}{rate}{perhaps}")
+
+
+def _named(table: Table, role: Role) -> bool:
+    """Whether a header fits, or several do."""
+    try:
+        return by_header(table, role, []) is not None
+    except RecordingError:
+        return True
+
+
+def _by_unit(table: Table, role: Role) -> int:
+    """Give the number of the only column whose unit can only be that of a channel; 0 where none or several are."""
+    places = [i for i, c in enumerate(table.columns, start=1) if c.unit and role_of(c.unit) == role]
+    return places[0] if len(places) == 1 else 0
 
 
 def _check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:

@@ -105,6 +105,8 @@ def find_dialect(lines: list[str], name: str) -> Dialect:
 def header_of(above: list[str], dialect: Dialect) -> tuple[list[str], list[str | None], list[str]]:
     """Names, units and headers as written, from the lines above the numbers."""
     rows = [cells for cells in (dialect.cells(line)[: dialect.width] for line in above) if len(cells) == dialect.width]
+    while rows and _damaged(rows, dialect.decimal):
+        rows.pop()
     if not rows:
         return [""] * dialect.width, [None] * dialect.width, ["(no name)"] * dialect.width
     unit_row: list[str | None] = [None] * dialect.width
@@ -117,6 +119,13 @@ def header_of(above: list[str], dialect: Dialect) -> tuple[list[str], list[str |
         for cell, (_, own), unit in zip(rows[-1], pairs, units, strict=True)
     ]
     return [name for name, _ in pairs], units, written
+
+
+def _damaged(rows: list[list[str]], decimal: str) -> bool:
+    """Whether the last row is no header but the first sample with its readings lost: a number under names, or alone."""
+    numbers = [any(is_number(cell, decimal) for cell in cells) for cells in rows]
+    alone = all(cell == "" or is_number(cell, decimal) for cell in rows[-1])
+    return numbers[-1] and (alone or (len(rows) > 1 and not numbers[-2]))
 
 
 def numeric_width(cells: list[str], decimal: str) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.recording import FloatArray
 from shj_bayes.recording.tables import Column, Table
+from shj_bayes.suggest import did_you_mean
 
 _TOKEN = re.compile(
     r"""\s*(?:
@@ -172,8 +173,10 @@ def _factor(tokens: list[tuple[str, str]], position: int, text: str, table: Tabl
         return _column(_numbered(int(word), table)), position + 1
     found = _named(word, table)
     if found is None:
+        names = [column.name for column in table.columns]
+        hint = did_you_mean(text.strip(), names) or did_you_mean(word, names)
         raise RecordingError(
-            f"{table.name} has no column named {word!r}; {table.summary}; quote names with blanks, or use #3"
+            f"{table.name} has no column named {word!r}{hint}; {table.summary}; quote names with blanks, or use #3"
         )
     return found, position + 1
 

@@ -54,7 +54,7 @@ def motion_of(recording: Recording) -> Motion:
     # The second search works on the smoothed curve, so that its threshold may be as low as the noise that is left.
     threshold = max(REVERSAL_NOISE * curve.noise, floor)
     turns = hysteresis(curve.values, threshold)
-    turn_s, turn_mm = place(time, raw, curve.values, turns, noise, curve.kinks_s)
+    turn_s, turn_mm = place(time, raw, curve.values, curve.velocity, turns, noise, curve.kinks_s)
     start = _boundaries(time, turn_s)
     sign = first_direction(curve.values, turns)
     direction = sign * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
@@ -65,7 +65,7 @@ def motion_of(recording: Recording) -> Motion:
     speed = np.maximum(along * curve.velocity, 0.0)
     half_s, band = curve.half_width_s, curve.bandwidth_Hz
     method = (
-        f"local cubic over {2 * half_s[0]:.3g} s (fastest half-cycle) to {2 * half_s[1]:.3g} s (slowest), not across "
+        f"local quintic over {2 * half_s[0]:.3g} s (fastest half-cycle) to {2 * half_s[1]:.3g} s (slowest), not across "
         f"{curve.kinks_s.size} corners; speed -3 dB at {band[1]:.3g} to {band[0]:.3g} Hz; "
         f"reversals by {threshold:.3g} mm hysteresis, placed by a quartic"
     )

@@ -49,6 +49,7 @@ MAX_DURATION_S = 7 * 86_400.0  # a week
 ASSUMED_STROKE_MM = (1.0, 1_000.0)  # metres read as mm end below: a stroke of 0.19
 ASSUMED_FORCE_KN = (0.1, 5_000.0)  # MN read as kN end below, newtons of most devices above
 ASSUMED_SPEED_MM_S = (0.05, 5_000.0)  # mean; milliseconds read as seconds end below
+LONG_TEST_S = 36_000.0  # ten hours, and slower than the above: mentioned even where the file states the unit
 
 # --- sign, order of columns, offset, lag, cycles ---
 SIGN_SHARE = 0.2  # friction dissipates: the loop area must be at least this share of (range x range), of either sign
@@ -69,6 +70,7 @@ REVERSAL_RANGE = 0.005  # share of the displacement range: rests and control hun
 REVERSAL_COUNTS = 3.0  # encoder counts: a resting encoder toggles between two
 BIAS_RANGE = 1e-4  # share of the range that no loop shows; a bias below it (and four times the noise) is accepted
 BIAS_SHARE = 0.25  # a window is too wide when smoothing moves the curve by this share of the noise
+LOCAL_SD = 4.0  # a wider window is refused where its curve leaves a narrower one by this many standard deviations
 SHORTEST_SHARE = 0.2  # half-window over the shortest half-cycle: a sine keeps its peak to 0.06 % and its speed to 0.1 %
 UNSURE_SD = 3.0  # standard deviations of the turning time within which a sample may lie on either side
 UNSURE_SHARE = 0.1  # of the shorter neighbouring half-cycle: no more than this is ever left out

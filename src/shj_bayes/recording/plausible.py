@@ -13,6 +13,7 @@ from shj_bayes.recording.limits import (
     ASSUMED_FORCE_KN,
     ASSUMED_SPEED_MM_S,
     ASSUMED_STROKE_MM,
+    LONG_TEST_S,
     SWAPPED_BURSTS,
     SWAPPED_ROUGHNESS,
 )
@@ -55,6 +56,13 @@ def plausibility_findings(
                 "unit that is"
             )
             findings.append(Finding("unit-unlikely", "unusable", message))
+    duration = float(time_s[-1] - time_s[0])
+    if "time" not in channels.assumed and speed < ASSUMED_SPEED_MM_S[0] and duration > LONG_TEST_S:
+        message = (
+            f"the test lasts {duration / 3600:.3g} h at a mean speed of {speed:.2g} mm/s; if the times are "
+            "milliseconds, give --units time=ms"
+        )
+        findings.append(Finding("time-long", "warning", message))
     return findings + _swapped(channels, displacement_mm, force_kN)
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from shj_bayes.recording.recording import FloatArray
 
 _NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans: a sine within 0.71 rad of its peak
 _MIN_POINTS = 9
 _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
+_AT_REST = 5.0  # standard deviations of a sample from the level of a rest
+_MOST = 0.5  # share of the samples near an extreme that stand still when it is a rest
 _POOR = 1.5  # a fit whose residual is this many times the noise is no smooth peak (a corner or a rest)
 
 
@@ -73,18 +76,24 @@ def first_direction(values: FloatArray, turns: list[int]) -> int:
 
 
 def place(
-    time_s: FloatArray, raw: FloatArray, smoothed: FloatArray, turns: list[int], noise: float, kinks_s: FloatArray
+    time_s: FloatArray,
+    raw: FloatArray,
+    smoothed: FloatArray,
+    velocity: FloatArray,
+    turns: list[int],
+    noise: float,
+    kinks_s: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Give every reversal its turning time and turning displacement.
 
     A quartic in time is fitted around each extreme, over an eighth of the shorter neighbouring stroke. Where it does
-    not fit (a corner, a rest), the smoothed curve, which stops at corners, gives the displacement, and the time is
-    that at which the motion back begins.
+    not fit, there may be a corner, or a rest, whose level is the median of its samples and which ends when the motion
+    back begins; else the smoothed curve gives time and displacement, between the samples too.
 
     Parameters
     ----------
-    time_s, raw, smoothed : array, shape (n_samples,)
-        Time, displacement as measured and as smoothed.
+    time_s, raw, smoothed, velocity : array, shape (n_samples,)
+        Time, displacement as measured and as smoothed, velocity of the latter.
     turns : list of int
         Indices of the reversals in the smoothed displacement.
     noise : float
@@ -101,10 +110,12 @@ def place(
     for k, index in enumerate(turns):
         before, after = edges[k], edges[k + 2]
         lo, hi = _neighbourhood(smoothed, before, index, after)
-        times[k], places[k] = _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
-        if not np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
-            fitted = _quartic(time_s, raw, lo, hi, noise, peak=smoothed[index] > smoothed[before])
-            times[k], places[k] = fitted or (times[k], places[k])
+        peak = bool(smoothed[index] > smoothed[before])
+        if np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
+            found = _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
+        else:
+            found = _quartic(time_s, raw, lo, hi, noise, peak) or _rest(time_s, raw, smoothed, (lo, index, hi), noise)
+        times[k], places[k] = found or _between_samples(time_s, smoothed, velocity, (lo, index, hi), peak)
     return times, places
 
 
@@ -141,6 +152,42 @@ def _quartic(
     return float(middle + span * fine[best]), float(curve[best])
 
 
+def _rest(
+    time_s: FloatArray, raw: FloatArray, smoothed: FloatArray, around: tuple[int, int, int], noise: float
+) -> tuple[float, float] | None:
+    """End and level of a rest that was eased into, without corners; None when the samples near the extreme are few.
+
+    The smoothed extreme of a long rest is that of its noise, several standard deviations beyond where the device stood.
+    """
+    lo, index, hi = around
+    level = float(smoothed[index])
+    for _ in range(3):
+        away = np.flatnonzero(np.abs(smoothed[lo : hi + 1] - level) > _AT_REST * noise) + lo
+        first = int(away[away < index][-1]) + 1 if np.any(away < index) else lo
+        last = int(away[away > index][0]) - 1 if np.any(away > index) else hi
+        level = float(np.median(raw[first : last + 1]))
+    if last - first + 1 < _MIN_POINTS or last - first < _MOST * (hi - lo):
+        return None
+    return float(time_s[last]), level
+
+
+def _between_samples(
+    time_s: FloatArray, smoothed: FloatArray, velocity: FloatArray, around: tuple[int, int, int], peak: bool
+) -> tuple[float, float]:
+    """Extreme of the cubic through the smoothed positions and velocities next to the extreme sample.
+
+    At nine samples a half-cycle the extreme sample itself is up to 1.4 % of the amplitude short of the turning point.
+    """
+    lo, index, hi = around
+    near = slice(max(lo, index - 1), min(hi, index + 1) + 1)
+    if near.stop - near.start < 2:
+        return float(time_s[index]), float(smoothed[index])
+    fine = np.linspace(time_s[near.start], time_s[near.stop - 1], 201)
+    curve = CubicHermiteSpline(time_s[near], smoothed[near], velocity[near])(fine)
+    best = int(np.argmax(curve) if peak else np.argmin(curve))
+    return float(fine[best]), float(curve[best])
+
+
 def _corner(
     time_s: FloatArray,
     raw: FloatArray,
@@ -148,14 +195,14 @@ def _corner(
     around: tuple[int, int, int],
     noise: float,
     kinks_s: FloatArray,
-) -> tuple[float, float]:
-    """Place the turning point at a corner or after a rest: the last corner nearby, else the extreme itself."""
+) -> tuple[float, float] | None:
+    """Place the turning point at a corner or after a rest between two; None when no corner is at the extreme."""
     lo, index, hi = around
     near = kinks_s[(kinks_s >= time_s[lo]) & (kinks_s <= time_s[hi])]
     level = np.interp(near, time_s, smoothed)
     close = near[np.abs(level - smoothed[index]) <= max(5 * noise, 1e-3 * float(np.ptp(raw)))]
     if close.size == 0:
-        return float(time_s[index]), float(smoothed[index])
+        return None
     rest = (time_s >= close[0]) & (time_s <= close[-1])
     if np.count_nonzero(rest) >= _MIN_POINTS:
         return float(close[-1]), float(np.median(raw[rest]))

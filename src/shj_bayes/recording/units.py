@@ -154,6 +154,8 @@ def _refusal(text: str, role: Role, known: bool) -> str:
     allowed = _EXAMPLES[role]
     near = difflib.get_close_matches(text, [*allowed, *_ALIASES], n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]!r}?" if near and near[0] != text else ""
+    if known:  # of another channel: not a slip of the pen but a wrong header, or two columns exchanged
+        hint = f"; where the header is wrong, say what the numbers are with --units {role}={TARGET[role]}"
     what = "is a unit, but not of" if known else "is no known unit of"
     electrical = text.lower() in {"v", "mv", "volt", "volts"}
     advice = (

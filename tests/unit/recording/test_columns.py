@@ -66,6 +66,24 @@ def test_missing_and_ambiguous_columns(headers, words):
         assert word in str(caught.value)
 
 
+def test_a_missing_column_is_suggested_by_its_unit():
+    with pytest.raises(RecordingError, match=r"perhaps --columns displacement=2,force=3$"):
+        choose(table("Zeit (ms)", "Ankerplatte (mm)", "Dose (kN)"))
+    with pytest.raises(RecordingError) as caught:
+        choose(table("time (s)", "left (mm)", "right (mm)", "load (kN)"))
+    assert "perhaps" not in str(caught.value)
+
+
+def test_a_misspelt_column_is_answered_with_the_nearest():
+    with pytest.raises(RecordingError, match="did you mean 'Weg Traverse'"):
+        choose(table("Zeit (ms)", "Weg Traverse (mm)", "Kraft (kN)"), "displacement=Weg Travers")
+
+
+def test_a_unit_of_another_channel_asks_for_the_true_one():
+    with pytest.raises(RecordingError, match="say what the numbers are with --units displacement=mm"):
+        choose(table("time (s)", "force (kN)", "displacement (mm)"), "displacement=2,force=3")
+
+
 def test_numbers_formulas_and_steps():
     plain = table(*"abcdefg", has_header=False)
     found = choose(plain, "time=1,displacement=5,force=#7 - 49.087*#6", "ms,mm,N")

@@ -51,6 +51,15 @@ def test_text_dialects(tmp_path, small, separator, decimal, head, encoding):
     assert ("decimal-comma" in {f.code for f in recording.findings}) == (decimal == ",")
 
 
+@pytest.mark.parametrize("first", ["0.0,,", "0.0,nan,OVERLOAD"])
+def test_a_first_sample_with_its_readings_lost_is_no_header(tmp_path, small, first):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{HEAD}\n{first}\n" + "".join(line + "\n" for line in lines(small).splitlines()[1:]))
+    recording = read(path)
+    assert recording.time_s[0] == small.time_s[1]
+    np.testing.assert_array_equal(recording.force_kN, small.force_kN[1:])
+
+
 def test_units_row_preamble_and_trailing_notes(tmp_path, small):
     path = tmp_path / "run.txt"
     path.write_text(
