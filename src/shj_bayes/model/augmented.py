@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, combine
-from shj_bayes.model.effects.kernel import rate_free_force
+from shj_bayes.model.effects.kernel import limit_rise, rate_free_force
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
@@ -48,11 +48,11 @@ def force_with_effects(
     if late is not None:  # the law on the motion of a moment ago: the force itself has corners that thinning would cut
         history = late
         total = combine([effect.act(history, values[effect.id], base) for effect in effects])
-    share, delay = total.second_surface
+    share, gap, stiffness = total.second_surface
     smooth = 1.0 if variant == "continuous" else total.smooth_reversal
-    force = _surface(history, base, total, (1.0 - share, 0.0, smooth), start_force_kN * (1.0 - share))
+    force = _surface(history, base, total, (1.0 - share, 0.0, 1.0 - share, smooth), start_force_kN * (1.0 - share))
     if share > 0:
-        force = force + _surface(history, base, total, (share, delay, smooth), start_force_kN * share)
+        force = force + _surface(history, base, total, (share, gap, stiffness * share, smooth), start_force_kN * share)
     force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * history.speed_mm_s) + total.added_kN
     if total.lag_s and late is None:
         force = np.interp(history.time_s - total.lag_s, history.time_s, force)
@@ -60,22 +60,24 @@ def force_with_effects(
 
 
 def _surface(
-    history: History, base: Base, total: Contribution, surface: tuple[float, float, float], start_force: float
+    history: History, base: Base, total: Contribution, surface: tuple[float, float, float, float], start_force: float
 ) -> FloatArray:
-    """Rate-free force of one sliding surface that carries a share of stiffness and capacity."""
-    share, delay, smooth = surface
+    """Rate-free force of one sliding surface that carries a share of capacity and of stiffness behind a gap."""
+    share, gap, stiffness, smooth = surface
     motion = history.motion
     out = np.empty(motion.displacement_mm.size)
-    clamping = np.ascontiguousarray(np.broadcast_to(total.clamping, out.shape), dtype=np.float64)
+    clamping = np.array(np.broadcast_to(total.clamping, out.shape), dtype=np.float64)
+    if np.ndim(total.clamping):
+        limit_rise(clamping, history.moved_mm, base.K / base.Fy)
     rate_free_force(
         out,
         motion.displacement_mm,
         motion.start,
         motion.turning_mm,
         motion.direction,
-        np.array([base.K * share, base.Fy * share, base.beta]),
+        np.array([base.K * stiffness, base.Fy * share, base.beta]),
         clamping,
-        np.array([total.slack_mm, total.take_up_mm, delay, total.compliance_mm_per_kN / max(share, 1e-12), smooth]),
+        np.array([total.slack_mm + gap, total.take_up_mm, total.compliance_mm_per_kN / max(share, 1e-12), smooth]),
         start_force,
     )
     return out

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
+
+STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +79,31 @@ class History:
     def speed_mm_s(self) -> FloatArray:
         """Speed, mm/s."""
         return self.motion.speed_mm_s
+
+    def thinned(self, keep: NDArray[np.int64], motion: Motion) -> History:
+        """History at some of its samples; `motion` is that of these."""
+        return replace(self, motion=motion, **{name: getattr(self, name)[keep] for name in ARRAYS})
+
+    @cached_property
+    def course(self) -> CubicHermiteSpline:
+        """Displacement over time between the samples, mm; through their speeds as well, so that few samples do."""
+        return CubicHermiteSpline(self.time_s, self.motion.displacement_mm, self.direction * self.speed_mm_s)
+
+    @cached_property
+    def moved_mm(self) -> FloatArray:
+        """Distance moved since the sample before, mm."""
+        return np.maximum(np.diff(1000.0 * self.travel_m, prepend=1000.0 * self.travel_m[0]), 0.0)
+
+    @cached_property
+    def turn_s(self) -> FloatArray:
+        """Time at which each half-cycle but the first begins, between its first sample and the one before, s."""
+        first = self.motion.start[1:-1]
+        before, after = self.speed_mm_s[first - 1], self.speed_mm_s[first]
+        step = self.time_s[first] - self.time_s[first - 1]
+        # At constant acceleration; after a rest the half-cycle begins when the motion does.
+        rested = before < STANDING * self.peak_speed_mm_s
+        share = np.where(rested, 1.0, before / np.maximum(before + after, 1e-300))
+        return np.asarray(self.time_s[first - 1] + share * step)
 
     @property
     def normal_position(self) -> FloatArray:
@@ -161,24 +191,29 @@ def delayed(history: History, lag_s: float) -> History | None:
     """
     motion, time = history.motion, history.time_s
     then = time - lag_s
-    start = np.searchsorted(then, time[motion.start[:-1]])
-    start = np.append(np.maximum(start, 0), time.size)
-    start[0] = 0
+    start = np.concatenate([[0], np.searchsorted(then, history.turn_s), [time.size]]).astype(np.int64)
     if np.any(np.diff(start) <= 0):
         return None
+    index = np.repeat(np.arange(start.size - 1), np.diff(start))
+    sense, origin = motion.direction[index].astype(np.float64), motion.turning_mm[index]
+    clipped = np.clip(then, time[0], time[-1])
+    slipped = np.maximum(sense * (history.course(clipped) - origin), 0.0)
+    own = slice(0, int(start[1]))  # the first half-cycle may begin with a rest on either side of its origin
+    slipped[own] = sense[own] * (history.course(clipped[own]) - origin[own])
     moved = Motion(
-        displacement_mm=np.interp(then, time, motion.displacement_mm),
-        speed_mm_s=np.interp(then, time, motion.speed_mm_s),
+        displacement_mm=origin + sense * slipped,
+        speed_mm_s=np.maximum(sense * history.course(clipped, 1), 0.0),
         start=start,
         turning_mm=motion.turning_mm,
         direction=motion.direction,
     )
-    index, first = moved.half_cycle, motion.start[:-1]
+    first = motion.start[:-1]
+    middle = motion.displacement_mm[0] - history.position_mm[0]
     return replace(
         history,
         motion=moved,
-        position_mm=np.interp(then, time, history.position_mm),
-        direction=motion.direction[index].astype(np.float64),
+        position_mm=moved.displacement_mm - middle,
+        direction=sense,
         slip_mm=np.abs(moved.displacement_mm - moved.turning_mm[index]),
         travel_m=np.interp(then, time, history.travel_m),
         amplitude_mm=history.amplitude_mm[first][index],
@@ -188,9 +223,9 @@ def delayed(history: History, lag_s: float) -> History | None:
 
 
 def _rest(time: FloatArray, motion: Motion, peak: float) -> FloatArray:
-    """Time below a twentieth of the peak speed around the start of each half-cycle, shape (n_half,), s."""
+    """Time near standstill around the start of each half-cycle, shape (n_half,), s."""
     step = np.append(np.diff(time), 0.0)
-    slow = np.concatenate([[0.0], np.cumsum(np.where(motion.speed_mm_s < 0.05 * peak, step, 0.0))])
+    slow = np.concatenate([[0.0], np.cumsum(np.where(motion.speed_mm_s < STANDING * peak, step, 0.0))])
     # From mid-stroke to mid-stroke, counted in displacement: half of the samples of a half-cycle may lie in one pause.
     ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
     passed = np.abs(motion.displacement_mm - motion.turning_mm[motion.half_cycle]) >= (

@@ -47,7 +47,8 @@ def test_wear_goes_on_where_the_first_run_ended():
 
 def test_drift_and_bedding_in_go_on_too():
     first, second = two_runs()
-    drift = [catalogue()["drift"].act(h, {"size": 0.05}, b).added_kN for h, b in zip(two_runs(), BASES, strict=True)]
+    values = {"size": 0.05, "warming": 2.0}
+    drift = [catalogue()["drift"].act(h, values, b).added_kN for h, b in zip(two_runs(), BASES, strict=True)]
     assert drift[1][0] == pytest.approx(drift[0][-1]) == pytest.approx(0.05 * 80.0)
     rise = [clamping("bedding_in", h, size=0.2, travel=0.3) for h in (first, second)]
     assert rise[1][0] == pytest.approx(rise[0][-1], rel=1e-3)
@@ -55,7 +56,7 @@ def test_drift_and_bedding_in_go_on_too():
 
 def test_heat_leaves_in_a_rest_and_wear_does_not():
     history, before, after = with_pause(600.0)
-    warm = clamping("thermal", history, size=0.2, cooling=100.0)
+    warm = clamping("thermal", history, size=0.2, cooling=100.0, spread=0.5)
     assert warm[0] == 1.0
     assert warm[before] < 0.98
     assert 1 - warm[after] == pytest.approx((1 - warm[before]) * np.exp(-6.0), rel=0.02)
@@ -67,14 +68,15 @@ def test_heat_does_not_depend_on_the_sampling():
     even = exact_motion(BLOCKS, 10.0)
     fine = exact_motion(BLOCKS, 40.0)
     a, b = (histories([time], [motion])[0] for time, motion in (even, fine))
-    coarse, dense = (clamping("thermal", h, size=0.2, cooling=60.0) for h in (a, b))
+    coarse, dense = (clamping("thermal", h, size=0.2, cooling=60.0, spread=0.5) for h in (a, b))
     np.testing.assert_allclose(np.interp(a.time_s, b.time_s, dense), coarse, atol=5e-4)
 
 
 def test_a_weaker_run_heats_less():
     first, second = two_runs()
     hot, mild = (
-        1 - clamping("thermal", h, b, size=0.2, cooling=60.0) for h, b in zip((first, second), BASES, strict=True)
+        1 - clamping("thermal", h, b, size=0.2, cooling=60.0, spread=0.5)
+        for h, b in zip((first, second), BASES, strict=True)
     )
     np.testing.assert_allclose(mild, 0.75 * hot, rtol=1e-9)
 

@@ -59,7 +59,7 @@ def test_free_density_is_the_natural_one_with_its_jacobian(prior: Prior) -> None
 def test_there_and_back(prior: Prior) -> None:
     x = scipy_law(prior).ppf(np.linspace(0.001, 0.999, 101))
     np.testing.assert_allclose(prior.from_free(prior.to_free(x)), x, rtol=1e-12, atol=1e-15)
-    z = np.linspace(-8, 8, 101)
+    z = np.linspace(-5, 5, 101)  # further out the upper end of a bounded law is near 1 to double precision
     np.testing.assert_allclose(prior.to_free(prior.from_free(z)), z, rtol=1e-9, atol=1e-9)
     assert np.all(np.diff(prior.from_free(z)) > 0)
 
@@ -70,8 +70,6 @@ def test_draws_have_the_quantiles(prior: Prior) -> None:
     assert stats.kstest(draws, scipy_law(prior).cdf).pvalue > 1e-3
     # and drawing in the free space is drawing from the same law
     z = np.random.default_rng(4).standard_normal(20_000)
-    if prior.law in ("uniform", "loguniform"):
-        z = np.random.default_rng(4).logistic(size=20_000)
     assert stats.kstest(prior.from_free(z), scipy_law(prior).cdf).pvalue > 1e-3
 
 

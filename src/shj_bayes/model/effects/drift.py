@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Add a share of Fy_first, growing with time and going on from run to run."""
-    clock = history.run - 1 + history.time_s / history.time_s[-1]
-    return Contribution(added_kN=base.Fy_first * values["size"] * clock)
+    """Add a share of Fy_first, growing with time, slower and slower, and going on from run to run."""
+    clock, warming = history.run - 1 + history.time_s / history.time_s[-1], values["warming"]
+    return Contribution(added_kN=base.Fy_first * values["size"] * np.expm1(-clock / warming) / np.expm1(-1.0 / warming))
 
 
 EFFECT = Effect(
     id="drift",
     family="slow_change",
     title="Force channel drifts",
-    statement="The force reading drifts by {size:+.1%} of Fy per run; zero the load cell and subtract the drift.",
-    equation="F -> F + c Fy1 (n_run - 1 + t/T)",
+    statement="The force reading drifts by {size:+.1%} of Fy in a run; zero the load cell and subtract the drift.",
+    equation="F -> F + c Fy1 (1 - exp(-n/w))/(1 - exp(-1/w)), n = n_run - 1 + t/T; a straight line for w -> inf",
     cause="Warming amplifier or load cell, a slipping grip, or weight that shifts.",
     shows="Push and pull plateaus that move the same way with time, so that the loop travels up or down.",
     next_test="Read the load cell unloaded before and after the run.",
     parameters=(
-        Prior("size", "1", "normal", 0.0, 0.1, "Per run, share of Fy_first; a sound load cell drifts below 0.01."),
+        Prior("size", "1", "normal", 0.0, 0.1, "In the first run, of Fy_first; a sound load cell drifts below 0.01."),
+        Prior("warming", "1", "loguniform", 0.2, 50.0, "In runs: amplifiers warm up in minutes to an hour."),
     ),
     neutral={"size": 0.0},
     act=act,
     source="DOMAIN E17.",
-    start={"size": (0.02,)},
+    start={"size": (0.02,), "warming": (0.5, 5.0)},
 )

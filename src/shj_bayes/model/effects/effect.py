@@ -46,7 +46,8 @@ class Contribution:
     gamma_s_per_mm : float
         Added to gamma of Eq. (2).
     second_surface : tuple of float
-        Share of the capacity on a second sliding surface, and the travel (mm) after which it follows.
+        Share of the capacity on a second sliding surface, the clearance (mm) that it crosses at zero force, and its
+        stiffness over that share of K.
     """
 
     clamping: FloatArray | float = 1.0
@@ -57,7 +58,7 @@ class Contribution:
     lag_s: float = 0.0
     smooth_reversal: float = 0.0
     gamma_s_per_mm: float = 0.0
-    second_surface: tuple[float, float] = (0.0, 0.0)
+    second_surface: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -159,5 +160,5 @@ def combine(contributions: list[Contribution]) -> Contribution:
         lag_s=sum(c.lag_s for c in contributions),
         smooth_reversal=min(1.0, sum(c.smooth_reversal for c in contributions)),
         gamma_s_per_mm=sum(c.gamma_s_per_mm for c in contributions),
-        second_surface=second[0] if second else (0.0, 0.0),
+        second_surface=second[0] if second else (0.0, 0.0, 1.0),
     )

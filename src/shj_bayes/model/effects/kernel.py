@@ -1,4 +1,4 @@
-"""Compiled law with effects: Eq. (1) with a capacity that changes, slack, delay, compliance and a reversal rule."""
+"""Compiled law with effects: Eq. (1) with a capacity that changes, slack, compliance and a reversal rule."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def _held(e, sense, capacity, beta, knee, smooth):  # type: ignore[no-untyped-de
 
 
 @njit(error_model="numpy", fastmath={"contract"})
-def _elastic(distance, reset, sense, stiffness, slack, take_up, delay):  # type: ignore[no-untyped-def]
-    """Elastic force after a distance since the reversal, with free travel at zero force and a delayed start."""
-    e = reset + stiffness * sense * max(distance - delay, 0.0)
+def _elastic(distance, reset, sense, stiffness, slack, take_up):  # type: ignore[no-untyped-def]
+    """Elastic force after a distance since the reversal, with free travel at zero force."""
+    e = reset + stiffness * sense * max(distance, 0.0)
     along = e * sense
     if along > 0.0 and reset * sense <= 0.0:  # the gap opens only when the force comes down to zero on the way
         past = along - stiffness * slack
@@ -39,14 +39,12 @@ def _elastic(distance, reset, sense, stiffness, slack, take_up, delay):  # type:
 @njit(error_model="numpy", fastmath={"contract"})
 def _in_series(distance, reset, sense, law, capacity, knee, parts, guess):  # type: ignore[no-untyped-def]
     """Force of the device behind an elastic part: the device moves by the distance less what the part takes up."""
-    slack, take_up, delay, compliance, smooth = parts[0], parts[1], parts[2], parts[3], parts[4]
+    slack, take_up, compliance, smooth = parts[0], parts[1], parts[2], parts[3]
     low, high = -4.0 * capacity - abs(reset), 4.0 * capacity + abs(reset)
     f = guess
     for _ in range(60):  # bisection guarded secant: the force falls when the series part takes up more
         own = distance - sense * compliance * (f - reset)
-        value = (
-            _held(_elastic(own, reset, sense, law[0], slack, take_up, delay), sense, capacity, law[2], knee, smooth) - f
-        )
+        value = _held(_elastic(own, reset, sense, law[0], slack, take_up), sense, capacity, law[2], knee, smooth) - f
         if value > 0.0:
             low = f
         else:
@@ -56,7 +54,7 @@ def _in_series(distance, reset, sense, law, capacity, knee, parts, guess):  # ty
         step = 1e-6 * capacity
         moved = distance - sense * compliance * (f + step - reset)
         other = (
-            _held(_elastic(moved, reset, sense, law[0], slack, take_up, delay), sense, capacity, law[2], knee, smooth)
+            _held(_elastic(moved, reset, sense, law[0], slack, take_up), sense, capacity, law[2], knee, smooth)
             - f
             - step
         )
@@ -108,15 +106,27 @@ def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, compliance, s
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def limit_rise(clamping, moved, slope):  # type: ignore[no-untyped-def]
+    """Keep the capacity from rising faster than the elastic stiffness can follow: `slope` per mm moved.
+
+    A capacity that recovers makes no force without motion. Without this a pause in which the plates cool looked like a
+    force that grows at rest, and friction that rises as the speed falls came back at full height within the last
+    hundredth of a millimetre of a stroke, from where the next one then started.
+    """
+    for i in range(1, clamping.size):
+        clamping[i] = min(clamping[i], clamping[i - 1] + slope * moved[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]  # noqa: PLR0912
     """Fill `out` with the rate-free force of one run.
 
-    `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack, take-up and delay (mm), compliance (mm/kN)
+    `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack and take-up (mm), compliance (mm/kN)
     and the share of the continuous reversal rule.
     """
     stiffness, beta = law[0], law[2]
-    slack, take_up, delay, compliance, smooth = parts[0], parts[1], parts[2], parts[3], parts[4]
-    plain = slack == 0.0 and take_up == 0.0 and delay == 0.0
+    slack, take_up, compliance, smooth = parts[0], parts[1], parts[2], parts[3]
+    plain = slack == 0.0 and take_up == 0.0
     knee = knee_of(beta)
     work, end = np.empty(_TOGETHER), np.empty(1)
     reset = start_force
@@ -138,7 +148,7 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
                 outs[i] = _held(stiffness * (xs[i] - origin) + reset, sense, law[1] * caps[i], beta, knee, smooth)
         else:
             for i in range(outs.size):
-                e = _elastic((xs[i] - origin) * sense, reset, sense, stiffness, slack, take_up, delay)
+                e = _elastic((xs[i] - origin) * sense, reset, sense, stiffness, slack, take_up)
                 outs[i] = _held(e, sense, law[1] * caps[i], beta, knee, smooth)
         if k + 1 < turning.size:
             reach = (turning[k + 1] - origin) * sense
@@ -151,5 +161,5 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
                 reset = _in_series(reach, reset, sense, law, capacity, knee, parts, outs[outs.size - 1])
             else:
                 reset = _held(
-                    _elastic(reach, reset, sense, stiffness, slack, take_up, delay), sense, capacity, beta, knee, smooth
+                    _elastic(reach, reset, sense, stiffness, slack, take_up), sense, capacity, beta, knee, smooth
                 )

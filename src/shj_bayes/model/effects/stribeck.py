@@ -10,8 +10,9 @@ from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + a exp(-|v|/vs)."""
-    return Contribution(clamping=1.0 + values["size"] * np.exp(-history.speed_mm_s / values["speed"]))
+    """Clamping 1 + a exp(-(|v|/vs)^n)."""
+    share = (history.speed_mm_s / values["speed"]) ** values["shape"]
+    return Contribution(clamping=1.0 + values["size"] * np.exp(-share))
 
 
 EFFECT = Effect(
@@ -19,16 +20,17 @@ EFFECT = Effect(
     family="low_speed",
     title="Extra friction at low speed",
     statement="Friction is {size:.0%} higher at creep than when sliding, an extra that fades over {speed:.1f} mm/s.",
-    equation="Fy -> Fy (1 + a exp(-|v|/vs))",
+    equation="Fy -> Fy (1 + a exp(-(|v|/vs)^n))",
     cause="Static friction above sliding friction (Stribeck effect): surfaces weld or key when they move slowly.",
     shows="Ears at both ends of every stroke, wider in the larger amplitude blocks.",
     next_test="Triangular cycles at constant speed: the ears vanish, a breakaway peak stays; then slow blocks.",
     parameters=(
         Prior("size", "1", "uniform", 0.0, 1.0, "0 to 0.3 for metals, up to 1 for brake linings (NZSEE 1773)."),
         Prior("speed", "mm/s", "loguniform", 0.1, 10.0, "0.1 to 5 mm/s for dry contacts; twice that allowed."),
+        Prior("shape", "1", "uniform", 0.5, 2.0, "Exponents of 0.5 to 2 are in use; 2 in most LuGre models."),
     ),
     neutral={"size": 0.0},
     act=act,
-    source="DOMAIN E01; Stribeck law with exponent 1.",
-    start={"size": (0.1,), "speed": (0.5, 2.0)},
+    source="DOMAIN E01; the exponent after Armstrong-Helouvry 1991.",
+    start={"size": (0.1,), "speed": (0.5, 2.0), "shape": (1.0,)},
 )
