@@ -125,7 +125,7 @@ def fit(
         path = folder / CHECKPOINT
     with told_when_slow(progress):
         problem.log_likelihood(problem.natural(np.zeros((1, len(problem.layout.names)))))
-    start = find_start(problem)
+    start = find_start(problem, threads=threads)
     states, figures = run_ensembles(
         problem,
         problem.layout.names,

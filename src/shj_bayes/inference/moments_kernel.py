@@ -22,6 +22,7 @@ NODES = np.cos(math.pi * (np.arange(N_NODES) + 0.5) / N_NODES)
 _LAGRANGE = np.cos(np.outer(np.arange(N_NODES), np.arccos(NODES))) * 2.0 / N_NODES
 _LAGRANGE[0] /= 2.0
 N_SCALARS, N_VECTORS, N_MATRICES = 10, 9, 3
+N_PRODUCTS = N_NODES * (N_NODES // 2 + 1)  # of the values at the nodes, each pair once (see `_wound`)
 SHARPNESS = 5.0  # of the ellipse around a block in which h must be analytic: error about 5^-16 = 7e-12 of Fy
 NEGLIGIBLE = 1e-13  # |u|^beta / beta below which Eq. (1) counts as analytic at u = e/Fy = 0
 _SUMS = {"contract", "reassoc", "nsz"}  # the order of additions is free, infinities and NaN keep their meaning
@@ -166,7 +167,23 @@ def build(channels, half_start, blocks, of_half):  # type: ignore[no-untyped-def
                     matrices[part_of],
                 )
                 _add_block(bounds[i, 0], bounds[i, 1], child, *own)
-    return bounds, scalars, vectors, matrices.reshape((n, N_MATRICES, N_NODES * N_NODES))
+    return bounds, scalars, vectors, _wound(matrices)
+
+
+@njit(error_model="numpy")
+def _wound(matrices):  # type: ignore[no-untyped-def]
+    """Write symmetric matrices as their diagonals wound around, each of full length: half of the numbers, no short row.
+
+    Diagonal s holds the elements (j, j + s modulo N_NODES); those beyond the middle are the same again, hence twice.
+    """
+    out = np.empty((matrices.shape[0], N_MATRICES, N_PRODUCTS))
+    for i in range(out.shape[0]):
+        for q in range(N_MATRICES):
+            for s in range(N_NODES // 2 + 1):
+                weight = 1.0 if s in (0, N_NODES // 2) else 2.0
+                for j in range(N_NODES):
+                    out[i, q, s * N_NODES + j] = weight * matrices[i, q, j, (j + s) % N_NODES]
+    return out
 
 
 @njit(error_model="numpy", fastmath={"contract"})
@@ -180,7 +197,7 @@ def _fill_nodes(out, x, origin, reset, stiffness, capacity, beta, knee, sense): 
 
 
 @njit(error_model="numpy", fastmath=_SUMS)
-def _by_nodes(h, gamma, scalars, vectors, matrices, products):  # type: ignore[no-untyped-def]
+def _by_nodes(h, gamma, scalars, vectors, matrices, twice):  # type: ignore[no-untyped-def]
     """Give the sums of squares and of squared differences of a block from the force at its nodes."""
     c = scalars[0]
     squares = 0.0
@@ -192,13 +209,15 @@ def _by_nodes(h, gamma, scalars, vectors, matrices, products):  # type: ignore[n
         squares += gamma * f * (2.0 * (a * vectors[3, j] - vectors[1, j]) + gamma * f * vectors[4, j])
         at_rest = vectors[5, j] + gamma * vectors[6, j]
         linear += a * (at_rest - gamma * c * (vectors[7, j] + gamma * vectors[8, j]))
-    for k in range(N_NODES):
-        a = h[k] - c
-        for j in range(N_NODES):
-            products[k * N_NODES + j] = a * (h[j] - c)
+        twice[j] = a
+        twice[j + N_NODES] = a
     quadratic = 0.0
-    for i in range(N_NODES * N_NODES):  # one long loop: four times as fast as rows and columns
-        quadratic += products[i] * (matrices[0, i] + gamma * (matrices[1, i] + gamma * matrices[2, i]))
+    for j in range(N_NODES):  # in this order 16 sums grow side by side: 2.4 times as fast as one long loop
+        along = 0.0
+        for s in range(N_NODES // 2 + 1):
+            i = s * N_NODES + j
+            along += twice[j + s] * (matrices[0, i] + gamma * (matrices[1, i] + gamma * matrices[2, i]))
+        quadratic += twice[j] * along
     differences = scalars[7] - 2.0 * gamma * c * scalars[8] + gamma * gamma * c * c * scalars[9]
     return scalars[1] + squares, differences - 2.0 * linear + quadratic
 
@@ -282,7 +301,7 @@ def sums_of_many(motion, tree, sums, packed, ends, laws, start_force, variant): 
             points, weight, pair, half, turning, resets[j], laws[j], knees[j], senses
         )
     following = np.empty(m, dtype=np.int64)
-    nodes, h, products = np.empty(N_NODES), np.empty(N_NODES), np.empty(N_NODES * N_NODES)
+    nodes, h, twice = np.empty(N_NODES), np.empty(N_NODES), np.empty(2 * N_NODES)
     force = np.empty(max(1, np.max(offset[1:] - offset[:-1])))
     for k in range(n_half):
         following[:] = of_half[k]
@@ -307,7 +326,7 @@ def sums_of_many(motion, tree, sums, packed, ends, laws, start_force, variant): 
                     out[j, 3] += scalars[i, 1]
                 elif _smooth(u1, u2, singular[j], senses[k]):
                     _fill_nodes(h, nodes, turning[k], resets[j, k], stiffness, capacity, beta, knees[j], senses[k])
-                    squares, differences = _by_nodes(h, gamma, scalars[i], vectors[i], matrices[i], products)
+                    squares, differences = _by_nodes(h, gamma, scalars[i], vectors[i], matrices[i], twice)
                     out[j, 0] += squares
                     out[j, 1] += differences
                     out[j, 3] += scalars[i, 1]

@@ -20,7 +20,7 @@ from shj_bayes.model.priors import Priors
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
 
-FREE_LIMIT = 30.0  # beyond this a logit is 0 or 1 to double precision; no prior has mass there
+FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -15,12 +14,14 @@ from tqdm import tqdm
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
-from shj_bayes.inference.convergence import Diagnostics, converged, diagnose_chains
+from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, converged, diagnose_chains
 from shj_bayes.inference.proposal import Proposal, fit_proposal
-from shj_bayes.inference.start import Density, Start
+from shj_bayes.inference.shared import Density, Shared, n_threads
+from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
 
 MIN_STEPS = 50  # fewer say nothing about convergence
+LEAST_ROUND, SURE = 10, 1.04  # steps; by how much the steps are taken longer than a first estimate of tau asks
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Plan:
     n_walkers : int
         Walkers of each; 0 for three per parameter (at least 20).
     round_steps : int
-        Steps between two looks at convergence (and two checkpoints).
+        Steps between two looks at convergence (and two checkpoints); a fifth of the steps so far where that is more,
+        fewer where the chain is seen to be long enough before.
     max_steps : int
         Steps after which to stop even if not converged.
     """
@@ -121,8 +123,10 @@ def run_ensembles(
     -------
     list of EnsembleState, Diagnostics
     """
-    d = len(names)
-    proposal = fit_proposal(density, start, np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(98,))))
+    d, n = len(names), n_threads(threads)
+    stream = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(98,)))
+    with ThreadPoolExecutor(n) as pool:
+        proposal = fit_proposal(Shared(density, pool, n), start, stream)
     identity = dict(fingerprint or {}) | {"plan": f"seed {plan.seed}, {plan.n_ensembles} x {plan.walkers(d)} walkers"}
     if path is not None and path.exists():
         states = checkpoint.load(path, identity)
@@ -130,7 +134,7 @@ def run_ensembles(
         streams = np.random.SeedSequence(plan.seed).spawn(plan.n_ensembles)
         states = [_begin(density, start, plan.walkers(d), stream) for stream in streams]
     bar = tqdm(total=plan.max_steps, unit="step", desc="sampling", disable=None if progress else True, leave=False)
-    with bar, ThreadPoolExecutor(max_workers=threads or min(plan.n_ensembles, os.cpu_count() or 1)) as pool:
+    with bar, ThreadPoolExecutor(min(plan.n_ensembles, n)) as pool:
         bar.update(states[0].chain.shape[0])
         while True:
             figures = _figures(names, states)
@@ -138,11 +142,20 @@ def run_ensembles(
                 bar.set_postfix_str(f"R-hat {figures.rhat.max():.3f}, ESS {figures.ess_bulk.min():.0f}")
                 if converged(figures) or states[0].chain.shape[0] >= plan.max_steps:
                     return states, figures
-            steps = min(plan.round_steps, plan.max_steps - states[0].chain.shape[0])
+            steps = _next_round(plan, states[0].chain.shape[0], figures)
             states = list(pool.map(partial(_advance, density, proposal, n_steps=steps), states))
             if path is not None:
                 checkpoint.save(path, identity, states)
             bar.update(steps)
+
+
+def _next_round(plan: Plan, done: int, figures: Diagnostics | None) -> int:
+    """Choose the steps to the next look: a round, or fewer where the chain will be long enough before its end."""
+    steps = max(plan.round_steps, done // 5)  # a look costs in proportion to the chain: the longer, the fewer looks
+    if figures is not None and np.isfinite(figures.tau).all():
+        missing = int(np.ceil(SURE * (figures.n_burn + TAU_LIMIT * figures.tau.max()))) - done
+        steps = min(steps, missing) if missing > 0 else steps
+    return min(max(steps, min(LEAST_ROUND, plan.round_steps)), plan.max_steps - done)
 
 
 def _figures(names: tuple[str, ...], states: list[EnsembleState]) -> Diagnostics | None:

@@ -33,6 +33,12 @@ def gaussian(z: np.ndarray) -> np.ndarray:
     return np.asarray(-0.5 * np.sum((z / SCALE) ** 2, axis=1))
 
 
+def bounded_below(z: np.ndarray) -> np.ndarray:
+    """A first coordinate that falls off within 0.1 on one side and with the prior's width on the other."""
+    side = np.where(z[:, 0] < 0, 0.1, 1.0)
+    return np.asarray(-0.5 * (z[:, 0] / side) ** 2 - 0.5 * np.sum(z[:, 1:] ** 2, axis=1))
+
+
 SCALE = np.array([1e-3, 0.1, 1.0, 3.0, 20.0])
 FAR = Start(1.5 * SCALE, 0.3 * np.diag(SCALE**2), 0.0)  # off by 1.5 and half as wide
 LAWS = {
@@ -59,6 +65,20 @@ def test_it_comes_close_to_the_target(name: str, seed: int) -> None:
     proposal = fit_proposal(target, start, np.random.default_rng(seed))
     assert acceptance(proposal, law) > least
     assert target.n <= N_ROUNDS[1] * N_DRAWS
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tail_that_the_curvature_does_not_tell_is_met(seed: int) -> None:
+    """A chain out there must come back: two components of the same shape left it there for hundreds of steps."""
+    start = Start(np.zeros(D), np.diag([0.1**2, 1.0, 1.0, 1.0, 1.0]), 0.0)
+    proposal = fit_proposal(Target(bounded_below), start, np.random.default_rng(seed))
+    rng = np.random.default_rng(10)
+    out = np.column_stack([np.full(400, 2.5), rng.standard_normal((400, D - 1))])
+    there = bounded_below(out) - proposal.log_density(out)
+    new = proposal.draw(400, rng)
+    weight = bounded_below(new) - proposal.log_density(new)
+    leaves = float(np.mean(np.exp(np.minimum(0.0, weight[:, None] - there[None, :]))))
+    assert leaves > 0.1
 
 
 def test_a_start_without_any_density_still_gives_a_proposal() -> None:
