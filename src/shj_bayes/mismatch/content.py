@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from shj_bayes.mismatch.evidence import Evidence
+from shj_bayes.mismatch.intervals import jackknife, natural
 from shj_bayes.mismatch.locate import locate
 from shj_bayes.mismatch.name import effect_size
 from shj_bayes.mismatch.refit import Refit
@@ -20,23 +20,6 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 SCHEMA = "shj-bayes/diagnosis/1"
-
-
-def natural(fit: Refit, z: FloatArray) -> dict[str, FloatArray]:
-    """Turn free parameters, shape (m, d), into natural ones by name."""
-    return {n: p.from_free(z[:, i]) for i, (n, p) in enumerate(zip(fit.model.names, fit.model.priors, strict=True))}
-
-
-def jackknife(evidence: Evidence, fit: Refit) -> FloatArray:
-    """Estimate the standard error of the free parameters by leaving out one block at a time, shape (d,)."""
-    gram = fit.jacobian.T @ fit.jacobian + fit.rmse_kN**2 * np.eye(fit.z.size)
-    steps = []
-    for a, b in pairwise(evidence.block_edges):
-        j = fit.jacobian[a:b]
-        steps.append(np.linalg.lstsq(gram - j.T @ j, -j.T @ fit.residual_kN[a:b], rcond=1e-10)[0])
-    moved = np.stack(steps)
-    n = moved.shape[0]
-    return np.asarray(np.sqrt((n - 1) / n * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)))
 
 
 def effects(
@@ -169,7 +152,7 @@ def shift(
         value = base.model.values(base.z)[name]
         out[name] = {
             "before": {"mean": value, "sd": float(before.std(ddof=1))},
-            "after": {"mean": float(after.mean()), "sd": float(after.std(ddof=1))},
+            "after": _spread(after),
         }
     return out
 

@@ -15,13 +15,12 @@ import xarray as xr
 from shj_bayes.errors import ModelError
 from shj_bayes.files import write_text
 from shj_bayes.inference.problem import Run
-from shj_bayes.inference.sampler import Plan
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
 from shj_bayes.mismatch.alias import alias_table
 from shj_bayes.mismatch.evidence import Evidence, evidence_of
+from shj_bayes.mismatch.intervals import Effort, approximate, sampled
 from shj_bayes.mismatch.locate import largest_region
-from shj_bayes.mismatch.posterior import augmented_posterior, sample
 from shj_bayes.mismatch.refit import Refit, make_model, refit
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.search import Setting, search
@@ -31,12 +30,9 @@ from shj_bayes.mismatch.unknown import describe_unknown
 from shj_bayes.mismatch.verdict import judge
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.model.priors import Priors
 from shj_bayes.suggest import did_you_mean
 
-SAMPLED = 4000  # samples for the posterior with effects; denser ones are correlated and cost time
-STEPS = 2000  # at most; an augmented law that does not fit has a posterior that mixes slowly, and says so
 N_QUICK = 4000
 N_COARSE = 2000  # starts are chosen on these
 N_FINE = 24_000  # the noise floor is looked for on these
@@ -75,8 +71,7 @@ def diagnose(
     without: Sequence[str] = (),
     seed: int = 1,
     quick: bool = False,
-    progress: bool = False,
-    threads: int = 0,
+    effort: Effort | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what the base law leaves out of the recordings of one device.
@@ -97,10 +92,8 @@ def diagnose(
         Same seed and recordings, same numbers.
     quick : bool
         A first look: fewer samples, no sampling of the posterior, approximate intervals.
-    progress : bool
-        Show a progress bar while sampling.
-    threads : int
-        Ensembles at a time.
+    effort : Effort, optional
+        What to spend on sampling the posterior; None for a jackknife over cycles alone in a quick look.
     tell : callable
         Gets one line for each step.
 
@@ -127,8 +120,11 @@ def diagnose(
     noise = result.final.rmse_kN
     judgement = judge(result, left, share(evidence, fine, base, base, result.final))
     shown = result.final if result.found else base
-    tell("sampling the posterior" if not quick else "approximating the posterior")
-    draws, sampled = _posterior(runs, evidence, shown, priors, seed, (quick, progress, threads))
+    if quick and effort is None:
+        draws, how = approximate(evidence, shown, seed)
+    else:
+        tell("sampling the posterior")
+        draws, how = sampled(runs, evidence, shown, priors, seed=seed, effort=effort or Effort())
     record = {
         "schema": content.SCHEMA,
         "device": name,
@@ -138,7 +134,9 @@ def diagnose(
         "effects": content.effects(evidence, result, judgement, draws),
         "family": content.family(result, judgement),
         "location": content.locations(evidence, base, regions, result, noise),
-        "unknown": describe_unknown(evidence, result, regions) if judgement.word == "unknown" else None,
+        "unknown": describe_unknown(evidence, result, regions, seed=seed, quick=quick)
+        if judgement.word == "unknown"
+        else None,
         "before": content.quality(evidence, base, noise),
         "after": content.quality(evidence, shown, noise),
         "heldout": content.heldout(evidence, result, shown),
@@ -150,7 +148,7 @@ def diagnose(
         "fy_kN": base.model.values(base.z)["Fy"],
         "seed": seed,
         "quick": quick,
-        "sampling": sampled,
+        "sampling": how,
         "model": {"variant": variant, "priors": priors.family, "without": list(without)},
         "inputs": [{"name": r.recording.source.name, "sha256": r.recording.source.sha256} for r in runs],
         "versions": versions(),
@@ -195,45 +193,3 @@ def _fit_base(evidence: Evidence, priors: Priors, variant: str, speed: bool) -> 
                     )
                 )
     return refit(evidence, model, starts)
-
-
-def _posterior(
-    runs: Sequence[Run], evidence: Evidence, fit: Refit, priors: Priors, seed: int, how: tuple[bool, bool, int]
-) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-    """Draws of the shown model: sampled with emcee, or from the jackknife over cycles in a quick look."""
-    quick, progress, threads = how
-    spread = content.jackknife(evidence, fit)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
-    near = content.natural(fit, fit.z + rng.standard_normal((2000, fit.z.size)) * spread)
-    if quick:
-        return near, {"how": "jackknife over cycles (first look)", "verdict": "tentative"}
-    thin = evidence_of(runs, SAMPLED)
-    start = refit(thin, fit.model, [fit.z])
-    draws, verdict = sample(
-        augmented_posterior(thin, start, priors),
-        start,
-        Plan(seed=seed, max_steps=STEPS),
-        progress=progress,
-        threads=threads,
-    )
-    if verdict.word != "reliable":  # the mean of walkers on several hills is on none of them
-        return near, {"how": f"jackknife over cycles, as emcee did not settle in {STEPS} steps", "verdict": "tentative"}
-    draws |= {
-        name: _widened(draws[name], prior, float(least))
-        for name, prior, least in zip(fit.model.names, fit.model.priors, spread, strict=True)
-    }
-    how_words = f"emcee on every {thin.stride}. sample; {'; '.join(verdict.reasons)}; no narrower than the cycles allow"
-    return draws, {"how": how_words, "verdict": verdict.word}
-
-
-def _widened(draws: FloatArray, prior: Prior, least: float) -> FloatArray:
-    """Spread draws to the jackknife's standard error where they are narrower.
-
-    The posterior believes in AR(1) noise and in the effect's formula; the scatter from cycle to cycle does not. On
-    simulators that are not the catalogue's formulas the posterior alone covered 22 of 48 truths, the jackknife 35.
-    """
-    z = prior.to_free(draws)
-    spread = float(z.std())
-    if not 0 < spread < least or not np.all(np.isfinite(z)):
-        return draws
-    return prior.from_free(z.mean() + (z - z.mean()) * (least / spread))

@@ -93,8 +93,9 @@ def evidence_of(runs: Sequence[Run], max_samples: int = MAX_SAMPLES) -> Evidence
     """
     total = sum(run.recording.n_samples for run in runs)
     stride = max(1, int(np.ceil(total / max_samples)))
+    # Accelerations, rests and travel are those of the whole recording: they cannot be had from every tenth sample.
+    whole = histories([run.recording.time_s for run in runs], [run.motion for run in runs])
     thinned = [_thin(run, stride) for run in runs]
-    times = [run.recording.time_s[keep] for run, (keep, _) in zip(runs, thinned, strict=True)]
     motions = [motion for _, motion in thinned]
     n_half = sum(motion.n_half for motion in motions)
     width = 2 if n_half // 2 >= FEW_CYCLES else 1
@@ -108,7 +109,7 @@ def evidence_of(runs: Sequence[Run], max_samples: int = MAX_SAMPLES) -> Evidence
         raise InferenceError(f"{n_half} half-cycles are too few to tell misfit from noise; at least 5 are needed")
     weight = [run.stretches.used[keep].astype(np.float64) for run, (keep, _) in zip(runs, thinned, strict=True)]
     return Evidence(
-        histories=histories(times, motions),
+        histories=tuple(h.thinned(keep, motion) for h, (keep, motion) in zip(whole, thinned, strict=True)),
         force_kN=np.concatenate([run.recording.force_kN[keep] for run, (keep, _) in zip(runs, thinned, strict=True)]),
         weight=np.concatenate(weight),
         block=np.concatenate(blocks).astype(np.int64),

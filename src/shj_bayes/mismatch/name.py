@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shj_bayes.inference.problem import FREE_LIMIT
 from shj_bayes.mismatch.evidence import Evidence
 from shj_bayes.mismatch.refit import Refit, linearise, make_model, promising_starts, refit
 from shj_bayes.mismatch.thresholds import RIVAL_PROBABILITY, RIVAL_SE
@@ -140,7 +141,7 @@ def effect_size(evidence: Evidence, fit: Refit, effect: Effect) -> float:
         owner, _, parameter = name.partition(".")
         if owner == effect.id and parameter in effect.neutral:
             without[i] = float(fit.model.priors[i].to_free(np.asarray(_inside(fit, i, effect.neutral[parameter]))))
-    change = np.abs(fit.force_kN - fit.model.force(evidence, np.clip(without, -30.0, 30.0)))
+    change = np.abs(fit.force_kN - fit.model.force(evidence, np.clip(without, -FREE_LIMIT, FREE_LIMIT)))
     return float(np.percentile(change[evidence.weight > 0], 99))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.inference.convergence import Verdict, judge
+from shj_bayes.inference.problem import FREE_LIMIT
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import polish
 from shj_bayes.mismatch.evidence import Evidence
@@ -14,8 +15,6 @@ from shj_bayes.mismatch.refit import Model, Refit
 from shj_bayes.model.noise import Stretches, log_density
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
-
-FREE_LIMIT = 30.0
 
 
 @dataclass(frozen=True, eq=False)

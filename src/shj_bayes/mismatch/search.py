@@ -16,14 +16,15 @@ from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.share import share
 from shj_bayes.mismatch.thresholds import (
     ALPHA,
-    EXPLAINED,
     GAIN_NATS,
     GAIN_SE,
     LARGE,
     MAX_EFFECTS,
     NOTABLE,
+    OF_REST,
     PART,
     PRACTICAL,
+    WORTH,
 )
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
@@ -214,7 +215,9 @@ def _objection(setting: Setting, base: Refit, current: Refit, candidate: Candida
     part = share(setting.evidence, setting.fine, base, current, candidate.fit)
     fall = float(np.sqrt(max(current.rmse_kN**2 - candidate.fit.rmse_kN**2, 0.0)))
     large = candidate.size_kN >= LARGE * _capacity(current) and part >= PART
-    if part < 1.0 - EXPLAINED and fall < NOTABLE * _capacity(current) and not large:
+    of_rest = share(setting.evidence, setting.fine, current, current, candidate.fit)
+    clear = candidate.t >= GAIN_SE and (large or of_rest >= OF_REST)
+    if part < WORTH and fall < NOTABLE * _capacity(current) and not clear:
         return f"the best effect ({name}) would take up {100 * part:.1f} % of the misfit of the base law, {fall:.2g} kN"
     return ""
 

@@ -11,9 +11,16 @@ GAIN_NATS = 8.0  # held-out gain in log density that is beyond chance by itself:
 RIVAL_SE = 2.0  # standard errors by which the best effect must beat another one to exclude it
 RIVAL_PROBABILITY = 0.05  # a rival that wins in this share of resampled cycle sets is not excluded
 MAX_EFFECTS = 4
-EXPLAINED = 0.9  # of the misfit above noise: with less, and an alarm that is left, the catalogue has not explained it
-# An effect that takes up less of the misfit than 1 - EXPLAINED gets a name only if it takes up
-NOTABLE = 0.03  # of Fy, root mean square, or is
+EXPLAINED = 0.85  # of the misfit above noise: with less, and an alarm that is left, the catalogue has not explained it
+WORTH = 0.1  # of the misfit above noise: an effect that takes up less gets a name only if it takes up
+NOTABLE = 0.03  # of Fy, root mean square, or, with a gain of GAIN_SE standard errors,
+OF_REST = 0.5  # of what is left (what the formula of a first effect leaves goes with no other: 0.1 to 0.35), or is
 LARGE = 0.1  # of Fy somewhere (a slack, while the force is uneven by far more) and takes up
 PART = 0.03  # of the misfit above noise
 ALIAS = 0.9  # cosine above which two effects cannot be told apart by this displacement history
+# A formula for what no effect explains is learnt on every other cycle and must, on the cycles between them,
+FORMULA_SHARE = (
+    0.8  # take up this much of what comes again over its coordinate: shapes that were right gave 0.9 and more
+)
+FORMULA_PART = 0.25  # take up this much of all that is left, noise included: of less it is a remark, not an explanation
+FORMULA_P = 0.01  # be beyond chance, by flipping whole half-cycles

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.signal import lombscargle
 
 from shj_bayes.mismatch.evidence import Evidence
+from shj_bayes.mismatch.formula import find_formula
 from shj_bayes.mismatch.locate import largest_region, profile
 from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.search import Search
@@ -18,19 +19,40 @@ COORDINATES = {"position": "position_mm", "slip since reversal": "slip_mm", "tra
 PERIODIC = 0.25  # share of the residual that one sine must take up to be called a period
 
 
-def describe_unknown(evidence: Evidence, result: Search, regions: Regions) -> dict[str, Any]:
+def describe_unknown(
+    evidence: Evidence, result: Search, regions: Regions, *, seed: int = 1, quick: bool = False
+) -> dict[str, Any]:
     """Describe what the residual still holds after the effects of the catalogue that were found.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        The recordings.
+    result : Search
+        Its final model's residual is described.
+    regions : Regions
+        Where to look for the largest misfit.
+    seed : int
+        Same seed and residual, same formula.
+    quick : bool
+        Look less long for a formula.
 
     Returns
     -------
     dict
         ``coordinate`` over which it is most regular, ``shape`` (table of centre, push and pull in kN), ``formula``
-        (None: a table says more than a forced formula), ``period`` with unit or None, ``size_kN``, ``words``.
+        (None where no simple one predicts held-out cycles), ``formula_words`` (how good it is, or why there is none),
+        ``formula_share`` (of what comes again over the coordinate on held-out cycles, or None), ``period`` with unit or
+        None, ``size_kN``, ``words``.
     """
     residual = result.final.residual_kN
     size, region = largest_region(evidence, result.final, regions, result.steps[-1].alarm)
+    capacity = result.base.model.values(result.base.z)["Fy"]
+    line = result.steps[-1].line
+    formula = find_formula(evidence, residual, capacity, line, seed=seed, quick=quick)
     taken = {name: _taken(evidence, residual, name) for name in COORDINATES}
-    coordinate = max(taken, key=lambda name: taken[name])
+    # A wave of the clock comes again over time, which no map shows; then the best of the mapped coordinates is drawn.
+    coordinate = formula.coordinate if formula.coordinate in taken else max(taken, key=lambda name: taken[name])
     centres, push, pull = profile(evidence, residual, coordinate)
     period = _period(evidence, residual)
     rows = [
@@ -38,7 +60,6 @@ def describe_unknown(evidence: Evidence, result: Search, regions: Regions) -> di
         for c, a, b in zip(centres, push, pull, strict=True)
     ]
     where = f" between {region.low:.3g} and {region.high:.3g} {region.unit} of {region.coordinate}" if region else ""
-    line = result.steps[-1].line
     if line.p_value < LINE and line.amplitude_kN > size:
         size, region = line.amplitude_kN, None
         period = {"coordinate": "time", "length": line.period_s, "unit": "s", "share": None}
@@ -48,7 +69,9 @@ def describe_unknown(evidence: Evidence, result: Search, regions: Regions) -> di
     return {
         "coordinate": coordinate,
         "shape": rows,
-        "formula": None,
+        "formula": formula.text,
+        "formula_words": formula.words,
+        "formula_share": formula.share if formula.text else None,
         "period": period,
         "size_kN": size,
         "words": words,
