@@ -6,16 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from shj_bayes.inference.problem import Run
-from shj_bayes.inference.sampler import Plan
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.evidence import evidence_of
-from shj_bayes.mismatch.posterior import augmented_posterior, sample
-from shj_bayes.mismatch.refit import make_model, refit
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.priors import Priors, read_priors
+from shj_bayes.mismatch.intervals import Effort
+from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 
@@ -51,7 +45,7 @@ def diagnose_blind(
     quick : bool
         Whether to search on fewer samples.
     intervals : bool
-        Whether to sample the posterior of what a quick search found.
+        Whether to sample the posterior of what was found.
 
     Returns
     -------
@@ -60,39 +54,5 @@ def diagnose_blind(
     """
     recordings = [read(path, columns=columns, units=units) for path in paths]
     runs = [Run(recording, motion_of(recording)) for recording in recordings]
-    laws = read_priors(priors)
-    record = diagnose(runs, laws, variant=model, without=without, quick=quick, threads=1).record
-    if quick and intervals:
-        record = _with_intervals(record, runs, laws)
-    return record
-
-
-def _with_intervals(record: dict[str, Any], runs: Sequence[Run], priors: Priors) -> dict[str, Any]:
-    """Replace the approximate intervals of a quick look by sampled ones."""
-    effects = [catalogue()[effect["id"]] for effect in record["effects"]]
-    model = make_model(
-        priors,
-        len(runs),
-        effects,
-        variant=record["model"]["variant"],
-        speed="velocity" not in record["model"]["without"],
-    )
-    evidence = evidence_of(runs, SAMPLED)
-    start = {name: row["after"]["mean"] for name, row in record["shift"].items()}
-    start |= {f"{e['id']}.{name}": p["mean"] for e in record["effects"] for name, p in e["parameters"].items()}
-    z = [float(law.to_free(np.asarray(start[name]))) for name, law in zip(model.names, model.priors, strict=True)]
-    fit = refit(evidence, model, [np.clip(z, -8.0, 8.0)])
-    plan = Plan(seed=record["seed"], n_walkers=max(24, 2 * len(model.names) + 6), max_steps=N_STEPS)
-    draws, verdict = sample(augmented_posterior(evidence, fit, priors), fit, plan, threads=1)
-    for name, row in record["shift"].items():
-        row["after"] = _interval(draws[name])
-    for effect in record["effects"]:
-        for name, row in effect["parameters"].items():
-            row.update(_interval(draws[f"{effect['id']}.{name}"]))
-    record["sampling"] = {"how": f"emcee on every {evidence.stride}. sample", "verdict": verdict.word}
-    return record
-
-
-def _interval(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
-    low, high = np.quantile(values, [0.05, 0.95])
-    return {"mean": float(values.mean()), "sd": float(values.std(ddof=1)), "q05": float(low), "q95": float(high)}
+    effort = Effort(SAMPLED, N_STEPS, threads=1) if intervals else None
+    return diagnose(runs, read_priors(priors), variant=model, without=without, quick=quick, effort=effort).record

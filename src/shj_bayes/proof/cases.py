@@ -18,6 +18,7 @@ from shj_bayes.proof.simulators.simulator import Simulator, simulators_by_id
 NOTHING, OUTSIDE, TWO = 0.50, 0.15, 0.15
 RATE_HZ = 10.0
 LARGEST_SPEED_FACTOR = 0.35  # of Fy by speed alone: the published rows reach a third at 10 mm/s
+SMALL = 0.01  # of Fy: nuisances make less force than that
 # Physics that cannot be put into one rig (one spring, one second contact) or that only names the same thing twice.
 ALONE = ("inertia", "stick_slip", "two_stage")
 
@@ -151,7 +152,7 @@ def stated_key(name: str, size: float, *, seed: int, protocol: str = "paper", **
     drawn = replace(_device(rng, PEAK_SPEED_MM_S[protocol]), **device)
     effects = (Concealed(one.id, size, one.draw(rng)),)
     kind = "one" if one.inside else "outside"
-    return Key(1, kind, effects, drawn, _nuisance(rng, drawn), protocol, int(rng.integers(2**62)))
+    return Key(1, kind, effects, drawn, _nuisance(rng, drawn, protocol), protocol, int(rng.integers(2**62)))
 
 
 class _Deck:
@@ -199,7 +200,7 @@ def _draw(number: int, kind: str, chosen: list[Simulator], stream: np.random.See
         )
         for one in chosen
     )
-    return Key(number, kind, effects, device, _nuisance(rng, device), protocol, int(rng.integers(2**62)))
+    return Key(number, kind, effects, device, _nuisance(rng, device, protocol), protocol, int(rng.integers(2**62)))
 
 
 def _device(rng: np.random.Generator, peak_speed: float) -> Device:
@@ -214,11 +215,12 @@ def _device(rng: np.random.Generator, peak_speed: float) -> Device:
     return Device(float(K), float(Fy), beta, gamma, float(rng.uniform(0.5, 0.95)))
 
 
-def _nuisance(rng: np.random.Generator, device: Device) -> Nuisance:
+def _nuisance(rng: np.random.Generator, device: Device, protocol: str) -> Nuisance:
     """Each below 1 % of Fy in the force it makes."""
+    late = min(0.003, SMALL * device.Fy / (device.K * PEAK_SPEED_MM_S[protocol]))
     return Nuisance(
         frame_kN_mm=float(rng.uniform(20.0, 80.0)) * device.K,
-        lag_s=float(rng.uniform(0.0, 0.003)),
+        lag_s=float(rng.uniform(0.0, late)),
         offset_kN=float(rng.uniform(-0.003, 0.003)) * device.Fy,
         force_step_kN=float(rng.choice([0.005, 0.02, 0.05])),
         displacement_step_mm=float(rng.choice([0.001, 0.005, 0.01])),

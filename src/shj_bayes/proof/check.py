@@ -10,6 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from shj_bayes.errors import ProofError
+from shj_bayes.files import read_json
 from shj_bayes.proof import seal
 from shj_bayes.proof.cases import Key, draw_keys
 from shj_bayes.proof.run import SCORE, TRANSCRIPT, names, score_rows, write_recordings
@@ -39,14 +40,14 @@ def check(folder: Path, *, workers: int = 2, progress: bool = False) -> list[str
         At the first thing that does not agree.
     """
     seed, keys, nonces = seal.read_opened(folder)
-    sealed, transcript = _read(folder / seal.COMMITMENT), _read(folder / TRANSCRIPT)
+    sealed, transcript = (read_json(folder / name, ProofError) for name in (seal.COMMITMENT, TRANSCRIPT))
     if seal.sha256(folder / seal.COMMITMENT) != transcript["commitment_sha256"]:
         raise ProofError(f"{seal.COMMITMENT} is not the one under which the diagnosis ran")
     _keys(sealed["trials"], seed, keys, nonces)
     n_files = _recordings(folder, sealed, keys, progress)
     _diagnoses(folder, transcript, len(keys))
     rows = json.loads(json.dumps(score_rows(folder, keys, workers, progress)))
-    recorded = _read(folder / SCORE)
+    recorded = read_json(folder / SCORE, ProofError)
     if recorded["trials"] != rows or recorded["targets"] != json.loads(json.dumps(summarise(rows)))["targets"]:
         raise ProofError(f"{SCORE} is not what keys and diagnoses give")
     return [
@@ -96,11 +97,3 @@ def _diagnoses(folder: Path, transcript: dict[str, Any], n: int) -> None:
     for name, entry in zip(names(n), transcript["diagnoses"], strict=True):
         if seal.sha256(folder / "diagnoses" / f"{name}.json") != entry["sha256"]:
             raise ProofError(f"trial {name}: the diagnosis has been changed since the keys were opened")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError) as error:
-        raise ProofError(f"{path.name} cannot be read ({error}); the folder does not hold a finished proof") from error
-    return content

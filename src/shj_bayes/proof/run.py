@@ -15,7 +15,7 @@ from typing import Any
 from tqdm import tqdm
 
 from shj_bayes.errors import ProofError
-from shj_bayes.files import write_text
+from shj_bayes.files import read_json, write_text
 from shj_bayes.inference.store import versions
 from shj_bayes.model.priors import read_priors
 from shj_bayes.proof import seal
@@ -108,14 +108,15 @@ def names(n: int) -> list[str]:
 def score(folder: Path, keys: list[Key], seed: int, workers: int, progress: bool) -> Proof:
     """Score an opened proof and write page, table and JSON."""
     rows = score_rows(folder, keys, workers, progress)
+    commitment = read_json(folder / seal.COMMITMENT, ProofError)
     result = summarise(rows) | {
         "schema": seal.SCHEMA,
         "seed": seed,
         "n": len(keys),
         "commitment_sha256": seal.sha256(folder / seal.COMMITMENT),
         "transcript_sha256": seal.sha256(folder / TRANSCRIPT),
-        "committed": _read(folder / seal.COMMITMENT)["made"],
-        "commit": _read(folder / seal.COMMITMENT)["commit"],
+        "committed": commitment["made"],
+        "commit": commitment["commit"],
         "trials": rows,
     }
     write_text(folder / SCORE, json.dumps(result, indent=1, allow_nan=False))
@@ -125,7 +126,7 @@ def score(folder: Path, keys: list[Key], seed: int, workers: int, progress: bool
 def score_rows(folder: Path, keys: list[Key], workers: int, progress: bool) -> list[dict[str, Any]]:
     """Hold every diagnosis against its key."""
     jobs = [
-        (key.to_dict(), _read(folder / "diagnoses" / f"{name}.json"))
+        (key.to_dict(), read_json(folder / "diagnoses" / f"{name}.json", ProofError))
         for key, name in zip(keys, names(len(keys)), strict=True)
     ]
     with tqdm(total=len(jobs), desc="opening and scoring", disable=None if progress else True, unit="trial") as bar:
@@ -156,7 +157,7 @@ def _commit(folder: Path, keys: list[Key], nonces: list[str], progress: bool) ->
     """Write the recordings, and the digests of recordings and keys; nothing is diagnosed before this stands."""
     path = folder / seal.COMMITMENT
     if path.exists():
-        recorded = [trial["key_sha256"] for trial in _read(path)["trials"]]
+        recorded = [trial["key_sha256"] for trial in read_json(path, ProofError)["trials"]]
         if recorded != [seal.digest_of(key, nonce) for key, nonce in zip(keys, nonces, strict=True)]:
             raise ProofError(f"{seal.COMMITMENT} in {folder.name} belongs to other keys; choose another folder")
         return
@@ -234,11 +235,3 @@ def _git_commit() -> str | None:
     if any(answer.returncode for answer in answers):
         return None
     return answers[0].stdout.strip()[:12] + ("+" if answers[1].stdout.strip() else "")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError) as error:
-        raise ProofError(f"{path.name} cannot be read ({error}); run the proof again to go on") from error
-    return content

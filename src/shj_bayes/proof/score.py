@@ -15,6 +15,7 @@ from shj_bayes.model.priors import Priors
 from shj_bayes.proof.cases import Key
 from shj_bayes.proof.make import make
 from shj_bayes.proof.predict import predict
+from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.proof.truth import Truth, effect_truths, kept_base, truth_of
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
@@ -53,7 +54,8 @@ def score_trial(key: Key, record: Mapping[str, Any], priors: Priors) -> dict[str
         "visible_share": truth.visible_share,
         "bare_share": truth.bare_share,
         "evidence": truth.evidence,
-        "detectable": bool(key.effects) and truth.detectable,
+        "detectable": truth.detectable,
+        "each": {name: list(pair) for name, pair in truth.each.items()},
     }
     if "error" in record:
         return row | {"verdict": "failed", "outcome": "failed", "found": [], "why": record["error"]}
@@ -64,16 +66,18 @@ def score_trial(key: Key, record: Mapping[str, Any], priors: Priors) -> dict[str
         "family": [member["id"] for member in record["family"]],
         "seconds": record["seconds"],
     }
-    row["outcome"] = outcome(key, record)
+    row["outcome"] = outcome(key, record, truth.required)
     row["located"] = located(record, truth) if key.effects else None
     row["coverage"] = coverage(key, record, truth)
     row["heldout"] = heldout(key, record, made)
     return row
 
 
-def outcome(key: Key, record: Mapping[str, Any]) -> str:
+def outcome(key: Key, record: Mapping[str, Any], required: set[str] | None = None) -> str:
     """Judge the verdict: right, right family, vague, part, sibling, wrong, unknown, missed, or false alarm.
 
+    Of two effects, one that could not be told from the noise beside the other need not be named, but may (`required`;
+    all by default).
     ``right family`` is the verdict "family" whose short list holds everything that is concealed, ``vague`` the same
     with a long list; ``part`` is one of two effects rightly named and nothing wrong beside it; ``sibling`` is a wrong
     name from the right family.
@@ -86,18 +90,21 @@ def outcome(key: Key, record: Mapping[str, Any]) -> str:
         return "missed"
     if verdict == "unknown" or key.kind == "outside":
         return "unknown" if verdict == "unknown" else "wrong"
-    return _of_names(wanted, record)
+    return _of_names(wanted, (wanted & required if required else set()) or wanted, record)
 
 
-def _of_names(wanted: set[str], record: Mapping[str, Any]) -> str:
+def _of_names(wanted: set[str], required: set[str], record: Mapping[str, Any]) -> str:
     """Judge the names given under the verdicts ``named`` and ``family``."""
-    found = {effect["id"] for effect in record["effects"]}
+    held = {other: one for one in wanted for other in simulators_by_id()[one].holds if other not in wanted}
+    found = {held.get(effect["id"], effect["id"]) for effect in record["effects"]}
     listed = found | {member["id"] for member in record["family"]}
     listed |= {rival for effect in record["effects"] for rival in effect["rivals"]}
-    if record["verdict"] == "named" and found == wanted:
+    if record["verdict"] == "named" and required <= found <= wanted:
         return "right"
-    if record["verdict"] == "family" and wanted <= listed and len(found) == len(wanted):
-        return "right family" if len(listed) <= SHORT_LIST * len(wanted) else "vague"
+    if record["verdict"] == "family" and required <= listed and len(required) <= len(found) <= len(wanted):
+        backed = all(held.get(e["id"], e["id"]) in wanted or wanted & set(e["rivals"]) for e in record["effects"])
+        if backed or len(found) == 1:
+            return "right family" if len(listed) <= SHORT_LIST * len(found) else "vague"
     if found and found < wanted:
         return "part"
     alike = sorted(catalogue()[name].family for name in found) == sorted(catalogue()[name].family for name in wanted)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.errors import ProofError
-from shj_bayes.files import write_text
+from shj_bayes.files import read_json, write_text
 from shj_bayes.proof.cases import Key, canonical, draw_keys
 
 COMMITMENT, SECRET, OPENED = "commitment.json", "secret.json", "keys.json"
@@ -34,7 +34,7 @@ def write_secret(folder: Path, seed: int, n: int) -> dict[str, Any]:
     """
     path = folder / SECRET
     if path.exists():
-        secret: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        secret: dict[str, Any] = read_json(path, ProofError)
         if (secret["seed"], secret["n"]) != (seed, n):
             raise ProofError(
                 f"{folder.name} holds an unfinished proof of {secret['n']} trials, seed {secret['seed']}; "
@@ -55,7 +55,7 @@ def open_seal(folder: Path) -> list[Key]:
     -------
     list of Key
     """
-    secret = json.loads((folder / SECRET).read_text(encoding="utf-8"))
+    secret = read_json(folder / SECRET, ProofError)
     keys = draw_keys(secret["seed"], secret["n"])
     opened = {
         "schema": SCHEMA,
@@ -77,11 +77,11 @@ def read_opened(folder: Path) -> tuple[int, list[Key], list[str]]:
         If the proof has not been opened, or is none.
     """
     path = folder / OPENED
+    if not path.exists():
+        raise ProofError(f"{folder.name} has no {OPENED}: the proof is not finished; run it again to go on")
+    opened = read_json(path, ProofError)
     try:
-        opened = json.loads(path.read_text(encoding="utf-8"))
         keys = [Key.from_dict(trial["key"]) for trial in opened["trials"]]
         return int(opened["seed"]), keys, [str(trial["nonce"]) for trial in opened["trials"]]
-    except FileNotFoundError as error:
-        raise ProofError(f"{folder.name} has no {OPENED}: the proof is not finished; run it again to go on") from error
-    except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ProofError(f"{OPENED} in {folder.name} is damaged ({type(error).__name__}: {error})") from error

@@ -8,7 +8,7 @@ import numpy as np
 
 from shj_bayes.inference.problem import Run
 from shj_bayes.mismatch.evidence import Evidence, evidence_of
-from shj_bayes.mismatch.refit import Refit, make_model, refit
+from shj_bayes.mismatch.refit import Refit, make_model, orthogonal_to, refit
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors
 from shj_bayes.proof.cases import Key
@@ -39,6 +39,8 @@ class Truth:
         The visible part, kN, at the samples of `evidence_of`.
     scene : Evidence
         Those samples.
+    each : dict of str to (float, float)
+        By effect, ``visible_share`` and ``evidence`` of the force that it adds to that of the others.
     """
 
     base: dict[str, float]
@@ -47,11 +49,17 @@ class Truth:
     bare_share: float
     residual_kN: FloatArray
     scene: Evidence
+    each: dict[str, tuple[float, float]]
 
     @property
     def detectable(self) -> bool:
-        """Whether what is concealed matters and can be told from the noise at all."""
-        return self.visible_share >= PRACTICAL and self.evidence >= EVIDENCE
+        """Whether any of what is concealed must be named."""
+        return bool(self.required)
+
+    @property
+    def required(self) -> set[str]:
+        """Effects that must be named: beside the other one, each matters and can be told from the noise by itself."""
+        return {name for name, (share, worth) in self.each.items() if share >= PRACTICAL and worth >= EVIDENCE}
 
 
 def truth_of(key: Key, priors: Priors, made: list[Made] | None = None) -> Truth:
@@ -75,21 +83,33 @@ def truth_of(key: Key, priors: Priors, made: list[Made] | None = None) -> Truth:
     scene, fit = _fit_perfect(made, key, priors)
     residual = fit.residual_kN
     own = scene.weight > 0
-    noise = np.concatenate([one.noise_kN for one in made])
-    phi = float(np.clip(np.corrcoef(noise[:-1], noise[1:])[0, 1], 0.0, 0.99))
-    full = np.concatenate([one.clean_kN for one in made]).size / max(own.sum(), 1)
-    # Thinned samples of slow residuals: each stands for `full` samples of the recording.
-    innovation = np.mean((1 - phi) ** 2 * residual[own] ** 2)
-    worth = 0.5 * innovation / (noise.var() * (1 - phi**2)) * own.sum() * full
+    share = float(np.percentile(np.abs(residual[own]), 99)) / key.device.Fy
+    each = {key.effects[0].id: (share, _worth(residual[own], made))} if len(key.effects) == 1 else {}
+    if len(key.effects) > 1:
+        for one in key.effects:
+            others = [other for other in key.effects if other.id != one.id]
+            lesser, _ = _fit_perfect(make(key, effects=others), key, priors)
+            alone = orthogonal_to(fit.jacobian, ((scene.force_kN - lesser.force_kN) * scene.weight)[:, None])[own, 0]
+            each[one.id] = (float(np.percentile(np.abs(alone), 99)) / key.device.Fy, _worth(alone, made))
     names = bare.model.names
     return Truth(
         base={name: bare.model.values(bare.z)[name] for name in names},
-        visible_share=float(np.percentile(np.abs(residual[own]), 99)) / key.device.Fy,
-        evidence=float(worth),
+        visible_share=share,
+        evidence=_worth(residual[own], made),
         bare_share=float(np.percentile(np.abs(bare.residual_kN[bare_scene.weight > 0]), 99)) / key.device.Fy,
         residual_kN=residual,
         scene=scene,
+        each=each,
     )
+
+
+def _worth(visible_kN: FloatArray, made: list[Made]) -> float:
+    """Log-likelihood that a part of the force is worth under the trial's own noise."""
+    noise = np.concatenate([one.noise_kN for one in made[:2]])
+    phi = float(np.clip(np.corrcoef(noise[:-1], noise[1:])[0, 1], 0.0, 0.99))
+    # Thinned samples of slow residuals: each stands for several samples of the recording, all of which add.
+    innovation = float(np.mean((1 - phi) ** 2 * visible_kN**2))
+    return 0.5 * innovation / float(noise.var() * (1 - phi**2)) * sum(one.clean_kN.size for one in made[:2])
 
 
 def effect_truths(key: Key) -> dict[str, dict[str, float]]:

@@ -1,6 +1,7 @@
 """Counting and judging, on made-up answers whose judgement is known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,12 +52,31 @@ MANY = ("wear", "thermal", "drift", "taper", "slack")
         (OUTSIDE, answer("unknown"), "unknown"),
         (OUTSIDE, answer("named", "drift"), "wrong"),
         (TWO, answer("named", FIRST, SECOND), "right"),
+        (stated_key("stick_slip", 0.1, seed=3), answer("named", "stribeck"), "right"),
+        (stated_key("stribeck", 0.1, seed=3), answer("named", "stick_slip"), "wrong"),
         (TWO, answer("named", FIRST), "part"),
     ],
 )
 def test_outcomes(key, given, word):
     assert outcome(key, given) == word
     assert len(MANY) + 1 > SHORT_LIST
+
+
+def test_of_two_effects_only_those_that_can_be_told_from_the_noise_must_be_named():
+    assert outcome(TWO, answer("named", FIRST), {FIRST}) == "right"
+    assert outcome(TWO, answer("named", FIRST, SECOND), {FIRST}) == "right"
+    assert outcome(TWO, answer("named", SECOND), {FIRST}) == "part"
+    assert outcome(TWO, answer("named", FIRST), {FIRST, SECOND}) == "part"
+    assert outcome(TWO, answer("named", FIRST, "stick_slip"), {FIRST}) == "wrong"
+    assert outcome(TWO, answer("family", "stick_slip", rivals=[FIRST]), {FIRST}) == "right family"
+
+
+def test_a_second_effect_too_small_to_see_is_not_asked_for():
+    large, small = ONE.effects[0], stated_key("asymmetry", 0.001, seed=3).effects[0]
+    key = replace(ONE, effects=(large, small), kind="two")
+    assert truth_of(key, read_priors("afc")).required == {"prying"}
+    both = replace(key, effects=(large, replace(small, size=0.1)))
+    assert truth_of(both, read_priors("afc")).required == {"prying", "asymmetry"}
 
 
 @pytest.mark.parametrize(

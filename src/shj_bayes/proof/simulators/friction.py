@@ -73,11 +73,23 @@ def _eyring(drives: Sequence[Drive], size: float, shape: Shape, device: Device) 
     return out
 
 
+@njit(cache=True, error_model="numpy")
+def _film(goal, slid, builds, thins, start):  # type: ignore[no-untyped-def]
+    """State that follows a goal over one slip length upwards and over another downwards."""
+    out = np.empty(goal.size)
+    m = start
+    for i in range(goal.size):
+        m = goal[i] + (m - goal[i]) * np.exp(-slid[i] / (builds if goal[i] > m else thins))
+        out[i] = m
+    return out
+
+
 def _memory(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -> list[Acts]:
-    """Let friction follow the speed with a delay in slip (a film that takes some distance to adapt)."""
+    """Let friction follow the speed with a delay in slip: a film that builds up and thins over different distances."""
     out, state = [], 0.0
     for drive in drives:
-        film = follow(drive.speed / REFERENCE_MM_S, drive.slip_mm_s * drive.dt, shape["length_mm"], state)
+        lengths = (shape["length_mm"], shape["thins"] * shape["length_mm"])
+        film = _film(drive.speed / REFERENCE_MM_S, drive.slip_mm_s * drive.dt, *lengths, state)
         state = float(film[-1])
         out.append(Acts(clamping=1.0 + size * (film - 0.6)))
     return out
@@ -173,8 +185,11 @@ SIMULATORS = (
         "share",
         (0.01, 0.3),
         _memory,
-        "film state that follows the speed over slip",
-        draw=lambda rng: {"length_mm": float(np.exp(rng.uniform(np.log(4.0), np.log(25.0))))},
+        "film that builds up and thins over different slip lengths",
+        draw=lambda rng: {
+            "length_mm": float(np.exp(rng.uniform(np.log(4.0), np.log(25.0)))),
+            "thins": float(rng.uniform(0.7, 1.4)),
+        },
         base=("K", "ratio"),
         signed=True,
     ),

@@ -57,6 +57,8 @@ class Simulator:
         Whether the size is given a random sign.
     protocols : tuple of str
         Tests in which it can show at all.
+    holds : tuple of str
+        Other effects of the catalogue that this physics holds, and that are as true an answer.
     """
 
     id: str
@@ -71,6 +73,7 @@ class Simulator:
     fast: bool = False
     signed: bool = False
     protocols: tuple[str, ...] = ("paper", "improved")
+    holds: tuple[str, ...] = ()
 
 
 @cache
