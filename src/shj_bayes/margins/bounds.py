@@ -13,7 +13,7 @@ from shj_bayes.margins.cycle import steady_cycle
 from shj_bayes.margins.sample import Motion
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import SECOND_RUN, NewDevice, new_device
+from shj_bayes.population.predict import SECOND_RUN, NewDevice, new_device, sets_suffice
 
 LOWER, MIDDLE, UPPER = "lower", "middle", "upper"
 NEEDED = ("K", "Fy", "beta", "gamma")
@@ -78,7 +78,9 @@ def bounds(models: Sequence[PopulationResult], motion: Motion) -> tuple[Bound, .
             f"materials are given for tested speeds only (up to {motion.guard.tested.fastest_mm_s:.3g} mm/s)"
         )
     out = []
-    for name in (*models[0].set_names, ANY_SET):
+    # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.
+    untested = (ANY_SET,) if sets_suffice(len(models[0].sets)) else ()
+    for name in (*models[0].set_names, *untested):
         found = [three for model in models if (three := _of_set(new_device(model, name), motion))]
         if found:
             out += [_outermost(same) for same in zip(*found, strict=True)]

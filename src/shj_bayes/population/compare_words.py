@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from shj_bayes.population.power import MOST
+from shj_bayes.population.priors import ASSUMED
 from shj_bayes.population.quantities import QUANTITIES
 
 TRUSTED = 0.95
@@ -52,10 +53,10 @@ def sentence(
     if not settled["default"]:
         verdict = f"the direction is not settled: {open_} is compatible with them"
     elif not all(settled.values()):
-        against = ", ".join(label for label, yes in settled.items() if not yes)
-        verdict = f"the direction hangs on what is assumed of the spread (not settled under the {against} prior)"
+        against = ", ".join(ASSUMED.get(label, f"under the {label} prior") for label, yes in settled.items() if not yes)
+        verdict = f"the direction hangs on what is assumed of the spread (not settled {against})"
     else:
-        verdict = "the direction is settled at 90 %, whatever prior of the spread is taken"
+        verdict = "the direction is settled at 90 %, whatever is assumed of the spread"
     text = f"{sides[0]}: {name} of a typical device {size}; with {n[0]} and {n[1]} devices {verdict}."
     share, probability = equivalence
     if probability > TRUSTED:

@@ -9,7 +9,7 @@ import numpy as np
 
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.files import damage_told
-from shj_bayes.inference.store import read_posterior, read_record
+from shj_bayes.inference.store import read_group, read_record
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 from shj_bayes.population.tested import RangeTested
@@ -36,8 +36,8 @@ def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS
     record = read_record(folder)
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
         laws = {law["name"]: law for law in record["prior_laws"]}
-        posterior = read_posterior(folder)["posterior"]
-        draws = {q: posterior[q].to_numpy().ravel() for q in QUANTITIES if q in posterior}
+        posterior = read_group(folder, "posterior")
+        draws = {q: posterior[q].ravel() for q in QUANTITIES if q in posterior}
         log_prior = {q: _pooled_log_density(laws[q], values) for q, values in draws.items()}
         return DeviceEstimate.from_posterior(name, set_name, draws, log_prior, tags)
 
@@ -71,9 +71,9 @@ def tested_by_fit(folder: Path) -> RangeTested | None:
     """
     try:
         record = read_record(folder)
-        data = read_posterior(folder)["constant_data"]
-        x, speed = data["displacement_mm"].to_numpy(), data["speed_mm_s"].to_numpy()
-        half, run = data["half_cycle_of_sample"].to_numpy(), data["run"].to_numpy()
+        data = read_group(folder, "constant_data")
+        x, speed = data["displacement_mm"], data["speed_mm_s"]
+        half, run = data["half_cycle_of_sample"], data["run"]
     except (ShjError, KeyError):
         return None
     amplitudes, peaks = [], []

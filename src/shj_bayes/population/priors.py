@@ -96,6 +96,13 @@ def population_prior(name: str) -> PopulationPrior:
     return _PRIORS[name]
 
 
+ASSUMED = {
+    "alike": "if all sets are held to spread nearly alike",
+    "free": "if the spread is left to the devices alone",
+}
+"""What `other_priors` assume, in words."""
+
+
 def other_priors(prior: PopulationPrior) -> dict[str, PopulationPrior]:
     """Return the two other priors of the spread that every answer is shown under.
 

@@ -1,25 +1,11 @@
 from dataclasses import replace
 
 import pytest
+from made_devices import table_device
 
-from shj_bayes.population.device import DeviceEstimate, Tags
+from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.measurement import Rounded
 from shj_bayes.population.tested import PUBLISHED
-
-
-def table_device(name, set_name, K, Fy, second, dep, tags=None):
-    return DeviceEstimate.from_table(
-        name,
-        set_name,
-        K=Rounded.to_step(K, 1.0),
-        Fy=Rounded.to_step(Fy, 5.0),
-        Fy_second=Rounded.to_step(second, 5.0),
-        gamma=Rounded.gamma_of_dep(dep, 30.0),
-        beta=Rounded.to_decade(10.0),
-        tags=tags or Tags(),
-    )
-
 
 ZINC = Tags("zinc", 70.0, material="Bisalloy 500")
 RUSTY = Tags("zinc", 70.0, corroded=True, material="Bisalloy 500")

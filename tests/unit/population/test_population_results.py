@@ -45,8 +45,8 @@ def test_few_devices_are_said_to_be_few(result):
     assert "says nothing about its spread" in how_wide(result, "Brass")
     assert "Two devices are not a band" in how_wide(result, "Zinc 70")
     assert "A set never tested" in how_wide(result, ANY_SET)
-    for label in ("alike", "free"):
-        assert f"under the {label} prior" in how_wide(result, "Zinc 70", "gamma")
+    for words in ("if all sets are held to spread nearly alike", "if the spread is left to the devices alone"):
+        assert words in how_wide(result, "Zinc 70", "gamma")
 
 
 def test_dep_is_only_words_beside_gamma(result):
