@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from shj_bayes.cluster import results_on
 from shj_bayes.errors import CampaignError, ShjError, plain_text
 from shj_bayes.files import folder_name, plain_name, read_toml, sealed, write_text
 from shj_bayes.pipeline import DeviceResult, Options, fit_device
@@ -131,7 +133,9 @@ def read_manifest(path: Path) -> Manifest:
     return Manifest(plain_name(str(table.get("name", path.stem))), devices, table.get("simulated") is True)
 
 
-def run_campaign(manifest: Manifest, folder: Path, *, workers: int = 0, progress: bool = False) -> list[Outcome]:
+def run_campaign(
+    manifest: Manifest, folder: Path, *, workers: int = 0, cluster: str = "", progress: bool = False
+) -> list[Outcome]:
     """Fit every device that is missing or changed; one bad device never stops the rest.
 
     Parameters
@@ -142,6 +146,9 @@ def run_campaign(manifest: Manifest, folder: Path, *, workers: int = 0, progress
         Campaign folder; each device has its own folder below ``devices``.
     workers : int
         Processes, 0 for one per processor.
+    cluster : str
+        Address of a dask scheduler whose workers fit the devices instead; they must see `folder` and the recordings
+        under the same paths.
     progress : bool
         Show a progress bar on standard error.
 
@@ -153,8 +160,12 @@ def run_campaign(manifest: Manifest, folder: Path, *, workers: int = 0, progress
     folder.mkdir(parents=True, exist_ok=True)
     outcomes: dict[str, Outcome] = {}
     bar = tqdm(total=len(manifest.devices), unit="device", desc="devices", disable=None if progress else True)
+    if cluster:
+        coming = _fit_on_cluster(manifest, folder, cluster, bar.set_postfix_str)
+    else:
+        coming = _fit_all(manifest, folder, workers or os.cpu_count() or 1)
     with bar:
-        for outcome in _fit_all(manifest, folder, workers or os.cpu_count() or 1):
+        for outcome in coming:
             outcomes[outcome.device.folder] = outcome
             bar.update()
     ordered = [outcomes[device.folder] for device in manifest.devices]
@@ -193,6 +204,24 @@ def _fit_all(manifest: Manifest, folder: Path, workers: int) -> Iterator[Outcome
                             yield Outcome(device, "failed", "the process that fitted it died twice (memory, or killed)")
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _fit_on_cluster(manifest: Manifest, folder: Path, address: str, tell: Callable[[str], None]) -> Iterator[Outcome]:
+    """Outcomes as a dask cluster finishes them; it hands the devices of a lost worker to another."""
+    there = {d.folder: d for d in manifest.devices}  # an outcome speaks of the device as the manifest names it
+    sent = [_with_whole_paths(device) for device in manifest.devices]
+    fit_there = partial(_fit_one, folder=folder.absolute())
+    for device, outcome, reason in results_on(address, folder.absolute(), fit_there, sent, tell=tell):
+        mine = there[device.folder]
+        yield replace(outcome, device=mine) if outcome else Outcome(mine, "failed", reason)
+
+
+def _with_whole_paths(device: Device) -> Device:
+    """Make the paths mean the same on another machine that shares the file system."""
+    priors, options = device.options.priors, device.options
+    if priors.endswith(".toml"):
+        options = replace(options, priors=str(Path(priors).absolute()))
+    return replace(device, recordings=tuple(path.absolute() for path in device.recordings), options=options)
 
 
 def _fit_one(device: Device, folder: Path) -> Outcome:

@@ -234,19 +234,35 @@ def diagnose(
 @_out()
 @SEED
 @WORKERS
+@click.option("--dask", "cluster", metavar="ADDRESS", help="Of a dask scheduler whose workers fit the devices.")
 @OUTPUT
-def campaign(manifest: Path, out: Path, seed: int, workers: int | None, as_json: bool, quiet: bool) -> None:
+def campaign(
+    manifest: Path, out: Path, seed: int, workers: int | None, cluster: str | None, as_json: bool, quiet: bool
+) -> None:
     """Fit every device of a TOML manifest, then population, comparison and report; resumes where it stopped."""
-    _run_campaign(manifest, out, seed=seed, workers=workers, quiet=quiet, as_json=as_json)
+    if cluster is not None and workers:
+        raise click.UsageError("--workers is for this machine and --dask for a cluster; give one of them.")
+    if cluster is not None and not cluster.strip():
+        raise click.UsageError("--dask needs an address, such as tcp://10.0.0.5:8786.")
+    _run_campaign(manifest, out, seed=seed, workers=workers, cluster=cluster, quiet=quiet, as_json=as_json)
 
 
-def _run_campaign(manifest: Path, out: Path, *, seed: int, workers: int | None, quiet: bool, as_json: bool) -> None:
+def _run_campaign(
+    manifest: Path,
+    out: Path,
+    *,
+    seed: int,
+    workers: int | None,
+    quiet: bool,
+    as_json: bool,
+    cluster: str | None = None,
+) -> None:
     from shj_bayes.campaign import read_manifest, run_campaign
     from shj_bayes.summary import summarise_campaign
 
     speak = not (quiet or as_json)
     plan = read_manifest(manifest)
-    outcomes = run_campaign(plan, out, workers=workers or 0, progress=speak)
+    outcomes = run_campaign(plan, out, workers=workers or 0, cluster=cluster or "", progress=speak)
     result = summarise_campaign(plan, outcomes, out, seed=seed, progress=speak)
     if as_json:
         click.echo(json.dumps(result.record, indent=1))

@@ -18,10 +18,12 @@ from shj_bayes.margins.sheet import PLAIN, Request, Sheet, margins, motion_of
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
 from shj_bayes.report.campaign import safe_folder
 from shj_bayes.report.margins_page import render_margins
+from shj_bayes.report.sets import name_of
 
 TABLES_NAME = "Published tables"
 
@@ -201,11 +203,15 @@ def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
     unknown = [s for s in sets if s not in names]
     if unknown:
         raise PopulationError(f"there is no set {unknown[0]!r}; sets are: {', '.join(repr(n) for n in names)}")
+    tested = [name for name in names if name != ANY_SET]
+    enough = sets_suffice(len(tested))
     lines = []
-    for name in sets or names:
-        shown = "(all devices)" if name.startswith("(") else name
+    for name in sets or (names if enough else tested):
+        shown = "(all devices)" if name == ANY_SET else name
         part = table[table["set"] == shown]
-        lines += ["", f"{name}: {part['devices'].max()} devices"]
+        count = int(part["devices"].max())
+        behind = f"from {len(tested)} tested sets" if name == ANY_SET else f"{count} device{'' if count == 1 else 's'}"
+        lines += ["", f"{name_of(name)}: {behind}"]
         lines.append(f"  {'':18}{'new device':>26}{'EN 1990 X_k':>20}{'EN 1990 X_d':>20}{'95/95 one-sided':>20}")
         for line in part.to_dict("records"):
             pairs = [
@@ -217,6 +223,8 @@ def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
             head = f"{line['quantity']}{unit}"
             lines.append(f"  {head:18}{band:>26}{pairs[0]:>20}{pairs[1]:>20}{pairs[2]:>20}")
         lines += [f"  {text}" for text in _factor_lines(sheet, name)]
+    if not (sets or enough):
+        lines += ["", never_tested_words(len(tested))]
     return "\n".join(lines[1:])
 
 

@@ -19,6 +19,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "campaign": (
         "shj-bayes campaign campaign.toml -o spring",
         "shj-bayes campaign campaign.toml -o spring --workers 4",
+        "shj-bayes campaign campaign.toml -o spring --dask tcp://10.0.0.5:8786",
     ),
     "tables": ("shj-bayes tables -o tables",),
     "margins": ("shj-bayes margins spring", "shj-bayes margins tables"),

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,10 @@ from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.inference.store import check_files, read_record
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.intervals import Effort
 from shj_bayes.model.law import VARIANTS
 from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE
+from shj_bayes.model.parameters import describe as parameter_meaning
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.check import describe, to_dict
 from shj_bayes.recording.kinematics import motion_of
@@ -30,6 +32,8 @@ from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
 from shj_bayes.suggest import did_you_mean
+
+SURE_P = 1e-3  # below it, digits of a p value say nothing to a reader; diagnosis.json keeps them
 
 
 @dataclass(frozen=True)
@@ -101,15 +105,17 @@ class DiagnosisResult:
     def text(self) -> str:
         """What a person wants to read at the end of a diagnosis."""
         record = self.record
-        lines = [f"{record['device']}: {record['verdict']} (p = {record['p_value']:.2g} of nothing missing)"]
+        p = f"below {SURE_P:g}" if record["p_value"] < SURE_P else f"{record['p_value']:.2g}"
+        lines = [f"{record['device']}: {record['verdict']} (chance of such a misfit if nothing were missing: {p})"]
         lines += [f"  {sentence}" for sentence in record["words"]]
-        lines += ["", "  before -> after"]
+        # Where nothing was added to the law there is one law and one set of numbers.
+        stages = ("before", "after") if record["effects"] else ("after",)
+        lines += ["", f"  {' -> '.join(stages)}" if len(stages) > 1 else "  base law"]
         for name, row in record["shift"].items():
-            before, after = row["before"], row["after"]
-            old, new = (f"{value['mean']:11.5g} +- {value['sd']:<9.2g}" for value in (before, after))
-            lines.append(f"  {name:8}{old} -> {new}".rstrip())
-        old, new = record["before"], record["after"]
-        lines.append(f"  held-out error {old['heldout_rmse_kN']:.3g} -> {new['heldout_rmse_kN']:.3g} kN")
+            shown = " -> ".join(f"{row[stage]['mean']:11.5g} +- {row[stage]['sd']:<9.2g}" for stage in stages)
+            lines.append(f"  {name:8}{shown} {parameter_meaning(name).unit}")
+        errors = " -> ".join(f"{record[stage]['heldout_rmse_kN']:.3g}" for stage in stages)
+        lines.append(f"  error on held-out cycles {errors} kN")
         return "\n".join([*lines, "", f"report: {self.page}"])
 
 
@@ -149,7 +155,7 @@ class DeviceResult:
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
             lines.append(f"  {row['name']:8}{numbers}  {row['unit']}{dep_words(row)}")
         notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
-        lines += [f"  {finding['severity']}: {finding['message']}" for finding in notes]
+        lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
         lines += ["", f"report: {self.folder / 'report.html'}"]
         return "\n".join(lines)
 
@@ -235,7 +241,8 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
         recording = read(path, **reading)
     except RecordingError as error:
         name = plain_text(path.name)
-        return {"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {error}"
+        reason = str(error).removeprefix(f"{name}: ")
+        return {"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}"
     try:
         motion = motion_of(recording)
     except RecordingError:
@@ -283,10 +290,11 @@ def diagnose_device(
         without=without,
         seed=options.seed,
         quick=quick,
-        progress=progress,
-        threads=threads,
+        effort=None if quick else Effort(progress=progress, threads=threads),
         tell=tell,
     )
+    findings = [finding.code for recording in recordings for finding in recording.findings]
+    diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings})
     diagnosis.write(folder)
     return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
 
@@ -297,7 +305,7 @@ def dep_words(row: dict[str, Any]) -> str:
         return ""
     low, high = row["q05"], row["q95"]
     if low <= 0 <= high:
-        return "  (dep unbounded: no speed dependence is within the interval)"
+        return "  (dep has no bound: the force may not depend on speed)"
     first, second = sorted((1 / low, 1 / high))
     return f"  (dep {first:.4g} to {second:.4g} mm/s)"
 
@@ -332,7 +340,9 @@ def _digest(recording: Recording) -> str:
 
 def _key(digests: list[str], options: Options, priors: str, name: str) -> str:
     """Digest of all that the result depends on."""
-    content = [digests, asdict(options), priors, name, shj_bayes.__version__, sorted(BASE)]
+    # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
+    chosen = asdict(options) | {"priors": Path(options.priors).name}
+    content = [digests, chosen, priors, name, shj_bayes.__version__, sorted(BASE)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

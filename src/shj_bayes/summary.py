@@ -14,12 +14,13 @@ from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.paper_claims import paper_claims
-from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.predict import new_device_table
+from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, to_json, write_population
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
+from shj_bayes.report.sets import name_of
 
 SHOWN = ("Fy", "Fy_second", "ratio", "K", "gamma")
 
@@ -157,9 +158,12 @@ def band_text(population: PopulationResult) -> str:
     """Bands of a new device, one line per set and quantity."""
     table = new_device_table(population)
     lines = ["A NEW device of each set: 5 %, 50 %, 95 %"]
+    enough = sets_suffice(len(population.sets))
+    if not enough:
+        table = table[table["set"] != ANY_SET]
     for row in table[table["quantity"].isin(SHOWN)].itertuples():
         unit = "" if row.unit == "1" else f" {row.unit}"
         numbers = f"{row.q05:10.4g} {row.q50:10.4g} {row.q95:10.4g}{unit}"
         devices = f"{row.n_devices} device{'' if row.n_devices == 1 else 's'}"
-        lines.append(f"  {row.set:34.34}{devices:12}{row.quantity:10}{numbers}")
-    return "\n".join(lines)
+        lines.append(f"  {name_of(str(row.set)):34.34}{devices:12}{row.quantity:10}{numbers}")
+    return "\n".join(lines if enough else [*lines, f"  {never_tested_words(len(population.sets))}"])

@@ -8,6 +8,8 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+import shutil
+import subprocess
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -139,6 +141,16 @@ def test_scripts_that_are_named_exist(page: Path) -> None:
 
 def test_links_lead_somewhere(page: Path) -> None:
     assert [target for target in local_targets(page) if not (page.parent / target).exists()] == []
+
+
+def test_what_is_linked_is_kept(page: Path) -> None:
+    """A page of results that `.gitignore` leaves out is there for the author and for nobody else."""
+    git = shutil.which("git")
+    targets = [str((page.parent / target).resolve()) for target in local_targets(page)]
+    if git is None or not (TOP / ".git").exists() or not targets:
+        pytest.skip("no git, no repository, or no link to a file")
+    answer = subprocess.run([git, "check-ignore", *targets], cwd=TOP, capture_output=True, text=True, check=False)
+    assert answer.stdout == ""
 
 
 def test_no_machine_paths_and_no_addresses(page: Path) -> None:

@@ -1,0 +1,159 @@
+"""Tasks on a dask cluster that is there already (``campaign --dask ADDRESS``); the optional extra ``dask``.
+
+The cluster's scheduler hands a task to a worker that is free, and hands it to another when a worker is lost. Whoever
+can reach a dask scheduler can run code on its workers: the address is trusted as the command line is.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
+from itertools import islice
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeVar
+from uuid import uuid4
+
+import shj_bayes
+from shj_bayes.errors import CampaignError, plain_text
+
+PATIENCE_S = 10  # for the scheduler to answer
+IN_FLIGHT = 10_000  # tasks that the scheduler holds at a time: more than any cluster has processors
+_ONE = threading.Lock()  # a worker may have many threads; fits and pictures are made one at a time in a process
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def results_on(
+    address: str,
+    folder: Path,
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Iterator[tuple[Item, Result | None, str]]:
+    """Results of a function as a cluster finishes them.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler (``tcp://10.0.0.5:8786``), or the file that it wrote with ``--scheduler-file`` (``x.json``).
+    folder : Path
+        Absolute path of a folder that all workers must see.
+    function, items
+        What is called, and on what; both travel to the workers.
+    tell : callable
+        Gets a few words on the cluster with each result.
+
+    Yields
+    ------
+    item, result or None, reason
+        The reason says why there is no result; it is empty where there is one.
+
+    Raises
+    ------
+    CampaignError
+        If dask is not installed, the cluster does not answer, or its workers cannot do this work.
+    """
+    library = _library()
+    with _connect(library, address) as client:
+        _check_workers(client, address, folder)
+        run, waiting = uuid4().hex[:8], enumerate(items)
+        running: dict[Any, Item] = {}  # futures; the cluster drops them when this process ends or is stopped
+        done = library.as_completed(loop=client.loop)
+        while True:
+            for number, item in islice(waiting, IN_FLIGHT - len(running)):
+                future = client.submit(_alone, function, item, key=f"shj-bayes-{run}-{number}", pure=False)
+                running[future] = item
+                done.add(future)
+            if not running:
+                return
+            try:
+                n_workers = len(client.nthreads())
+                tell(f"{n_workers} workers" if n_workers else "no worker has joined yet")
+                future = next(done)
+                result, reason = _result_of(library, future)
+            except (CancelledError, OSError) as error:
+                raise CampaignError(
+                    f"--dask {address}: the scheduler stopped answering ({type(error).__name__}); the same command "
+                    "again keeps what is finished, and goes on"
+                ) from error
+            yield running.pop(future), result, reason
+
+
+def _library() -> Any:
+    """Import dask's distributed, which is optional and slow to import.
+
+    Raises
+    ------
+    CampaignError
+        If it is not installed.
+    """
+    try:
+        import distributed  # noqa: PLC0415
+    except ImportError as error:
+        raise CampaignError(
+            "--dask needs the package distributed, which is not installed; install it here and on the workers with "
+            "pip install 'shj-bayes[dask]'"
+        ) from error
+    library: ModuleType = distributed
+    return library
+
+
+def _connect(library: Any, address: str) -> Any:
+    """Connect to the scheduler.
+
+    Raises
+    ------
+    CampaignError
+        If that fails.
+    """
+    where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+    try:
+        if "scheduler_file" in where:
+            Path(address).stat()  # dask itself waits for it without end
+        return library.Client(**where, timeout=PATIENCE_S, set_as_default=False, name="shj-bayes")
+    except (OSError, ValueError, TypeError, ImportError, RuntimeError) as error:
+        raise CampaignError(
+            f"--dask {address}: no dask scheduler answers there within {PATIENCE_S} s ({error}); it needs the address "
+            "that `dask scheduler` prints, such as tcp://10.0.0.5:8786, or its --scheduler-file"
+        ) from error
+
+
+def _check_workers(client: Any, address: str, folder: Path) -> None:
+    """Ask the workers that are there whether they can do the work; those that join later tell it device by device."""
+    for worker, answer in client.run(_look, str(folder), on_error="return").items():
+        if isinstance(answer, ImportError):
+            wrong = f"cannot import shj_bayes ({answer}); install shj-bayes {shj_bayes.__version__} on the workers"
+        elif isinstance(answer, BaseException):
+            wrong = f"fails ({type(answer).__name__}: {answer})"
+        elif answer[0] != shj_bayes.__version__:
+            wrong = f"has shj-bayes {answer[0]}, this is {shj_bayes.__version__}; install the same version on all"
+        elif not answer[1]:
+            wrong = f"does not see the folder {folder}; it must be on a file system that all workers share"
+        else:
+            continue
+        raise CampaignError(f"--dask {address}: the worker {worker} {wrong}")
+
+
+def _look(folder: str) -> tuple[str, bool]:
+    """Version on a worker, and whether it sees a folder."""
+    return shj_bayes.__version__, Path(folder).is_dir()
+
+
+def _alone(function: Callable[[Item], Result], item: Item) -> Result:
+    """Call a function, one call at a time in this process."""
+    with _ONE:
+        return function(item)
+
+
+def _result_of(library: Any, future: Any) -> tuple[Any, str]:
+    """Take the result of a finished task, or say why it has none."""
+    error = future.exception() if future.status == "error" else None
+    if isinstance(error, library.KilledWorker):
+        return None, f"{error.allowed_failures + 1} workers died while they fitted it (memory, or killed)"
+    if error is not None:
+        return None, plain_text(f"the cluster could not run it: {type(error).__name__}: {error}")
+    return future.result(), ""
