@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from shj_bayes.report.browse import find_browser
+
 for name in ("sphinx", "furo", "myst_parser", "sphinx_click", "latex2mathml"):
     pytest.importorskip(name, reason=f"{name} is not installed; python tasks.py docs installs it")
 TOP = Path(__file__).resolve().parents[2]
@@ -50,3 +52,22 @@ def test_a_link_to_nowhere_is_an_error(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "nowhere" in done.stderr
+
+
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium on this machine")
+def test_site_is_accessible(site: Path) -> None:
+    """Nothing that axe calls serious or critical, on a desk and on a phone, with what the theme leaves out put in."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    wrong = []
+    with sync_api.sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=find_browser(), args=["--no-sandbox", "--disable-gpu"])
+        page = chromium.new_page()
+        for name in ("index", "start", "method/model", "reference/commands"):
+            page.goto((site / f"{name}.html").as_uri())
+            for width in (1200, 390):
+                page.set_viewport_size({"width": width, "height": 900})
+                found = axe.Axe().run(page).response["violations"]
+                wrong += [(name, v["id"], v["nodes"][0]["html"][:100]) for v in found if v["impact"] != "minor"]
+        chromium.close()
+    assert wrong == []

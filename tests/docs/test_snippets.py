@@ -1,15 +1,16 @@
 """Every snippet of the documents runs: commands through the parser and the rooms, Python as it stands.
 
 Long work is made short in two ways that leave the words of the documents as they are: the recordings beside them are
-small, and the sampler is stopped after few steps. What that leaves out is shown by ``make demo`` and the slow tests.
+small, and the samplers of devices and of populations are stopped after few steps. What that leaves out is shown by
+``make demo`` and the slow tests.
 """
 
 import json
-import os
 import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,14 @@ from scipy.io import savemat
 
 from shj_bayes.cli import main
 from shj_bayes.examples import EXAMPLES
+from shj_bayes.population import hierarchy
 from shj_bayes.simulated import write_simulated
 
 TOP = Path(__file__).resolve().parents[2]
 FENCE = re.compile(r"^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
-WORKERS = re.compile(r" --workers \d+")  # changes nothing but the time it takes
+WORKERS = re.compile(
+    r" --(workers \d+|dask \S+)"
+)  # changes nothing but the time it takes (and there is no cluster here)
 FOLDERS = ("docs", "docs/guides", "docs/method", "docs/reference")
 # Pages whose commands need what only their own rooms make; test_documents holds them to the parser.
 APART = ("proof.md", "security.md", "speed.md")
@@ -100,10 +104,12 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "my-device.toml").write_text(priors, encoding="utf-8")
     (folder / "made").mkdir()
     (folder / "made" / "campaign.toml").write_text(MANIFEST.replace('"run', '"../run').replace('"plain', '"../plain'))
-    before = Path.cwd()
-    os.chdir(folder)
-    yield folder
-    os.chdir(before)
+    short = {"n_warm": 150, "n_keep": 300, "thin": 1}  # of populations: a sixth of the time, and bands all the same
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hierarchy, "fit_quantity", partial(hierarchy.fit_quantity, **short))
+        patch.setattr(hierarchy, "_SHORT", short)
+        patch.chdir(folder)
+        yield folder
 
 
 def run(line: str) -> str | None:

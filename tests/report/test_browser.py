@@ -3,13 +3,18 @@
 import csv
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from made_campaign import make_campaign, population
 from made_diagnosis import write
 
-from shj_bayes.report.campaign import render_campaign
+from shj_bayes.design import design_margins
+from shj_bayes.population.paper_claims import paper_claims
+from shj_bayes.population.results import write_population
+from shj_bayes.population.tested import PUBLISHED
+from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 
@@ -19,6 +24,8 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this ma
 
 WIDE, PHONE = {"width": 1200, "height": 900}, {"width": 390, "height": 844}
 KINDS = ("device", "diagnosis", "campaign")
+MORE = ("adequate", "family", "unknown", "tables", "margins", "proof")  # pages without controls of their own
+PROOF = Path(__file__).resolve().parents[2] / "reports" / "proof-20261121" / "proof.html"
 LARGEST_BYTES = 6_000_000
 FIRST_PICTURE_MS = 4000  # the figure aimed at is 1000; a shared machine under load is given four times that
 BROWSER = [
@@ -37,7 +44,15 @@ Open = Callable[..., "sync_api.Page"]
 def files(tmp_path_factory: pytest.TempPathFactory, fitted: Path, hostile_name: str) -> dict[str, Path]:
     root = tmp_path_factory.mktemp("pages")
     campaign = make_campaign(root / "campaign", fitted, hostile_name)
+    tables = population(tuple("abcde"))
+    write_population(replace(tables, tested=PUBLISHED), root / "tables")
     return {
+        **{
+            word: render_diagnosis(write(root / word, word, hostile_name)) for word in ("adequate", "family", "unknown")
+        },
+        "tables": render_tables(root / "tables", tables, paper_claims()),
+        "margins": design_margins(root / "tables").page,
+        "proof": PROOF,
         "device": render_device(Path(shutil.copytree(fitted, root / "device"))),
         "diagnosis": render_diagnosis(write(root / "diagnosis", "named", hostile_name)),
         "campaign": render_campaign(campaign, population((hostile_name, "other"))),
@@ -90,7 +105,7 @@ def until(page: "sync_api.Page", expression: str) -> None:
     raise AssertionError(expression)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", KINDS + MORE)
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["desk", "phone"])
 def test_opens_quietly_fits_and_shows_its_pictures(show: Open, kind: str, size: dict[str, int]) -> None:
     page = show(kind, viewport=size)
@@ -108,19 +123,25 @@ def test_light_and_quick(show: Open, files: dict[str, Path], kind: str) -> None:
     assert 0 < painted < FIRST_PICTURE_MS
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_accessible(browser: "sync_api.Browser", files: dict[str, Path], kind: str, scheme: str) -> None:
+@pytest.mark.parametrize("kind", KINDS + MORE)
+def test_accessible(browser: "sync_api.Browser", files: dict[str, Path], kind: str) -> None:
+    """No complaint of axe at any level, light on a desk and dark on a phone."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     # The checker is itself a script from outside the page, which the page's policy would rightly refuse.
-    context = browser.new_context(viewport=WIDE, color_scheme=scheme, bypass_csp=True)
+    context = browser.new_context(viewport=WIDE, color_scheme="light", bypass_csp=True)
     page = context.new_page()
     page.goto(files[kind].as_uri())
     for summary in page.locator("summary").all():
         summary.click()
-    found = axe.Axe().run(page)
+    wrong = []
+    for scheme, size in (("light", WIDE), ("dark", PHONE)):
+        page.emulate_media(color_scheme=scheme)
+        page.set_viewport_size(size)
+        for v in axe.Axe().run(page).response["violations"]:
+            wrong.append((scheme, v["impact"], v["id"], [n["html"][:120] for n in v["nodes"]][:3]))
     context.close()
-    assert [(v["id"], [n["html"][:120] for n in v["nodes"]][:3]) for v in found.response["violations"]] == []
+    # The kept page of the first proof has a column without a head, of the lowest level; it is evidence and stays.
+    assert [w for w in wrong if kind != "proof" or w[1] != "minor"] == []
 
 
 def test_hostile_names_are_text(show: Open, hostile_name: str) -> None:
@@ -294,3 +315,22 @@ def test_without_scripts_the_pictures_stand(show: Open) -> None:
     assert page.locator(".still figure").first.is_visible()
     assert page.locator(".viewer").is_hidden()
     assert "Scripts are switched off" in page.locator("body").inner_text()
+
+
+def test_heads_of_sortable_tables_come_again_on_paper(show: Open, tmp_path: Path) -> None:
+    """Chromium paints no button in the heads that later sheets repeat, so on paper their words must stand alone."""
+    page = show("tables")
+    page.emulate_media(media="print")
+    assert page.evaluate("[...document.querySelectorAll('button.sort')].map(b => getComputedStyle(b).display)[0]") == (
+        "contents"
+    )
+    page.pdf(path=tmp_path / "page.pdf", format="A4", prefer_css_page_size=True)
+    assert (tmp_path / "page.pdf").stat().st_size > 10_000
+
+
+def test_a_table_beside_a_picture_keeps_its_button(show: Open) -> None:
+    page = show("diagnosis")
+    for button in page.get_by_role("button", name="Download as CSV").all():
+        table = button.locator("xpath=../following-sibling::*[1]").locator("table")
+        assert table.count() == 1
+        assert abs(table.bounding_box()["x"] - button.bounding_box()["x"]) < 2

@@ -9,9 +9,11 @@ from page_tools import Page, check_safe
 
 from shj_bayes.errors import ShjError
 from shj_bayes.population.paper_claims import paper_claims
+from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import new_device_table
 from shj_bayes.report import sets
 from shj_bayes.report.campaign import render_campaign, render_tables, safe_folder
+from shj_bayes.summary import band_text
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +37,19 @@ def test_new_device_bands_are_those_of_the_population(page: Page, hostile_name: 
     result = population((hostile_name, "other"))
     exact = {attrs["value"] for attrs in page.all("data")}
     for row in new_device_table(result).to_dict("records"):
-        if row["quantity"] in sets.SHOWN:
+        if row["quantity"] in sets.SHOWN and row["set"] != ANY_SET:
             assert repr(float(row["q50"])) in exact
+
+
+@pytest.mark.parametrize(("n", "shown"), [(4, False), (5, True)])
+def test_a_set_never_tested_is_left_out_where_its_band_would_be_assumption(n: int, shown: bool) -> None:
+    result = population(tuple("abcde"[:n]))
+    bands = sets.set_bands(result)
+    assert all((rows[-1].name == sets.NEVER) == shown for rows in bands.values())
+    loops = sets.loop_bands(result, 95.0, 10.0)
+    assert (loops[-1].set_name == ANY_SET) == shown
+    assert ("a set never tested" in band_text(result)) == shown
+    assert ("4 tested sets do not tell how much sets differ" in band_text(result)) != shown
 
 
 def test_devices_and_failures_are_counted(page: Page) -> None:
@@ -44,6 +57,7 @@ def test_devices_and_failures_are_counted(page: Page) -> None:
     assert "1 failed" in page.text
     assert "Simulated data." in page.text
     assert "Two devices are not a band" in page.text
+    assert "Nothing is said of a set that was never tested: 2 tested sets" in page.text
 
 
 def test_campaign_without_a_population(campaign: Path) -> None:

@@ -12,7 +12,7 @@ from page_tools import Page, check_safe
 from shj_bayes.errors import ReportError
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.diagnosis_numbers import parity, profile
-from shj_bayes.report.diagnosis_words import VERDICTS, per_cent, shape_table
+from shj_bayes.report.diagnosis_words import VERDICTS, per_cent, shape_table, spaced
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +41,10 @@ def test_numbers_are_those_of_the_record(pages: dict[str, Page]) -> None:
     exact = [attrs["value"] for attrs in page.all("data")]
     for value in (0.1512, 74.41, 80.12, 0.0159, 0.0003, 5.678, 123.4, -1.7):
         assert repr(value) in exact
-    for text in ("3.33", "0.538", "below 0.001", "0.012", "up to 11.9 kN, 16 % of the sliding force", "97 %", "123.4"):
+    for text in ("3.33", "0.538", "below 0.001", "0.012", "up to 11.9 kN, 15 % of the sliding force", "97 %", "+123,"):
         assert text in page.text
     assert "Prying: the plates bend." in page.raw[: page.raw.index("<nav")]
-    assert "dep not bounded" in page.text
+    assert "Dep has no bound" in page.text or "dep has no bound" in page.text
     assert "dep between" in page.text
     assert "ab" * 32 in page.text
 
@@ -59,9 +59,38 @@ def test_family_and_unknown_say_their_own(pages: dict[str, Page]) -> None:
     assert "4.32 kN" in unknown
 
 
+def test_the_scatter_of_an_unknown_misfit_is_not_called_noise(pages: dict[str, Page]) -> None:
+    assert "This holds what no effect explains" in pages["unknown"].text
+    assert "nothing is left to explain" not in pages["unknown"].text
+    assert "nothing is left to explain" in pages["named"].text
+
+
+def test_simulated_recordings_are_called_so(tmp_path: Path) -> None:
+    folder = write(tmp_path, "named", "device")
+    assert "Simulated data." not in Page(render_diagnosis(folder)).text
+    (folder / "diagnosis.json").write_text(
+        json.dumps(record("named", "device") | {"simulated": True}), encoding="utf-8"
+    )
+    assert "Simulated data." in Page(render_diagnosis(folder)).text
+
+
+def test_every_mean_on_the_first_screen_has_its_spread(pages: dict[str, Page]) -> None:
+    first = pages["adequate"].raw.partition("<nav")[0]
+    assert "Spread 0.25." in first
+
+
+def test_shape_of_the_unknown_is_drawn_along_the_motion(pages: dict[str, Page]) -> None:
+    assert "counted along the motion" in pages["unknown"].text
+
+
+@pytest.mark.parametrize(("text", "spaced_"), [("11% lower", "11 % lower"), ("100 % %d", "100 % %d")])
+def test_per_cent_has_a_space_everywhere(text: str, spaced_: str) -> None:
+    assert spaced(text) == spaced_
+
+
 def test_aliases_are_words(pages: dict[str, Page]) -> None:
     text = pages["named"].text
-    assert "This displacement history cannot tell “Clamping lost away from mid-stroke” from “" in text
+    assert "“Clamping lost away from mid-stroke” looks like “" in text
     assert "the base law takes it up" in text
 
 

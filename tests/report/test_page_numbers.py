@@ -97,8 +97,8 @@ def test_ranks_of_equal_and_of_shifted_ensembles() -> None:
     [
         (0.0168, 0.0172, "dep between +58.1 and +59.5 mm/s"),
         (-0.0125, -0.0100, "dep between -100 and -80 mm/s"),
-        (-0.001, 0.002, "dep not bounded: no speed dependence is inside the interval"),
-        (0.0, 0.002, "dep not bounded"),
+        (-0.001, 0.002, "dep has no bound: the force may not depend on speed at all; if there is any"),
+        (0.0, 0.002, "dep has no bound"),
     ],
 )
 def test_dep_is_said_beside_gamma(low: float, high: float, expected: str) -> None:

@@ -127,7 +127,7 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
         }
     residual = read_residual(folder / place)
     if residual:
-        row["structured"], row["residual"] = residual
+        row["structured"], row["residual"] = residual[0], words.in_a_cell(*residual)
     return row
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,7 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
         "freed": freed_words(device),
         "before": before_words(numbers),
         "priors": [prior_row(device, law) for law in record["prior_laws"]],
+        "made": _day(str(record["created"])),
         "model": record["model"],
         "sampling": record["sampling"],
         "record": record,
@@ -157,11 +159,12 @@ def parameter_row(row: dict[str, Any]) -> dict[str, Any]:
 def prior_row(device: DeviceData, law: dict[str, Any]) -> dict[str, str]:
     """One parameter before and after the test."""
     low, middle, high = np.quantile(device.prior[law["name"]], (0.05, 0.5, 0.95))
+    coarse = (high - low) / 10  # the middle of some draws: no more digits than their range makes meaningful
     return {
         "name": law["name"],
         "unit": "" if law["unit"] == "1" else law["unit"],
         "before": f"{words.short(low)} to {words.short(high)}",
-        "middle": words.short(middle),
+        "middle": words.rounded(middle, coarse).replace("-0.000", "0.000"),
         "after": words.interval(device.parameter(law["name"])),
         "law": f"{law['law']} ({law['a']:g}, {law['b']:g})",
         "source": law["source"],
@@ -198,9 +201,10 @@ def energy_words(numbers: Numbers) -> str:
     outside = sum(e.n_outside for e in numbers.energies)
     measured = sum(float(e.measured_J.sum()) for e in numbers.energies)
     error = 100 * (sum(float(e.median_J.sum()) for e in numbers.energies) / measured - 1)
+    said = "the same to within 0.1 %" if abs(error) < 0.1 else f"{abs(error):.1f} % {'more' if error > 0 else 'less'}"
     return (
-        f"The {n} full cycles dissipated {_energy(measured)}; the model predicts {abs(error):.1f} % "
-        f"{'more' if error > 0 else 'less'}. {outside} of {n} cycles lie outside their 90 % band; about "
+        f"The {n} full cycles dissipated {_energy(measured)}; the model predicts {said}. "
+        f"{outside} of {n} cycles lie outside their 90 % band; about "
         f"{max(1, round(0.1 * n))} would by chance."
     )
 
@@ -227,6 +231,14 @@ def before_words(numbers: Numbers) -> str:
 
 def _energy(joule: float) -> str:
     return f"{joule / 1000:.4g} kJ" if joule >= 1000 else f"{joule:.4g} J"
+
+
+def _day(stamp: str) -> str:
+    """Date and time as one reads them; the stamp itself where it is none."""
+    try:
+        return f"{datetime.fromisoformat(stamp).astimezone(UTC):%d %B %Y, %H:%M} UTC"
+    except ValueError:
+        return stamp
 
 
 def _is_simulated(entry: dict[str, Any]) -> bool:

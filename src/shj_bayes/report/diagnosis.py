@@ -60,6 +60,7 @@ def content(data: DiagnosisData) -> dict[str, Any]:
     sign, colour, _ = say.VERDICTS[record["verdict"]]
     return {
         "name": str(record.get("device") or "Device"),
+        "simulated": bool(record.get("simulated")),
         "verdict": record["verdict"],
         "sign": sign,
         "colour": colour,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from shj_bayes.errors import ReportError
+from shj_bayes.files import read_json
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray
 
@@ -112,12 +112,9 @@ def read_diagnosis(folder: Path) -> DiagnosisData:
     ReportError
         If either file is missing, damaged or of another kind.
     """
-    try:
-        record = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ReportError(f"{folder.name} holds no diagnosis.json; run shj-bayes diagnose first") from error
-    except ValueError as error:
-        raise ReportError(f"diagnosis.json in {folder.name} cannot be read: {error}") from error
+    if not (folder / "diagnosis.json").exists():
+        raise ReportError(f"{folder.name} holds no diagnosis.json; run shj-bayes diagnose first")
+    record = read_json(folder / "diagnosis.json", ReportError)
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise ReportError(f"diagnosis.json in {folder.name} is not of schema {SCHEMA}; run the diagnosis again")
     if record.get("verdict") not in VERDICTS:

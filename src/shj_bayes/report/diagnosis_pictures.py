@@ -129,7 +129,6 @@ def _parity(data: DiagnosisData, parts: tuple[Parity, Parity]) -> Picture:
                    "root mean square of the part (kN)"),
         "Bars: size of the parts of the residual by their symmetry over stroke and direction.",
         say.parity_words(parts[0], data.capacity_kN),
-        "What kind of misfit",
     )  # fmt: skip
 
 
@@ -139,8 +138,9 @@ def _quality(data: DiagnosisData) -> Picture:
     return Picture(
         draw_.bars([name for _, name in keys], before, after if data.channels.changed else None, "error (kN)"),
         "Bars: error of the law on all samples and on held-out cycles, beside the noise floor.",
-        "Where the error on held-out cycles comes down to the noise floor, nothing is left to explain.",
-        "Error and noise",
+        "The floor is what scatters about the law, whatever it is: here it holds what no effect explains too."
+        if say.misfit_in_noise(data)
+        else "Where the error on held-out cycles comes down to the noise floor, nothing is left to explain.",
     )
 
 
@@ -168,10 +168,13 @@ def _shape(data: DiagnosisData) -> Picture | None:
         return None
     coordinate = str(u.get("coordinate") or columns[0])
     coordinate += UNITS.get(coordinate, "")
+    # Along the motion, as everywhere on the page: the record keeps the sign of the force.
+    along = [(_name(n), -v if _name(n) == "pull" else v) for n, v in columns[2]]
     return Picture(
-        draw_.shape(columns[1], [(_name(n), v) for n, v in columns[2]], coordinate),
+        draw_.shape(columns[1], along, coordinate),
         f"What no effect explains, against {coordinate}.",
-        "Mean of measured less modelled force; the numbers are in diagnosis.json.",
+        "Mean of measured less modelled force, counted along the motion: above 0 the device resists more than the law "
+        "says. The numbers are in diagnosis.json, there with the sign of the force.",
         wide=True,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -59,12 +60,17 @@ def first_lines(data: DiagnosisData) -> list[str]:
     """Sentences under the verdict: what was left out, its likely cause, what follows."""
     record = data.record
     if record.get("words"):
-        lines = [str(line) for line in record["words"][1:]]
+        lines = [spaced(str(line)) for line in record["words"][1:]]
         # Of several effects the first screen names each; their causes stand where each is described.
         return lines if len(record["effects"]) < 2 else [line.partition(" Likely cause:")[0] for line in lines]
     out = [f"{e['statement']}{_cause(e)}" for e in record["effects"]]
     out += [f"Next test: {record['next_test']}"] if record.get("next_test") else []
     return out
+
+
+def spaced(text: str) -> str:
+    """Put the space between a number and its per cent sign that the rest of the page has."""
+    return re.sub(r"(?<=\d)%", " %", text)
 
 
 def size_words(data: DiagnosisData) -> str:
@@ -96,24 +102,29 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
         if row is None:
             continue
         unit = _unit(name)
-        note = f"spread {spread(row['before'])} before, {spread(row['after'])} after."
+        note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
         if name == "gamma":
             note = f"Before: {dep(row['before'])}. After: {dep(row['after'])}."
+        if not data.channels.changed:
+            note = f"{_first_up(dep(row['after']))}." if name == "gamma" else f"Spread {spread(row['after'])}."
         out.append(_card(f"{name}: {describe(name).meaning}", value(row["before"]), value(row["after"]), unit, note))
     before, after = (number(data.record[k].get("heldout_rmse_kN")) for k in ("before", "after"))
     floor = words.short(number(data.record["after"].get("noise_kN")))
-    out.append(
-        _card(
-            "Error on cycles that were held out", words.short(before), words.short(after), "kN", f"Noise: {floor} kN."
-        )
-    )
+    # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
+    noise = "This holds what no effect explains, beside the noise." if misfit_in_noise(data) else f"Noise: {floor} kN."
+    out.append(_card("Error on cycles that were held out", words.short(before), words.short(after), "kN", noise))
     if not data.channels.changed:
-        out = [card | {"before": "", "note": _one_note(card["note"])} for card in out]
+        out = [card | {"before": ""} for card in out]
     note = "Corrected for everything that was tried. Small: something is missing."
     out.append(
         _card("Chance of so large a misfit if nothing were missing", "", p_words(data.record["p_value"]), "", note)
     )
     return out
+
+
+def misfit_in_noise(data: DiagnosisData) -> bool:
+    """Whether the noise floor of the record holds misfit that nothing in the law takes up."""
+    return bool(data.record["verdict"] == "unknown")
 
 
 def effects(data: DiagnosisData) -> list[dict[str, Any]]:
@@ -122,18 +133,21 @@ def effects(data: DiagnosisData) -> list[dict[str, Any]]:
     for e in data.record["effects"]:
         known = catalogue().get(str(e["id"]))
         size = number(e.get("size_kN"))
+        # An effect acts on the sliding force that stands beside it in the law: that of the law with what was found.
+        whole = number((data.record["shift"].get("Fy") or {}).get("after", {}).get("mean"))
+        whole = whole if data.channels.changed and whole > 0 else data.capacity_kN
         out.append(
             {
                 "id": e["id"],
                 "title": e.get("title") or title_of(e["id"]),
                 "family": family_of(e.get("family")),
-                "statement": e["statement"],
+                "statement": spaced(str(e["statement"])),
                 "cause": e.get("cause") or (known.cause if known else ""),
                 "shows": e.get("shows") or (known.shows if known else ""),
                 "equation": e.get("equation") or "",
                 "partial": bool(e.get("partial")),
                 "probability": percent(e.get("probability")),
-                "size": f"up to {words.short(size)} kN, {per_cent(size / data.capacity_kN)} % of the sliding force"
+                "size": f"up to {words.short(size)} kN, {per_cent(size / whole)} % of the sliding force"
                 if math.isfinite(size)
                 else "not known",
                 "rivals": [title_of(name) for name in e.get("rivals") or ()],
@@ -238,11 +252,10 @@ def aliases(data: DiagnosisData) -> list[dict[str, str]]:
         else:
             first, second, correlation = alias[0], alias[1], number(alias[2])
         if second == "base law":
-            text = f"This displacement history cannot show “{title_of(first)}”: the base law takes it up."
+            text = f"“{title_of(first)}” cannot be seen: the base law takes it up."
         else:
-            text = f"This displacement history cannot tell “{title_of(first)}” from “{title_of(second)}”."
-            if correlation < 0:
-                text += " One with more is like the other with less."
+            text = f"“{title_of(first)}” looks like “{title_of(second)}”"
+            text += ": more of the one is like less of the other." if correlation < 0 else "."
         out.append({"ids": f"{first}, {second}", "text": text, "correlation": f"{correlation:+.2f}"})
     return out
 
@@ -253,16 +266,28 @@ def candidates(data: DiagnosisData) -> list[dict[str, str]]:
         {
             "id": c["id"],
             "title": c.get("title") or title_of(c["id"]),
-            "gain": f"{number(c.get('elpd_gain')):+.1f}",
+            "gain": f"{number(c.get('elpd_gain')) + 0.0:+.1f}".replace("-0.0", "0.0").replace("+0.0", "0.0"),
             "exact": repr(number(c.get("elpd_gain"))),
-            "score": words.short(number(c.get("t", c.get("score")))),
+            "score": f"{number(c.get('t', c.get('score'))):.1f}".replace("-0.0", "0.0"),
             "probability": percent(c.get("probability")),
-            "size": words.short(number(c.get("size_kN"))),
-            "reason": c.get("reason") or "",
+            "size": f"{size:.2f}" if (size := number(c.get("size_kN"))) >= 0.005 else "below 0.01",
+            "reason": reason_of(c, data),
             "kept": "kept" if str(c.get("reason") or "").startswith("kept") else "",
         }
         for c in data.record["candidates"]
     ]
+
+
+def reason_of(candidate: Mapping[str, Any], data: DiagnosisData) -> str:
+    """Why an effect was kept or dropped.
+
+    The record compares each with the first effect of the law. Of several effects no single one need beat the dropped
+    ones alone, so that is said only where one effect was found.
+    """
+    reason = str(candidate.get("reason") or "")
+    if len(data.record["effects"]) < 2:
+        return reason
+    return "kept" if reason.startswith("kept") else "dropped: not part of the law that predicts best"
 
 
 def quality(data: DiagnosisData) -> list[dict[str, str]]:
@@ -285,14 +310,16 @@ def heldout_words(data: DiagnosisData) -> str:
     h = data.record["heldout"] or {}
     gain, error, blocks = number(h.get("elpd_gain")), number(h.get("se")), number(h.get("n_blocks"))
     scheme = str(h.get("scheme", "not stated")).replace("_", " ")
+    many = f", {blocks:.0f} times" if math.isfinite(blocks) else ""
+    text = f"Held out ({scheme}{many}): a cycle is predicted by a law that was fitted without it."
     if not math.isfinite(gain):
-        return f"Held out: {scheme}."
-    text = f"Held out: {scheme}, {blocks:.0f} blocks." if math.isfinite(blocks) else f"Held out: {scheme}."
+        return text
     if not data.channels.changed:
-        return f"{text} Nothing was added, so there is nothing to gain."
+        return f"{text} Nothing was added to the law, so there is nothing to gain."
+    sure = "far more" if gain > 5 * error else "more" if gain > 2 * error else "not clearly more"
     return (
-        f"{text} With what was found, held-out cycles are predicted better by {gain:.1f} units of log density "
-        f"(standard error {error:.1f})."
+        f"{text} With what was found these predictions are better, by {sure} than chance: log predictive density "
+        f"+{gain:.0f}, standard error {error:.0f}."
     )
 
 
@@ -324,6 +351,7 @@ def unknown(data: DiagnosisData) -> dict[str, Any] | None:
         "coordinate": u.get("coordinate") or "not known",
         "size": f"{words.short(size)} kN, {per_cent(size / data.capacity_kN)} % of the sliding force",
         "formula": u.get("formula") or "",
+        "formula_words": u.get("formula_words") or "",
         "period": period or "",
         "words": u.get("words") or "",
         "header": header,
@@ -407,11 +435,8 @@ def _card(what: str, before: str, after: str, unit: str, note: str) -> dict[str,
     return {"what": what, "before": before, "after": after, "unit": unit, "note": note}
 
 
-def _one_note(note: str) -> str:
-    """Note of a card when before and after are the same law."""
-    if note.startswith("Before: "):
-        return note.partition(". After: ")[2].capitalize()
-    return note if note.startswith("Noise") else ""
+def _first_up(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _meaning(name: str) -> str:
@@ -439,8 +464,9 @@ def _change(moved: float, before: float, *, gamma: bool) -> str:
     if not math.isfinite(moved):
         return "not known"
     if gamma or before == 0:
-        return f"{moved:+.2g}"
-    return f"{100 * moved / before:+.1f} %"
+        return f"{moved:+.2g}" if abs(moved) >= 5e-5 else "none"
+    share = 100 * moved / before
+    return f"{share:+.1f} %" if abs(share) >= 0.05 else "none"
 
 
 def _cell(entry: Any) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.predict import sets_suffice
 from shj_bayes.report.sets import name_of
 
 MAX_SETS = 16
@@ -16,8 +17,8 @@ BANDS = (
     ("Fy_second", "Fy, second run", "kN"),
     ("degradation", "loss of Fy", "%"),
     ("K", "K", "kN/mm"),
-    ("energy", "energy per cycle", "kJ"),
-    ("force", "force at mid-stroke", "kN"),
+    ("energy", "energy of a cycle, first run", "kJ"),
+    ("force", "force at mid-stroke, first run", "kN"),
 )
 TESTED = (
     ("EN 1990 characteristic, lognormal", "X_k", "EN 1990 D7.2"),
@@ -116,10 +117,16 @@ def factor_table(sheet: Sheet) -> list[dict[str, Any]]:
 
 
 def shown_sets(sheet: Sheet) -> list[str]:
-    """Choose the sets on the sheet: the first sixteen, and the set never tested; the rest stand in the files."""
+    """Choose the sets on the sheet: the first sixteen, and the set never tested where enough were tested to say so."""
     names = list(dict.fromkeys(row.set_name for row in sheet.rows))
-    tested = [name for name in names if name != ANY_SET]
-    return [*tested[:MAX_SETS], *(name for name in names if name == ANY_SET)]
+    tested = tested_sets(sheet)
+    untested = [name for name in names if name == ANY_SET and sets_suffice(len(tested))]
+    return [*tested[:MAX_SETS], *untested]
+
+
+def tested_sets(sheet: Sheet) -> list[str]:
+    """Names of the sets that were tested."""
+    return [name for name in dict.fromkeys(row.set_name for row in sheet.rows) if name != ANY_SET]
 
 
 def importance_of(sheet: Sheet) -> str:

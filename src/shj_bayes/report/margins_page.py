@@ -10,11 +10,13 @@ from shj_bayes.margins.sheet import PUBLISHED_LAW, Sheet
 from shj_bayes.margins.speed_guard import published_factors
 from shj_bayes.population.loops import LoopBand
 from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.report import margins_numbers as numbers
 from shj_bayes.report.page import Picture, write_page
 
 MARGINS_PAGE = "margins.html"
 MAX_PICTURES = 4
+FEW_SETS = 6  # so many leave room on two sheets of A4 for wider tables
 FAR_SPEED = 300.0
 """Speed of an earthquake's stroke (95 mm at a period of 1.5 to 2 s), mm/s."""
 COVERAGE = {2: 0.896, 4: 0.892, 8: 0.896}
@@ -59,7 +61,9 @@ def render_margins(
         ],
         "factors": numbers.factor_table(sheet),
         "importance": numbers.importance_of(sheet),
-        "left_out": max(0, len({row.set_name for row in sheet.rows}) - 1 - numbers.MAX_SETS),
+        "left_out": max(0, len(numbers.tested_sets(sheet)) - numbers.MAX_SETS),
+        "untested": "" if sets_suffice(n_sets := len(numbers.tested_sets(sheet))) else never_tested_words(n_sets),
+        "few": len(numbers.shown_sets(sheet)) <= FEW_SETS,
         "warnings": sheet.warnings,
         "diagnoses": sheet.diagnoses,
         "beside": len(sheet.models) > 1 or sheet.models[0] != PUBLISHED_LAW,

@@ -12,7 +12,7 @@ import numpy as np
 from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.loops import LoopBand, loop_band
 from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
-from shj_bayes.population.predict import SECOND_RUN, new_device, new_device_table
+from shj_bayes.population.predict import SECOND_RUN, new_device, new_device_table, sets_suffice
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 
 MEANING = {
@@ -97,10 +97,12 @@ def set_bands(
     Returns
     -------
     dict of str to tuple of SetBand
-        In the order of `SHOWN`; the last band of each is that of a set never tested.
+        In the order of `SHOWN`; the last band of each is that of a set never tested, where enough were tested to say.
     """
     table = new_device_table(result)
     groups = {group.name: group for group in result.sets}
+    if not sets_suffice(len(result.sets)):
+        table = table[table["set"] != ANY_SET]
     out: dict[str, tuple[SetBand, ...]] = {}
     for quantity in SHOWN:
         rows = table[table["quantity"] == quantity].to_dict("records")
@@ -187,7 +189,8 @@ def _quotient(level: FloatArray, others: list[FloatArray], i: int, j: int) -> Qu
 def loop_bands(result: PopulationResult, amplitude_mm: float, peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
     """Band of the loop of a new device of each set, both runs where both are known, of a set never tested last."""
     out = []
-    for name in (*result.set_names[:MAX_LOOPS], ANY_SET):
+    untested = (ANY_SET,) if sets_suffice(len(result.sets)) else ()
+    for name in (*result.set_names[:MAX_LOOPS], *untested):
         device = new_device(result, name)
         if not all(q in device.draws for q in ("K", "Fy", "beta", "gamma")):
             continue

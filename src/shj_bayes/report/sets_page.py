@@ -11,8 +11,8 @@ import numpy as np
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.store import read_posterior
 from shj_bayes.population.compare import Comparison
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import dep_words, how_wide
+from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.predict import dep_words, how_wide, never_tested_words, sets_suffice
 from shj_bayes.report import sets, words
 
 
@@ -32,7 +32,8 @@ def population_content(
         "table": _table(bands),
         **draw(result, bands, motion),
         "motion": f"{words.short(amplitude)} mm at a peak speed of {words.short(speed)} mm/s",
-        "wide": [how_wide(result, name, "Fy") for name in (*result.set_names, ANY_SET)] if "Fy" in bands else [],
+        "wide": [how_wide(result, row.set_name, "Fy") for row in bands.get("Fy", ())],
+        "untested": "" if sets_suffice(len(result.sets)) else never_tested_words(len(result.sets)),
         "few": _few(result),
         "names": list(result.set_names),
         "matrix": _matrix(result),
@@ -74,7 +75,15 @@ def _table(bands: Mapping[str, tuple[sets.SetBand, ...]]) -> list[dict[str, Any]
                 "high": _digits(high),
                 "dep": _dep(low, high) if quantity == "gamma" else "",
             }
+    for row in rows.values():
+        row["second"] = _per_cent(bands, row["name"])
     return list(rows.values())
+
+
+def _per_cent(bands: Mapping[str, tuple[sets.SetBand, ...]], name: str) -> str:
+    """Sliding force of the second run of a set, in per cent of the first."""
+    band = next((b.band for b in bands.get("ratio", ()) if b.name == name), None)
+    return f"{100 * band[0]:.0f} to {100 * band[2]:.0f} %" if band else ""
 
 
 def _dep(low: float, high: float) -> str:
@@ -86,6 +95,10 @@ def _digits(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
+def _number(n: int) -> str:
+    return ("Two", "Three", "Four", "Five")[n - 2]
+
+
 def _few(result: PopulationResult) -> str:
     """Say plainly when there are too few devices for a band of their own."""
     counts = [len(group.devices) for group in result.sets]
@@ -94,7 +107,8 @@ def _few(result: PopulationResult) -> str:
     few = sum(n <= 2 for n in counts)
     tail = f" {few} of the {len(counts)} sets here rest on one or two devices." if few else ""
     return (
-        "Two devices are not a band: the next one need not lie between them. The blue bars are for a new device. They "
+        f"{_number(max(2, min(counts)))} devices are not a band: the next one need not lie between them. The blue bars "
+        "are for a new device. They "
         "hold how much devices of one set differ, which few devices can hardly tell, so most of their width comes from "
         f"the other sets and from assumptions; the thin grey lines show how far other assumptions move them.{tail}"
     )

@@ -28,7 +28,7 @@ def draw(
     """All pictures of a population by place; `motion` is the amplitude, mm, and the peak speed, mm/s, of the loops."""
     return {
         "first": _bands(bands, "Fy") if "Fy" in bands else None,
-        "bands": [_bands(bands, quantity) for quantity in bands if quantity != "Fy"],
+        "bands": [{"quantity": q, "picture": _bands(bands, q)} for q in bands if q != "Fy"],
         "loops": _loops(sets.loop_bands(result, *motion)),
     }
 
@@ -36,10 +36,12 @@ def draw(
 def _bands(bands: Mapping[str, tuple[sets.SetBand, ...]], quantity: str) -> Picture:
     rows = bands[quantity]
     unit = "no unit" if rows[0].unit == "1" else rows[0].unit
-    caption = (
-        "Dots are tested devices; how many stands behind the name of the set. The blue bar is where a new device of "
-        "that set lies with a probability of 90 %, its upright line is the middle."
-    )
+    caption = _ends(rows)
+    if quantity == "Fy":
+        caption = (
+            "Dots are tested devices; how many stands behind the name of the set. The blue bar is where a new device "
+            "of that set lies with a probability of 90 %, its upright line is the middle."
+        )
     if quantity == "gamma":
         caption += " 0 means no dependence on speed; a band on both sides of 0 leaves dep = 1/gamma open."
     low, high = figures.span(rows)
@@ -52,6 +54,18 @@ def _bands(bands: Mapping[str, tuple[sets.SetBand, ...]], quantity: str) -> Pict
         TITLES[quantity],
         wide=True,
     )
+
+
+def _ends(rows: tuple[sets.SetBand, ...]) -> str:
+    """Say which sets lie at the ends, and which is known least."""
+    unit = "" if rows[0].unit == "1" else f" {rows[0].unit}"
+    least, most = min(rows, key=lambda row: row.band[1]), max(rows, key=lambda row: row.band[1])
+    widest = max(rows, key=lambda row: row.band[2] - row.band[0])
+    low, _, high = (f"{value:.3g}" for value in widest.band)
+    text = f"Widest band: {widest.name}, {low} to {high}{unit}."
+    if least is most:
+        return f"Middle: {least.band[1]:.3g}{unit}. {text}"
+    return f"Middles from {least.band[1]:.3g}{unit} ({least.name}) to {most.band[1]:.3g}{unit} ({most.name}). {text}"
 
 
 def _loops(bands: tuple[LoopBand, ...]) -> list[Picture]:

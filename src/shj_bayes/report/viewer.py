@@ -32,7 +32,8 @@ def device_viewer(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     -------
     dict
         ``runs`` (whole numbers by channel, ``cycles`` as places in them, ``every`` how they were thinned), ``scale``
-        (s, mm and kN of one step), ``names`` of what is drawn, ``cycle`` to show first.
+        (s, mm and kN of one step), ``names`` of what is drawn, ``ink`` of the only law ("base" as on a
+        diagnosis page, or "model"), ``cycle`` to show first.
     """
     runs = []
     shown = list(zip(device.runs, numbers.bands, strict=True))[:MOST]
@@ -69,7 +70,7 @@ def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
             channels["after"] = c.after_kN[mine]
         turns = np.flatnonzero(np.diff(c.direction[mine])) + 1
         runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
-    return _whole(runs, {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""})
+    return _whole(runs, {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}, "base")
 
 
 def thinning_words(viewer: Mapping[str, Any]) -> str:
@@ -98,7 +99,7 @@ def _run(name: str, channels: Mapping[str, FloatArray], cycles: IntArray, turns:
     }
 
 
-def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str]) -> dict[str, Any]:
+def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str], ink: str = "model") -> dict[str, Any]:
     """Channels as whole numbers of steps that all runs share, and the cycle of the first run to show first."""
     forces = ("measured", "before", "after", "low", "high")
     scale = {
@@ -114,7 +115,7 @@ def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str]) -> dict[str, A
             if isinstance(values, np.ndarray)
         }
         out.append({"name": run["name"], "every": run["every"], "cycles": run["cycles"], **steps})
-    return {"runs": out, "scale": scale, "names": names, "cycle": _first_cycle(runs[0])}
+    return {"runs": out, "scale": scale, "names": names, "ink": ink, "cycle": _first_cycle(runs[0])}
 
 
 def _first_cycle(run: Mapping[str, Any]) -> int:

@@ -54,8 +54,8 @@ def dep_words(row: Mapping[str, Any]) -> str:
     if low <= 0 <= high:
         sides = [f"below {1 / low:+.0f}"] if low < 0 else []
         sides += [f"above {1 / high:+.0f}"] if high > 0 else []
-        edges = f" (dep could only be {' or '.join(sides)} mm/s)" if sides else ""
-        return f"dep not bounded: no speed dependence is inside the interval{edges}"
+        edges = f"; if there is any, dep is {' or '.join(sides)} mm/s" if sides else ""
+        return f"dep has no bound: the force may not depend on speed at all{edges}"
     first, second = sorted((1 / low, 1 / high))
     digits = max(0, 1 - math.floor(math.log10(max(second - first, 1e-6))))
     return f"dep between {first:+.{min(digits, 3)}f} and {second:+.{min(digits, 3)}f} mm/s"
@@ -99,6 +99,14 @@ def residual_headline(s: Structure) -> str:
             "Fit again with the default noise model."
         )
     return "Nothing beyond noise is seen in what the model leaves over."
+
+
+def in_a_cell(structured: bool, headline: str) -> str:
+    """Shorten `residual_headline` to what a cell of a table has room for."""
+    if not structured:
+        return "nothing beyond noise"
+    head, _, rest = headline.partition(": ")
+    return rest.removeprefix("the residual is structured, ") if head.startswith("The model") else headline
 
 
 def band_words(s: Structure) -> str:
@@ -151,4 +159,6 @@ def _memory_words(s: Structure) -> str:
 
 def _share(p: float) -> str:
     """Return a p value as a share of tests."""
+    if p > 0.995:
+        return "nearly all"
     return f"at most 1 in {float(f'{1 / p:.2g}'):.0f}" if p <= 0.02 else f"about {100 * p:.0f} in 100"

@@ -131,7 +131,11 @@ def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, aft
     top.tick_params(labelbottom=False)
     low.axhline(0, color=INK, linewidth=0.8)
     label(top, "", f"energy ({unit})")
-    label(low, "cycle (half-cycle where there are few), in the order they were made", "model minus\nmeasured (%)")
+    label(
+        low,
+        "cycle, in the order they were made (half-cycles where there are few)",
+        "model minus\nmeasured (%)",
+    )
     legend(top, 3)
     return svg(figure)
 

@@ -33,7 +33,9 @@
     const state = { run: 0, cycle: -1, at: null, zoom: null, playing: 0, speed: 20, drag: null };
     const show = { measured: true, before: true, after: Boolean(runs[0].after), band: Boolean(runs[0].low) && !runs[0].after };
     let split = null;
-    const inks = { before: runs[0].after ? "--v-before" : "--v-after", after: "--v-after" };
+    /* A law has one colour on all pictures of a page: the base law of a diagnosis, the model of a device. */
+    const base = Boolean(runs[0].after) || data.ink === "base";
+    const inks = { before: base ? "--v-before" : "--v-after", after: "--v-after" };
 
     const canvas = el("canvas", { class: "plot", tabindex: "0", role: "img", "aria-label": "Force over displacement. Keys: arrows left and right step through time, up and down choose the cycle, plus and minus zoom, 0 shows all, space plays." });
     const strip = el("canvas", { class: "strip", "aria-hidden": "true" });
@@ -48,7 +50,7 @@
     const tick = (name, words) => {
       const input = el("input", { type: "checkbox", onchange: () => { show[name] = input.checked; draw(); } });
       input.checked = show[name];
-      return el("label", { class: `key ${name === "before" && !runs[0].after ? "after" : name}` }, input, " ", words);
+      return el("label", { class: `key ${name === "before" && !base ? "after" : name}` }, input, " ", words);
     };
     const wiper = el("input", { type: "checkbox", onchange: () => { split = wiper.checked ? Number(wipe.value) / 100 : null; wipe.disabled = !wiper.checked; draw(); } });
     wipe.disabled = true;

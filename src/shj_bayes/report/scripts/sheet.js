@@ -53,7 +53,7 @@ class Sheet {
     pen.font = "13px system-ui, sans-serif";
     pen.lineWidth = 1;
     const along = ticks(x0, x1, this.wide, 75);
-    const up = ticks(y0, y1, this.high, this.high < 200 ? 28 : 45);
+    const up = ticks(y0, y1, this.high, this.high < 200 ? 18 : 45);
     pen.strokeStyle = colour("--line");
     pen.fillStyle = colour("--ink");
     pen.textAlign = "center";
