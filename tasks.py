@@ -8,7 +8,8 @@ prove    200 concealed-effect trials, sealed, diagnosed, opened, scored (under a
 fuzz     read 6000 damaged files of every kind; a traceback, a hang or a garbled refusal is an error (15 minutes)
 kill     kill fits and campaigns at random moments, resume them, compare the bits; full disk, lost folder (20 minutes)
 thousand a campaign of 1000 devices, 5 % of them broken, a worker killed midway (about 40 minutes)
-calibrate  ranks and coverage of 300 simulated devices (goes on where it stopped); the page is kept in reports
+calibrate  ranks and coverage of 300 simulated devices, predictions and diagnosed devices (goes on where it stopped);
+           the pages are kept in reports
 audit    look every pinned package up in the public list of known weaknesses (needs the network)
 minimum  the tests with the oldest versions of all dependencies that pyproject.toml allows
 recover  fit recordings simulated from the 25 published rows and print where the truth lies (about 15 minutes)
@@ -51,7 +52,9 @@ TASKS: dict[str, list[list[str]]] = {
     "fuzz": [[str(PYTHON), "tests/fuzz/run.py", "-n", "6000"]],
     "kill": [[str(PYTHON), "benchmarks/kill.py"]],
     "thousand": [[str(PYTHON), "benchmarks/thousand.py"]],
-    "calibrate": [[str(PYTHON), "benchmarks/calibrate.py", "-n", "300"]],
+    "calibrate": [
+        [str(PYTHON), "benchmarks/calibrate.py", part, "-n", "300"] for part in ("device", "margins", "effects")
+    ],
     "audit": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--target", "build/audit", "pip-audit"],
         [str(PYTHON), "tests/audit.py", "build/audit"],

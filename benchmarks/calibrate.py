@@ -1,10 +1,17 @@
-"""Simulation-based calibration of the whole device fit: ``python benchmarks/calibrate.py -n 300``.
+"""Simulation-based calibration: ``python benchmarks/calibrate.py [device|margins|effects] -n 300``.
 
-Each draw takes parameters from the priors, simulates two runs with correlated force noise and displacement noise, and
-fits them as `shj-bayes fit` would. If prior, simulator, law, smoothing of the displacement, likelihood and sampler
-belong together, the rank of the true value among the posterior draws is uniform, and a 90 % interval holds it in 90 %
-of the draws. Finished draws are kept in ``calibration*.jsonl``; the same command
-goes on where it stopped.
+device
+    The whole fit of a device.
+margins
+    The prediction of a new device, which all margins are quantiles of, with two tested devices in each of five sets.
+effects
+    The law with slack, asymmetry and wear, sampled as a diagnosis samples it.
+
+Each draw of the first part takes parameters from the priors, simulates two runs with correlated force noise and
+displacement noise, and fits them as `shj-bayes fit` would. If prior, simulator, law, smoothing of the displacement,
+likelihood and sampler belong together, the rank of the true value among the posterior draws is uniform, and a 90 %
+interval holds it in 90 % of the draws. Finished draws are kept in ``calibration*.jsonl``; the same command goes on
+where it stopped.
 
 ``--broken white`` (noise taken for white), ``--broken jacobian`` (the Jacobian of the sampler's parameters counted
 in the likelihood too) and ``--broken signed`` (speed with its sign) break one thing on purpose: the test must fail.
@@ -19,14 +26,16 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from calibrate_parts import DEFAULTS, EFFECTS, N_RANKS, draw_effects, draw_margins, ranks_of
 from numpy.typing import NDArray
 from scipy import stats
 from tqdm import tqdm
@@ -50,7 +59,8 @@ ROOT = Path(__file__).resolve().parents[1]
 BROKEN = ("white", "jacobian", "signed")
 SHORT = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))  # for the tests of the test: half a minute of motion
 LEVELS = (0.50, 0.80, 0.90, 0.95)
-N_RANKS = 99  # nearly independent posterior draws for each rank
+DEVICE = {"rate_Hz": 5.0, "short": False, "broken": "", "max_steps": 10_000, "wobble_mm": 0.02}
+NOISE_EDGES = (0.0, 0.1, 0.5, np.inf)
 LAW = ("K", "Fy", "beta", "gamma", "ratio")  # the others, sigma and phi, describe all that is left over
 
 
@@ -123,12 +133,7 @@ def draw(
             posterior = {n: result.data["posterior"][n].to_numpy().ravel() for n in problem.layout.names}
     except ShjError as error:
         return record | {"error": str(error), "seconds": time.perf_counter() - begin}
-    ranks, below = {}, {}
-    for name, draws in posterior.items():
-        thinned = draws[np.linspace(0, draws.size - 1, N_RANKS).astype(int)]
-        ranks[name] = int(np.count_nonzero(thinned < values[name]))
-        below[name] = float(np.mean(draws < values[name]))
-    return record | {"verdict": verdict, "ranks": ranks, "below": below, "seconds": time.perf_counter() - begin}
+    return record | {"verdict": verdict, **ranks_of(posterior, values), "seconds": time.perf_counter() - begin}
 
 
 def _with_signed_speed(
@@ -151,18 +156,34 @@ def _with_signed_speed(
 
 
 def run(
-    n: int, seed: int, path: Path, *, workers: int = 0, rate_Hz: float = 5.0, short: bool = False, broken: str = "",
-    max_steps: int = 10_000, wobble_mm: float = 0.02, progress: bool = True,
-) -> list[dict[str, Any]]:  # fmt: skip
+    n: int, seed: int, path: Path, *, part: str = "device", workers: int = 0, progress: bool = True, **options: Any
+) -> list[dict[str, Any]]:
     """Make the draws that are not in the file yet, and append each as it is finished.
+
+    Parameters
+    ----------
+    n, seed : int
+        How many draws, and their stream.
+    path : Path
+        Where they are kept.
+    part : {"device", "margins", "effects"}
+        What is drawn.
+    workers : int
+        Processes, 0 for one per processor.
+    progress : bool
+        Show a progress bar.
+    **options
+        Of the part's draw; its defaults otherwise.
 
     Returns
     -------
     list of dict
         The first n draws in order.
     """
-    options: dict[str, Any] = {"rate_Hz": rate_Hz, "short": short, "broken": broken}
-    options |= {"max_steps": max_steps, "wobble_mm": wobble_mm}
+    options = {"device": DEVICE, **DEFAULTS}[part] | options
+    parts: dict[str, Callable[..., dict[str, Any]]] = {
+        "device": draw, "margins": draw_margins, "effects": draw_effects
+    }  # fmt: skip
     head = {"schema": "shj-bayes/calibration/1", "seed": seed, **options}
     done = _read(path, head)
     missing = [number for number in range(n) if number not in done]
@@ -174,7 +195,7 @@ def run(
         context = get_context("spawn")
         pool = ProcessPoolExecutor(min(workers or os.cpu_count() or 1, len(missing)), mp_context=context)
         with bar, pool, path.open("a", encoding="utf-8") as stream:
-            futures = [pool.submit(draw, number, seed, **options) for number in missing]
+            futures = [pool.submit(parts[part], number, seed, **options) for number in missing]
             for future in as_completed(futures):
                 row = future.result()
                 done[row["number"]] = row
@@ -255,6 +276,20 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def by_noise(rows: Sequence[dict[str, Any]], wobble_mm: float) -> list[str]:
+    """Coverage of the 90 % intervals by what the displacement noise moves the force on elastic branches, in sigma."""
+    good = [row for row in rows if "ranks" in row]
+    ratio = np.array([row["truth"]["K"] * wobble_mm / row["truth"]["sigma"] for row in good])
+    lines = ["| K x displacement noise / sigma | devices | " + " | ".join(LAW) + " |", "|---" * (2 + len(LAW)) + "|"]
+    for low, high in pairwise(NOISE_EDGES):
+        chosen = [row for row, r in zip(good, ratio, strict=True) if low <= r < high]
+        if chosen:
+            held = [np.mean([abs(row["below"][name] - 0.5) <= 0.45 for row in chosen]) for name in LAW]
+            words = f"{low:g} to {high:g}" if np.isfinite(high) else f"{low:g} and more"
+            lines.append(f"| {words} | {len(chosen)} | " + " | ".join(f"{100 * share:.0f} %" for share in held) + " |")
+    return lines
+
+
 def picture(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Rank histograms above, cumulative histograms minus the diagonal with their envelopes below."""
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -279,8 +314,37 @@ def picture(rows: Sequence[dict[str, Any]], path: Path) -> None:
     figure.savefig(path, dpi=110, metadata={"Software": None})
 
 
-def page(rows: Sequence[dict[str, Any]], command: str, drawing: str) -> str:
+WORDS = {
+    "device": (
+        "Calibration of the device fit",
+        """\
+devices with parameters drawn from the priors `afc`, simulated with correlated force noise and displacement noise,
+fitted like a measured device.""",
+        """\
+sigma and phi are compared with the noise of the force channel alone. A fit's own sigma and phi describe all that is
+left over, so with displacement noise (which moves the force by up to K times itself) they are not expected to be
+uniform; `--displacement-noise 0` shows them without it. The five parameters of the law are.""",
+    ),
+    "margins": (
+        "Calibration of the prediction of a new device",
+        "populations of Fy drawn from the population prior: five sets of two tested devices each, known to 2 %.",
+        """\
+All margins are quantiles of the predictive draws of a new device, so that its row is theirs. The truth is drawn from
+the prior: this tests the model and its sampling, not the prior (that is what `benchmarks/population.py` does).""",
+    ),
+    "effects": (
+        "Calibration of the law with three effects",
+        f"""\
+devices with the law, the noise and the effects {", ".join(EFFECTS)} drawn from their priors, sampled by the code that
+a diagnosis uses, started from least squares with one effect added after the other.""",
+        "The motion is exact, and the recordings are simulated by the law itself.",
+    ),
+}
+
+
+def page(rows: Sequence[dict[str, Any]], command: str, drawing: str, part: str, *, wobble_mm: float = 0.0) -> str:
     """Markdown page of a finished run."""
+    title, drawn, remark = WORDS[part]
     good = [row for row in rows if "ranks" in row]
     failed = [row for row in rows if "error" in row]
     verdicts = {word: sum(row["verdict"] == word for row in good) for word in ("reliable", "tentative", "unusable")}
@@ -289,11 +353,11 @@ def page(rows: Sequence[dict[str, Any]], command: str, drawing: str) -> str:
     off = failing(judge_ranks(rows))
     verdict = "Every parameter passes." if not off else f"FAILS: {', '.join(off)}."
     lines = [
-        "# Calibration of the device fit",
+        f"# {title}",
         "",
-        f"Printed by `{command}`: {len(rows)} devices with",
-        "parameters drawn from the priors `afc`, simulated with correlated force noise and displacement noise, fitted",
-        "like a measured device. Share of the draws in which the interval holds the true value:",
+        f"Printed by `{command}`: {len(rows)}",
+        drawn,
+        "Share of the draws in which the interval holds the true value:",
         "",
         table(rows),
         "",
@@ -301,10 +365,9 @@ def page(rows: Sequence[dict[str, Any]], command: str, drawing: str) -> str:
         f"the number of parameters. Verdicts of the fits: {words}; {len(failed)} draws could not be fitted",
         f"(they are listed below). Median time of a fit: {seconds:.1f} s.",
         "",
-        "sigma and phi are compared with the noise of the force channel alone. A fit's own sigma and phi describe all",
-        "that is left over, so with displacement noise (which moves the force by up to K times itself) they are not",
-        "expected to be uniform; `--displacement-noise 0` shows them without it. The five parameters of the law are.",
+        remark,
         "",
+        *(["The 90 % intervals alone:", "", *by_noise(rows, wobble_mm), ""] if wobble_mm else []),
         f"![Rank histograms, and cumulative histograms with their 95 % envelopes]({drawing})",
         "",
         *(f"- draw {row['number']}: {row['error']}" for row in failed),
@@ -315,6 +378,7 @@ def page(rows: Sequence[dict[str, Any]], command: str, drawing: str) -> str:
 def main() -> int:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", nargs="?", choices=tuple(WORDS), default="device", help="what is calibrated (device)")
     parser.add_argument("-n", type=int, default=300, help="draws (300)")
     parser.add_argument("--seed", type=int, default=7000, help="stream of the draws (7000)")
     parser.add_argument("--rate", type=float, default=5.0, help="sampling rate, Hz (5)")
@@ -325,19 +389,22 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=0, help="processes, 0 for one per processor")
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "reports", help="folder of the page (reports)")
     asked = parser.parse_args()
-    kinds = (asked.broken, "short" if asked.short else "", "" if asked.displacement_noise else "still")
+    if asked.part == "device":
+        kinds = [asked.broken, "short" if asked.short else "", "" if asked.displacement_noise else "still"]
+        options = {"rate_Hz": asked.rate, "short": asked.short, "broken": asked.broken, "max_steps": asked.max_steps}
+        options["wobble_mm"] = asked.displacement_noise
+    else:
+        kinds, options = [asked.part], {}
     stem = "-".join(word for word in ("calibration", *kinds) if word)
-    rows = run(
-        asked.n, asked.seed, asked.out / f"{stem}.jsonl", workers=asked.workers, rate_Hz=asked.rate,
-        short=asked.short, broken=asked.broken, max_steps=asked.max_steps, wobble_mm=asked.displacement_noise,
-    )  # fmt: skip
+    rows = run(asked.n, asked.seed, asked.out / f"{stem}.jsonl", part=asked.part, workers=asked.workers, **options)
     command = f"python benchmarks/calibrate.py {' '.join(sys.argv[1:])}".strip()
     picture(rows, asked.out / f"{stem}.png")
-    text = page(rows, command, f"{stem}.png")
+    text = page(rows, command, f"{stem}.png", asked.part, wobble_mm=float(options.get("wobble_mm", 0.0)))
     write_text(asked.out / f"{stem}.md", text)
     print(text)
-    off = [name for name in failing(judge_ranks(rows)) if name in LAW or not asked.displacement_noise]
-    return int(bool(off) != bool(asked.broken))
+    every = asked.part != "device" or not asked.displacement_noise
+    off = [name for name in failing(judge_ranks(rows)) if name in LAW or every]
+    return int(bool(off) != bool(asked.part == "device" and asked.broken))
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy_posterior import saturate
 from timing import best
 
 from shj_bayes.model.law import force_of_laws
@@ -78,19 +79,7 @@ def whole_array() -> Way:
         since, lengths, e, w = kept[id(motion)]
         np.multiply(since, LAW[0], out=e)
         e += np.repeat(resets(motion, beta), lengths.astype(np.int64))
-        np.abs(e, out=w)
-        np.maximum(w, 1e-280, out=w)
-        w *= 1.0 / LAW[1]
-        np.log(w, out=w)
-        w *= beta
-        np.abs(w, out=w)
-        np.negative(w, out=w)
-        np.exp(w, out=w)
-        np.log1p(w, out=w)
-        w *= -1.0 / beta
-        np.exp(w, out=w)
-        np.clip(e, -LAW[1], LAW[1], out=e)
-        e *= w
+        saturate(e, w, LAW[1], beta)
         np.multiply(motion.speed_mm_s, LAW[2], out=w)
         w += 1.0
         e *= w

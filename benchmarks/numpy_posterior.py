@@ -12,6 +12,23 @@ from shj_bayes.model.parameters import FloatArray
 _LOG_2PI = math.log(2 * math.pi)
 
 
+def saturate(e: FloatArray, w: FloatArray, capacity: float, beta: float) -> None:
+    """Eq. (1) of the elastic force `e`, in place and without overflow; `w` is memory of the same shape."""
+    np.abs(e, out=w)
+    np.maximum(w, 1e-280, out=w)
+    w *= 1.0 / capacity
+    np.log(w, out=w)
+    w *= beta
+    np.abs(w, out=w)
+    np.negative(w, out=w)
+    np.exp(w, out=w)
+    np.log1p(w, out=w)
+    w *= -1.0 / beta
+    np.exp(w, out=w)
+    np.clip(e, -capacity, capacity, out=e)
+    e *= w
+
+
 class NumpyPosterior:
     """Log posterior of one parameter set at a time, all samples of a run in one pass.
 
@@ -49,19 +66,7 @@ class NumpyPosterior:
                 resets.append(value * math.exp(-soft / beta))
             np.multiply(since, K, out=e)
             e += np.repeat(resets, lengths)
-            np.abs(e, out=w)
-            np.maximum(w, 1e-280, out=w)
-            w *= 1.0 / capacity
-            np.log(w, out=w)
-            w *= beta
-            np.abs(w, out=w)
-            np.negative(w, out=w)
-            np.exp(w, out=w)
-            np.log1p(w, out=w)
-            w *= -1.0 / beta
-            np.exp(w, out=w)
-            np.clip(e, -capacity, capacity, out=e)
-            e *= w
+            saturate(e, w, capacity, beta)
             np.multiply(speed, gamma, out=w)
             w += 1.0
             e *= w

@@ -84,7 +84,7 @@ def _peak_mb(pid: int) -> float:
         return 0.0
 
 
-def make(folder: Path, n: int, seed: int, max_steps: int) -> dict[str, str]:
+def make(folder: Path, n: int, seed: int, max_steps: int, *, whole: bool = False) -> dict[str, str]:
     """Write recordings and manifest; device name to the way in which it is broken, or ""."""
     rng = np.random.default_rng(seed)
     bad = set(rng.choice(n, size=max(1, n // 20), replace=False).tolist())
@@ -99,13 +99,16 @@ def make(folder: Path, n: int, seed: int, max_steps: int) -> dict[str, str]:
         )
         name = f"d{number:04d}"
         path = folder / f"{name}.csv"
-        write_csv(path, simulate_device(truth, seed=seed + number, rate_Hz=4.0, n_runs=1, blocks=BLOCKS)[0])
+        asked: dict[str, Any] = {"rate_Hz": 20.0} if whole else {"rate_Hz": 4.0, "n_runs": 1, "blocks": BLOCKS}
+        first, *others = simulate_device(truth, seed=seed + number, **asked)
+        write_csv(path, first)
+        names = [path.name, *(write_csv(folder / f"{name}-run2.csv", run).name for run in others)]
         ways[name] = WAYS[len([w for w in ways.values() if w]) % len(WAYS)] if number in bad else ""
         if ways[name]:
             break_file(path, ways[name])
         if number % 250 == 0:
             text += f'[[set]]\nname = "set {number // 250 + 1}"\n'
-        text += f'[[set.device]]\nname = "{name}"\nrecordings = ["{path.name}"]\n'
+        text += f'[[set.device]]\nname = "{name}"\nrecordings = {json.dumps(names)}\n'
     head = (
         f'schema = "shj-bayes/campaign/1"\nname = "thousand"\nsimulated = true\n[defaults]\nmax_steps = {max_steps}\n'
     )
@@ -159,9 +162,9 @@ def fit_all(manifest: str, out: str, workers: str) -> None:
     run_campaign(read_manifest(Path(manifest)), Path(out), workers=int(workers), progress=True)
 
 
-def run(folder: Path, n: int, *, workers: int, seed: int = 1, max_steps: int = 200) -> bool:
+def run(folder: Path, n: int, *, workers: int, seed: int = 1, max_steps: int = 200, whole: bool = False) -> bool:
     """Make, run, kill, run again, print; whether all is as it should be."""
-    ways = make(folder, n, seed, max_steps)
+    ways = make(folder, n, seed, max_steps, whole=whole)
     out = folder / "out"
     seconds, watch, devices = campaign(folder, out, workers, max(1, n // 3))
     status = Counter(device["status"] for device in devices.values())
@@ -191,13 +194,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-n", type=int, default=1000, help="devices (1000)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--whole", action="store_true", help="two runs of Table 1 at 20 Hz, 24 000 samples, each")
     parser.add_argument("--max-steps", type=int, default=200, help="steps of each fit (200)")
     parser.add_argument("-o", "--out", type=Path, help="folder that is kept; a temporary one by default")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = asked.out or Path(name)
         folder.mkdir(parents=True, exist_ok=True)
-        return int(not run(folder, asked.n, workers=asked.workers, max_steps=asked.max_steps))
+        return int(not run(folder, asked.n, workers=asked.workers, max_steps=asked.max_steps, whole=asked.whole))
 
 
 if __name__ == "__main__":

@@ -80,6 +80,25 @@ class _Serial:
         return type("Done", (), {"result": lambda _: value})()
 
 
+def test_the_other_parts_draw_the_same_again(calibrate, tmp_path, monkeypatch):
+    monkeypatch.setattr(calibrate, "ProcessPoolExecutor", lambda *_, **__: _Serial())
+    monkeypatch.setattr(calibrate, "as_completed", lambda futures: futures)
+    first, again = (calibrate.run(2, 1, tmp_path / name, part="margins", progress=False) for name in ("a", "b"))
+    assert [row["below"] for row in first] == [row["below"] for row in again]
+    assert set(first[0]["ranks"]) == {"new device", "device of a set never tested", "level", "spread", "between sets"}
+    assert first[0]["truth"] != first[1]["truth"]
+    text = calibrate.page(first, "this", "picture.png", "margins")
+    assert "two tested devices" in text
+    assert "| new device |" in text
+
+
+@pytest.mark.slow
+def test_the_law_with_effects_is_sampled(calibrate, tmp_path):
+    row = calibrate.run(1, 1, tmp_path / "effects.jsonl", part="effects", workers=1, progress=False)[0]
+    assert row["verdict"] == "reliable"
+    assert {"K", "slack.size", "slack.softness", "asymmetry.size", "wear.size", "sigma", "phi"} <= set(row["ranks"])
+
+
 def test_the_command_line_answers(monkeypatch):
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), "--help"])
     with pytest.raises(SystemExit, match="0"):

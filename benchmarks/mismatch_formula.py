@@ -1,0 +1,172 @@
+"""Formulas of what the catalogue lacks: right ones found, and none in noise.
+
+Run as ``python benchmarks/mismatch.py formula -n 10 --seed 9600``. The shapes are drawn for each seed; they are added
+to devices of the published range (Table 1, 5 Hz, AR(1) noise of 1 kN), the base law is fitted, and its residual goes to
+the search for a formula as the residual of an ``unknown`` does. In the lines of noise the residual is noise alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from mismatch import Shape, simulate
+
+from shj_bayes.inference.problem import Run
+from shj_bayes.mismatch.calibrate import strongest_line
+from shj_bayes.mismatch.diagnosis import N_QUICK
+from shj_bayes.mismatch.evidence import Evidence, evidence_of
+from shj_bayes.mismatch.expression import Factor
+from shj_bayes.mismatch.formula import Formula, find_formula
+from shj_bayes.mismatch.refit import Refit, linearise, make_model, refit
+from shj_bayes.model.noise import Stretches, simulate_noise
+from shj_bayes.model.priors import read_priors
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.recording import Recording
+
+NOISES = {"white noise": 0.0, "AR(1) noise, phi 0.9": 0.9}
+NEAR_MM = 3.0  # how near to the truth an edge or a centre must be
+Answer = Callable[[Formula], bool]
+
+
+def shapes(seed: int) -> dict[str, tuple[Shape, Answer]]:
+    """Shapes of one seed, as a share of Fy, and what makes a formula the right one."""
+    rng = np.random.default_rng(seed + 1_000_000)
+    pitch, phase = float(np.exp(rng.uniform(np.log(12), np.log(45)))), float(rng.uniform(0, 2 * np.pi))
+    edge, centre = float(rng.uniform(-40, 40)), float(rng.uniform(-45, 45))
+    width, period = float(rng.uniform(6, 12)), float(np.exp(rng.uniform(np.log(15), np.log(90))))
+    half, decay = float(rng.uniform(12, 30)), float(rng.uniform(0.6, 2.0))
+    return {
+        "wave over position": (
+            lambda h: 0.08 * h.direction * np.sin(2 * np.pi * h.position_mm / pitch + phase),
+            partial(_wave, coordinate="position", length=pitch),
+        ),
+        "wave over slip": (
+            lambda h: 0.06 * h.direction * np.sin(2 * np.pi * h.slip_mm / pitch),
+            partial(_wave, coordinate="slip since reversal", length=pitch),
+        ),
+        "wave over time": (
+            lambda h: 0.08 * np.sin(2 * np.pi * h.time_s / period + phase),
+            partial(_wave, coordinate="time", length=period),
+        ),
+        "step over position": (
+            lambda h: 0.08 * h.direction * np.heaviside(h.position_mm - edge, 0.5),
+            partial(_edges, places=(edge,)),
+        ),
+        "patch, push only": (
+            lambda h: 0.12 * np.maximum(h.direction, 0.0) * np.heaviside(half - np.abs(h.position_mm - edge), 0.5),
+            partial(_edges, places=(edge - half, edge + half), mode="push"),
+        ),
+        "bump over position": (
+            lambda h: 0.12 * h.direction * np.exp(-(((h.position_mm - centre) / width) ** 2)),
+            partial(_bump, centre=centre),
+        ),
+        "cubic over position": (lambda h: 0.1 * h.direction * (h.position_mm / 95) ** 3, _cubic),
+        "decay with travel": (lambda h: 0.1 * np.exp(-h.travel_m / decay), partial(_decay, length=decay)),
+    }
+
+
+def _factors(formula: Formula, name: str) -> list[Factor]:
+    return [f for t in formula.terms for f in t.factors if f.name == name]
+
+
+def _only(formula: Formula, name: str, coordinate: str = "position", mode: str = "friction") -> bool:
+    """Whether a formula is of one kind, over the right coordinate, in the right direction."""
+    names = {f.name for t in formula.terms for f in t.factors}
+    return formula.text is not None and formula.coordinate == coordinate and names == {name} and formula.mode == mode
+
+
+def _wave(formula: Formula, coordinate: str, length: float) -> bool:
+    """Whether the largest term is the wave; where the law does not bend as it should, a small decay may stand by it."""
+    mode = "force" if coordinate == "time" else "friction"
+    if formula.text is None or formula.coordinate != coordinate or formula.mode != mode:
+        return False
+    largest = max(formula.terms, key=lambda t: abs(t.size))
+    if [f.name for f in largest.factors] != ["sin"]:
+        return False
+    return abs(2 * np.pi * formula.scale / abs(largest.factors[0].slope) / length - 1) < 0.03
+
+
+def _edges(formula: Formula, places: tuple[float, ...], mode: str = "friction") -> bool:
+    found = sorted(-f.shift / f.slope * formula.scale for f in _factors(formula, "step"))
+    return (
+        _only(formula, "step", mode=mode)
+        and len(found) == len(places)
+        and all(abs(a - b) < NEAR_MM for a, b in zip(found, places, strict=True))
+    )
+
+
+def _bump(formula: Formula, centre: float) -> bool:
+    found = _factors(formula, "bell")
+    if not _only(formula, "bell") or len(found) != 1:
+        return False
+    return abs(-found[0].shift / found[0].slope * formula.scale - centre) < NEAR_MM
+
+
+def _cubic(formula: Formula) -> bool:
+    polynomial = formula.mode == "friction" and not any(t.factors for t in formula.terms)
+    return formula.text is not None and polynomial and max(t.degree for t in formula.terms) == 3
+
+
+def _decay(formula: Formula, length: float) -> bool:
+    found = _factors(formula, "exp")
+    return _only(formula, "exp", "travel", "force") and abs(-formula.scale / found[0].slope / length - 1) < 0.3
+
+
+def formulas(pool: Executor, n: int, first_seed: int, only: str | None) -> None:
+    """Print the formula of every trial, then right formulas per shape and formulas found in noise."""
+    names = [name for name in (*shapes(first_seed), *NOISES) if only in (None, name)]
+    pairs = [(seed, name) for seed in range(first_seed, first_seed + n) for name in names]
+    right = dict.fromkeys(names, 0)
+    for (seed, name), (good, words) in zip(pairs, pool.map(_trial, *zip(*pairs, strict=True)), strict=True):
+        right[name] += good
+        print(f"{seed} {name}: {'right' if good else 'WRONG'}, {words}", flush=True)
+    for name in names:
+        print(f"{name:24}{right[name]} of {n} {'without a formula' if name in NOISES else 'right'}")
+
+
+def _trial(seed: int, name: str) -> tuple[bool, str]:
+    if name in NOISES:
+        text = noise_trial(NOISES[name], seed)
+        return text == "none", text
+    return shape_trial(name, seed)
+
+
+def shape_trial(name: str, seed: int) -> tuple[bool, str]:
+    """Whether the formula of one device is the right one, and the formula."""
+    shape, answer = shapes(seed)[name]
+    evidence = _evidence(simulate({}, seed, shape=shape))
+    base = _fit(evidence)
+    line = strongest_line(evidence, base)
+    formula = find_formula(evidence, base.residual_kN, base.model.values(base.z)["Fy"], line, quick=True)
+    return answer(formula), formula.text or formula.words
+
+
+def noise_trial(phi: float, seed: int) -> str:
+    """Look for a formula in a residual that is noise alone, with correlation `phi` from sample to sample."""
+    evidence = _evidence(simulate({}, seed))
+    n = evidence.force_kN.size
+    stretches = Stretches(np.ones(n, dtype=np.bool_), np.zeros(1, dtype=np.int64))
+    residual = simulate_noise("ar1", stretches, np.random.default_rng(seed), sigma=1.0, phi=phi) * evidence.weight
+    model = make_model(read_priors("afc"), len(evidence.histories), ())
+    fit = replace(linearise(evidence, model, np.zeros(len(model.names))), residual_kN=residual)
+    return find_formula(evidence, residual, 70.0, strongest_line(evidence, fit), quick=True).text or "none"
+
+
+def _fit(evidence: Evidence) -> Refit:
+    """Fit the base law from a sharp and a rounded start."""
+    model = make_model(read_priors("afc"), len(evidence.histories), ())
+    level = float(np.percentile(np.abs(evidence.force_kN[evidence.run == 1]), 90))
+    starts = []
+    for beta in (10.0, 100.0):
+        values = {"K": 15.0, "Fy": level, "beta": beta, "gamma": 0.0, "ratio": 0.8}
+        pairs = zip(model.names, model.priors, strict=True)
+        starts.append(np.array([float(prior.to_free(np.asarray(values[name]))) for name, prior in pairs]))
+    return refit(evidence, model, starts)
+
+
+def _evidence(recordings: list[Recording]) -> Evidence:
+    return evidence_of([Run(recording, motion_of(recording)) for recording in recordings], N_QUICK)
