@@ -36,6 +36,7 @@ def main() -> None:
             "campaign": demo / "report.html",
             "device": demo / device / "report.html",
             "tables": place / "tables" / "report.html",
+            "margins": place / "tables" / "margins.html",
         }
         for name, page in pages.items():
             picture = HERE / f"{name}.png"
