@@ -53,7 +53,8 @@ TASKS: dict[str, list[list[str]]] = {
     "kill": [[str(PYTHON), "benchmarks/kill.py"]],
     "thousand": [[str(PYTHON), "benchmarks/thousand.py"]],
     "calibrate": [
-        [str(PYTHON), "benchmarks/calibrate.py", part, "-n", "300"] for part in ("device", "margins", "effects")
+        [str(PYTHON), "benchmarks/calibrate.py", part, "-n", "300", "--seed", seed]
+        for part, seed in (("device", "7200"), ("margins", "7000"), ("effects", "7000"))
     ],
     "audit": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--target", "build/audit", "pip-audit"],

@@ -25,7 +25,7 @@ from shj_bayes.inference.problem import Run
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.effects.effect import Base, Effect
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.noise import Stretches, simulate_noise
 from shj_bayes.model.priors import read_priors
@@ -40,7 +40,7 @@ Shape = Callable[[History], NDArray[np.float64]]
 EFFECTS: Values = {
     "prying": {"size": 0.08, "power": 2.0},
     "centre_wear": {"size": 0.08, "width": 0.3},
-    "velocity_law": {"size": 0.08, "power": 0.2},
+    "velocity_law": {"size": 0.08},
     "stribeck": {"size": 0.12, "speed": 2.0},
     "breakaway": {"size": 0.15, "decay": 4.0, "growth": 0.3},
     "two_stage": {"size": 0.3, "delay": 3.0},
@@ -142,6 +142,7 @@ def simulate(
     time, motion = exact_motion(table_1(), RATE_HZ)
     stretches = Stretches(np.ones(time.size, dtype=np.bool_), np.zeros(1, dtype=np.int64))
     known = catalogue()
+    values = {name: _whole(known[name], given) for name, given in values.items()}
     out = []
     for history in histories([time, time], [motion, motion]):
         base = Base(stiffness, capacity * (ratio if history.run == 2 else 1.0), beta, gamma, capacity)
@@ -154,6 +155,13 @@ def simulate(
         wobble = 0.02 * rng.standard_normal(time.size)
         out.append(Recording(time, motion.displacement_mm + wobble, force))
     return out
+
+
+def _whole(effect: Effect, given: dict[str, float]) -> dict[str, float]:
+    """Complete the parameters of an effect with the medians of their priors."""
+    unknown = set(given) - set(effect.names)
+    assert not unknown, f"{effect.id} has no {unknown}"
+    return {p.name: given.get(p.name, float(p.distribution.median())) for p in effect.parameters}
 
 
 def _noise(

@@ -13,6 +13,7 @@ import pandas as pd
 from shj_bayes.inference import store
 from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
+from shj_bayes.inference.displacement import of_displacement
 from shj_bayes.inference.problem import Problem, Run
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.sampler import Plan, run_ensembles
@@ -136,10 +137,15 @@ def fit(
         progress=progress,
         threads=threads,
     )
+    displacement = of_displacement(problem, start, plan.seed)
+    states = displacement.spread(states, plan.seed)
     verdict = judge(figures)
+    verdict = Verdict(verdict.word, (*verdict.reasons, *displacement.words))
     table = store.summary(figures, store.natural_chains(problem, states, figures.n_burn))
     data = store.inference_data(problem, states, figures, plan.seed)
     record = store.fit_record(problem, figures, verdict, table, name=name, seed=plan.seed, key=key)
+    record["sampling"]["displacement_noise_over_force_noise"] = displacement.ratio
+    record["sampling"]["displacement_copies"] = int(displacement.moves.shape[0])
     if folder is not None:
         store.write_fit(folder, data, table, record)
     return Fit(problem, data, table, figures, verdict, record)

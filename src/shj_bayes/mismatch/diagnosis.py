@@ -25,7 +25,7 @@ from shj_bayes.mismatch.refit import Refit, make_model, refit
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.search import Setting, search
 from shj_bayes.mismatch.share import share
-from shj_bayes.mismatch.thresholds import LINE
+from shj_bayes.mismatch.thresholds import LINE, REPEAT_P
 from shj_bayes.mismatch.unknown import describe_unknown
 from shj_bayes.mismatch.verdict import judge
 from shj_bayes.model.effects.catalogue import catalogue
@@ -117,6 +117,8 @@ def diagnose(
     left, _ = largest_region(evidence, result.final, regions, last.alarm)
     if last.line.p_value < LINE:
         left = max(left, last.line.amplitude_kN)
+    if last.repeat.p_value < REPEAT_P:
+        left = max(left, last.repeat.size_kN)
     noise = result.final.rmse_kN
     judgement = judge(result, left, share(evidence, fine, base, base, result.final))
     shown = result.final if result.found else base

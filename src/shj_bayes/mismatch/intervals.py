@@ -16,6 +16,7 @@ from shj_bayes.inference.sampler import Plan
 from shj_bayes.mismatch.evidence import Evidence, evidence_of
 from shj_bayes.mismatch.posterior import augmented_posterior, sample
 from shj_bayes.mismatch.refit import Refit, refit
+from shj_bayes.mismatch.thresholds import FORMULA_SPREAD
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.kinematics import motion_of
@@ -51,7 +52,7 @@ class Effort:
 
 def approximate(evidence: Evidence, fit: Refit, seed: int) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     """Draws of a first look: around the least-squares fit, as wide as the jackknife over cycles says."""
-    draws = _around(fit, jackknife(evidence, fit), seed)
+    draws = _around(fit, _factor(fit) * jackknife(evidence, fit), seed)
     return draws, {"how": "jackknife over cycles (first look)", "verdict": "tentative"}
 
 
@@ -94,9 +95,9 @@ def sampled(
     least = np.hypot(cycles, moved)
     if verdict.word != "reliable":  # the mean of walkers on several hills is on none of them
         words = f"jackknife over cycles, as emcee did not settle in {effort.steps} steps"
-        return _around(fit, least, seed), {"how": words, "verdict": "tentative"}
+        return _around(fit, _factor(fit) * least, seed), {"how": words, "verdict": "tentative"}
     pairs = zip(fit.model.names, fit.model.priors, cycles, moved, strict=True)
-    draws |= {name: _widened(draws[name], prior, float(a), float(b)) for name, prior, a, b in pairs}
+    draws |= {n: _widened(draws[n], prior, (float(a), float(b)), _factor(fit)) for n, prior, a, b in pairs}
     words = f"emcee on every {thin.stride}. sample; {'; '.join(verdict.reasons)}; "
     return draws, {
         "how": words + "no narrower than the cycles and the displacement's noise allow",
@@ -170,11 +171,17 @@ def natural(fit: Refit, z: FloatArray) -> dict[str, FloatArray]:
     }
 
 
-def _widened(draws: FloatArray, prior: Prior, cycles: float, displacement: float) -> FloatArray:
-    """Spread draws to the jackknife's standard error where they are narrower, and by the displacement's share."""
+def _factor(fit: Refit) -> float:
+    """By how much intervals are widened for formulas that are not the device's."""
+    return FORMULA_SPREAD if fit.model.effects else 1.0
+
+
+def _widened(draws: FloatArray, prior: Prior, least: tuple[float, float], factor: float) -> FloatArray:
+    """Spread draws to the jackknife's standard error where they are narrower, by the displacement's share, and on."""
     z = prior.to_free(draws)
     spread = float(z.std())
     if not spread > 0 or not np.all(np.isfinite(z)):
         return draws
-    wanted = float(np.hypot(max(spread, cycles), displacement))
+    cycles, displacement = least
+    wanted = factor * float(np.hypot(max(spread, cycles), displacement))
     return prior.from_free(z.mean() + (z - z.mean()) * (wanted / spread))

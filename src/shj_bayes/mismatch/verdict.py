@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from shj_bayes.mismatch.name import Ranking
+from shj_bayes.mismatch.repeats import repeating_share
 from shj_bayes.mismatch.search import Search
-from shj_bayes.mismatch.thresholds import EXPLAINED, PRACTICAL
+from shj_bayes.mismatch.thresholds import EXPLAINED, PRACTICAL, REPEAT_P, REPEATED, RIVAL_MASS
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,13 @@ def judge(result: Search, left_kN: float, explained: float) -> Judgement:
             return Judgement("unknown", f"misfit of up to {left_kN:.2g} kN is left; {last.why}", rivals)
         bound = f"; what is there stays below {100 * PRACTICAL:.0f} % of Fy" if alarm else ""
         return Judgement("adequate", f"nothing beyond noise of a size that matters{bound} ({last.why})", rivals)
+    again = last.repeat
+    comes_again = again.p_value < REPEAT_P and again.size_kN >= PRACTICAL * capacity
+    repeated = repeating_share(result.steps[0].repeat, again)
+    if alarm and comes_again and repeated < REPEATED:
+        words = f"{', '.join(result.found)} would take up {100 * repeated:.0f} % of the misfit that comes again"
+        words += f" from cycle to cycle and leave {again.size_kN:.2g} kN over {again.coordinate}"
+        return Judgement("unknown", f"the catalogue does not explain the misfit: {words}", rivals)
     if alarm and matters and explained < EXPLAINED:
         words = (
             f"{', '.join(result.found)} would take up {100 * explained:.0f} % of the misfit and leave {left_kN:.2g} kN"
@@ -67,6 +77,9 @@ def judge(result: Search, left_kN: float, explained: float) -> Judgement:
 
 
 def _rivals(ranking: Ranking) -> tuple[str, ...]:
-    """Effects that are not excluded in the place of the best one."""
-    pairs = zip(ranking.candidates[1:], ranking.excluded()[1:], strict=True)
-    return tuple(candidate.effect.id for candidate, out in pairs if not out and candidate.t > 0)
+    """Effects that are not excluded in the place of the best one, and win in more than a stray resampling."""
+    likely = np.argsort(-ranking.probability, kind="stable")
+    before = np.cumsum(ranking.probability[likely]) - ranking.probability[likely]
+    stray = {int(i) for i, mass in zip(likely, before, strict=True) if mass >= RIVAL_MASS}
+    rows = enumerate(zip(ranking.candidates, ranking.excluded(), strict=True))
+    return tuple(c.effect.id for i, (c, out) in rows if i > 0 and not out and c.t > 0 and i not in stray)

@@ -77,7 +77,15 @@ def _surface(
         motion.direction,
         np.array([base.K * stiffness, base.Fy * share, base.beta]),
         clamping,
-        np.array([total.slack_mm + gap, total.take_up_mm, total.compliance_mm_per_kN / max(share, 1e-12), smooth]),
+        np.array(
+            [
+                total.slack_mm + gap,
+                total.take_up_mm,
+                total.compliance_mm_per_kN / max(share, 1e-12),
+                smooth,
+                total.open_at_start,
+            ]
+        ),
         start_force,
     )
     return out

@@ -39,16 +39,26 @@ def run(history: History, variant: str = "continuous", base: Base = BASE, **valu
 @pytest.mark.parametrize("variant", ["seed", "continuous"])
 def test_the_loop_is_as_wide_at_zero_force_as_the_slack(variant: str):
     h = ramps([0.0, 30.0, -30.0, 30.0])
-    f = run(h, variant, slack={"size": 3.0, "softness": 0.02})
+    f = run(h, variant, slack={"size": 3.0, "softness": 0.02, "start": 0.5})
     for k in (1, 2):
         inside = slice(h.motion.start[k], h.motion.start[k + 1])
         flat = h.position_mm[inside][np.abs(f[inside]) < 1e-9]
         assert np.ptp(flat) == pytest.approx(3.0, abs=0.05)
 
 
+@pytest.mark.parametrize("start", [0.0, 0.3, 1.0])
+def test_a_reversal_within_the_slack_leads_back_over_what_was_crossed(start: float):
+    """Moved to and fro without touching, then on: all that is crossed is the clearance, whatever came before."""
+    h = ramps([0.0, 0.2, -0.1, 12.0])
+    f = run(h, slack={"size": 3.0, "softness": 0.02, "start": start})
+    last = slice(h.motion.start[2], h.motion.start[3])
+    free = h.motion.displacement_mm[last][np.abs(f[last]) < 1e-9]
+    assert free.max() == pytest.approx(3.0 * start, abs=0.06)
+
+
 def test_slack_opens_only_where_the_force_passes_zero():
     h = ramps([0.0, 30.0, 29.0, 40.0])  # a small reversal under load: 80 kN down to 60 kN and up again
-    f = run(h, slack={"size": 3.0, "softness": 0.02})
+    f = run(h, slack={"size": 3.0, "softness": 0.02, "start": 0.5})
     again = f[h.motion.start[2] :]
     assert again[0] == pytest.approx(60.0, abs=0.5)
     assert np.all(np.diff(again) > -1e-9)

@@ -37,6 +37,9 @@ class Contribution:
     slack_mm, take_up_mm : float
         Free travel at zero force after each reversal, and the distance over which it then comes back to full
         stiffness.
+    open_at_start : float
+        Share of the free travel that lies ahead of the first motion, where the run starts without force: which side of
+        its clearance a device rests against is chance.
     compliance_mm_per_kN : float
         Elastic part in series (grip, frame).
     lag_s : float
@@ -54,6 +57,7 @@ class Contribution:
     added_kN: FloatArray | float = 0.0
     slack_mm: float = 0.0
     take_up_mm: float = 0.0
+    open_at_start: float = 0.5
     compliance_mm_per_kN: float = 0.0
     lag_s: float = 0.0
     smooth_reversal: float = 0.0
@@ -156,6 +160,7 @@ def combine(contributions: list[Contribution]) -> Contribution:
         added_kN=added,
         slack_mm=sum(c.slack_mm for c in contributions),
         take_up_mm=sum(c.take_up_mm for c in contributions),
+        open_at_start=next((c.open_at_start for c in contributions if c.slack_mm > 0), 0.5),
         compliance_mm_per_kN=sum(c.compliance_mm_per_kN for c in contributions),
         lag_s=sum(c.lag_s for c in contributions),
         smooth_reversal=min(1.0, sum(c.smooth_reversal for c in contributions)),

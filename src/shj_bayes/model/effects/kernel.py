@@ -121,11 +121,14 @@ def limit_rise(clamping, moved, slope):  # type: ignore[no-untyped-def]
 def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]  # noqa: PLR0912
     """Fill `out` with the rate-free force of one run.
 
-    `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack and take-up (mm), compliance (mm/kN)
-    and the share of the continuous reversal rule.
+    `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack and take-up (mm), compliance (mm/kN),
+    the share of the continuous reversal rule, and the share of the slack that lies ahead of the first motion.
     """
     stiffness, beta = law[0], law[2]
     slack, take_up, compliance, smooth = parts[0], parts[1], parts[2], parts[3]
+    # A reversal inside the clearance leads back over what was crossed of it, not over the whole of it.
+    ahead = parts.copy()
+    ahead[0] = slack * parts[4] if start_force == 0.0 else slack
     plain = slack == 0.0 and take_up == 0.0
     knee = knee_of(beta)
     work, end = np.empty(_TOGETHER), np.empty(1)
@@ -141,25 +144,31 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
         elif compliance > 0.0:
             guess = reset
             for i in range(outs.size):
-                guess = _in_series((xs[i] - origin) * sense, reset, sense, law, law[1] * caps[i], knee, parts, guess)
+                guess = _in_series((xs[i] - origin) * sense, reset, sense, law, law[1] * caps[i], knee, ahead, guess)
                 outs[i] = guess
         elif plain:
             for i in range(outs.size):
                 outs[i] = _held(stiffness * (xs[i] - origin) + reset, sense, law[1] * caps[i], beta, knee, smooth)
         else:
             for i in range(outs.size):
-                e = _elastic((xs[i] - origin) * sense, reset, sense, stiffness, slack, take_up)
+                e = _elastic((xs[i] - origin) * sense, reset, sense, stiffness, ahead[0], take_up)
                 outs[i] = _held(e, sense, law[1] * caps[i], beta, knee, smooth)
         if k + 1 < turning.size:
             reach = (turning[k + 1] - origin) * sense
             capacity = law[1] * clamping[b - 1]
+            before = reset
             if compliance > 0.0 and plain:
                 there, last = turning[k + 1 : k + 2], clamping[b - 1 : b]
                 _fill_in_series(end, there, origin, reset, sense, law, last, knee, compliance, smooth, work)
                 reset = end[0]
             elif compliance > 0.0:
-                reset = _in_series(reach, reset, sense, law, capacity, knee, parts, outs[outs.size - 1])
+                reset = _in_series(reach, reset, sense, law, capacity, knee, ahead, outs[outs.size - 1])
             else:
                 reset = _held(
-                    _elastic(reach, reset, sense, stiffness, slack, take_up), sense, capacity, beta, knee, smooth
+                    _elastic(reach, reset, sense, stiffness, ahead[0], take_up), sense, capacity, beta, knee, smooth
                 )
+            if abs(reset) <= 1e-9 * capacity and before * sense <= 0.0:
+                crossed = reach + compliance * before * sense + before * sense / stiffness
+                ahead[0] = max(slack - ahead[0] + min(max(crossed, 0.0), ahead[0]), 0.0)
+            else:
+                ahead[0] = slack

@@ -9,7 +9,8 @@ from shj_bayes.model.priors import Prior
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Free travel at zero force, then a contact that closes over a distance."""
-    return Contribution(slack_mm=values["size"], take_up_mm=values["softness"] * values["size"])
+    size = values["size"]
+    return Contribution(slack_mm=size, take_up_mm=values["softness"] * size, open_at_start=values["start"])
 
 
 EFFECT = Effect(
@@ -26,9 +27,10 @@ EFFECT = Effect(
         Prior(
             "softness", "1", "loguniform", 0.02, 5.0, "Bolts with unlike clearances meet one after another: s about 1."
         ),
+        Prior("start", "1", "uniform", 0.0, 1.0, "Which side of its clearance the device rests against is chance."),
     ),
     neutral={"size": 0.0},
     act=act,
     source="DOMAIN E10; the paper's brass shim ('slid rigidly back to zero').",
-    start={"size": (0.5, 2.0), "softness": (0.1, 1.0)},
+    start={"size": (0.5, 2.0), "softness": (0.1, 1.0), "start": (0.2, 0.8)},
 )

@@ -10,7 +10,8 @@ from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
-MODES = 6  # of heat through the thickness; the next ones last a fiftieth of its time and hold little heat
+MODES = np.arange(1, 7)  # of heat through the thickness; the next ones last a fiftieth of its time and hold little heat
+STEEPEST = 1.55  # of the first mode's angle: at pi/2 the far face is held cold
 STROKES = 60.0  # reference duration in half strokes at peak speed: about the paper's protocol, whatever the device
 
 
@@ -27,20 +28,35 @@ def _temperature(power: FloatArray, step: FloatArray, tau: float) -> FloatArray:
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 - c T/T_ref; T_ref is reached by sliding at peak speed and full force for the reference duration.
 
-    The rubbed face of an insulated plate answers a unit of heat with 1 + 2 sum exp(-n^2 t / t_d): the plate as a whole,
-    and the modes in which heat spreads through its thickness (Carslaw and Jaeger 1959, Conduction of Heat in Solids,
-    section 3.8). The whole then cools to its surroundings.
+    The rubbed face of a plate that gives its heat off at the other face answers a unit of heat with
+    sum w exp(-m^2 t / (pi^2 t_d)), w = 2 / (1 + sin 2m / 2m), over the roots of m tan m = Bi: the plate as a whole, and
+    the modes in which heat spreads through its thickness (Carslaw and Jaeger 1959, Conduction of Heat in Solids,
+    section 3.11). The first root follows from the cooling time, and Bi from the first root.
     """
     tau, spread, speed = values["cooling"], values["spread"], history.peak_speed_mm_s
     power = base.Fy / base.Fy_first * history.speed_mm_s / speed
     duration = STROKES * history.half_stroke_mm / speed
     warmth, reference = np.zeros_like(power), 0.0
-    for mode in range(MODES + 1):
-        decay = 1.0 / (1.0 / tau + mode**2 / spread)
-        weight = 1.0 if mode == 0 else 2.0
+    roots = _roots(spread / tau)
+    for root in roots.tolist():
+        decay = tau * float(roots[0] / root) ** 2
+        weight = 2.0 / (1.0 + float(np.sinc(2.0 * root / np.pi)))
         warmth += weight * _temperature(power, np.diff(history.time_s), decay)
         reference += -weight * decay * np.expm1(-duration / decay)
     return Contribution(clamping=1.0 - values["size"] * warmth / reference)
+
+
+def _roots(ratio: float) -> FloatArray:
+    """Roots of m tan m = Bi for a given ratio of spreading to cooling time."""
+    first = min(np.pi * np.sqrt(ratio), STEEPEST)
+    biot = first * np.tan(first)
+    low, high = np.pi * MODES, np.pi * (MODES + 0.5)
+    sign = (-1.0) ** MODES
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        above = sign * (middle * np.sin(middle) - biot * np.cos(middle)) > 0.0
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.concatenate([[first], 0.5 * (low + high)])
 
 
 EFFECT = Effect(
@@ -48,7 +64,7 @@ EFFECT = Effect(
     family="slow_change",
     title="Force falls with heating",
     statement="Heating lowers the sliding force by {size:.0%} in a full test; it recovers in {cooling:.0f} s at rest.",
-    equation="Fy -> Fy (1 - c T/T_ref), T = sum of w_n int |Fy v| exp(-(1/tau + n^2/t_d) (t - s)) ds, w = 1, 2, 2..",
+    equation="Fy -> Fy (1 - c T/T_ref), T = sum of w int |Fy v| exp(-m^2 (t - s) / (pi^2 t_d)) ds, m tan m = Bi",
     cause="Friction heat softens the surfaces and lengthens the bolts, so that clamping falls until the plates cool.",
     shows="A decline with dissipated energy that recovers in pauses, and within a stroke: hotter after mid-stroke.",
     next_test="Two pauses of 15 min: heating recovers, wear does not.",
@@ -60,5 +76,5 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     source="DOMAIN E05; OpenSees FPBearingPTV for the idea of a temperature state.",
-    start={"size": (0.1,), "cooling": (30.0, 300.0, 2000.0), "spread": (0.1, 3.0)},
+    start={"size": (0.1,), "cooling": (30.0, 300.0, 2000.0), "spread": (0.1, 3.0, 20.0)},
 )
