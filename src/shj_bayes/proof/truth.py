@@ -120,7 +120,8 @@ def effect_truths(key: Key) -> dict[str, dict[str, float]]:
         values = dict(known[one.id].truth(one.size, one.shape, key.device))
         if one.id == "sensor_lag" and "size" in values:  # the nuisances add to it
             values["size"] += key.nuisance.lag_s
-        if one.id == "load_offset" and "size" in values:
+        # An offset too small to be named shows as a difference between push and pull.
+        if one.id in ("load_offset", "asymmetry") and "size" in values:
             values["size"] += key.nuisance.offset_kN / key.device.Fy
         out[one.id] = values
     return out
