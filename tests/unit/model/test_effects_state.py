@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
@@ -62,6 +63,26 @@ def test_heat_leaves_in_a_rest_and_wear_does_not():
     assert 1 - warm[after] == pytest.approx((1 - warm[before]) * np.exp(-6.0), rel=0.02)
     worn = clamping("wear", history, size=0.1)
     assert worn[after] == pytest.approx(worn[before], rel=1e-3)
+
+
+def test_heat_follows_the_heat_equation():
+    """Finite volumes through a plate that is rubbed on one face and gives heat off at the other (Biot number 1.4)."""
+    history = two_runs()[0]
+    thickness, biot, cells, diffusivity = 23.0, 1.4, 46, 14.0
+    width, h = thickness / cells, 0.005
+    root = optimize.brentq(lambda m: m * np.tan(m) - biot, 1e-3, 1.5)
+    cooling = thickness**2 / (diffusivity * root**2)
+    warm = 1 - clamping("thermal", history, size=0.2, cooling=cooling, spread=thickness**2 / (np.pi**2 * diffusivity))
+    t, face = np.zeros(cells), np.zeros(history.time_s.size)
+    for i, speed in enumerate(history.speed_mm_s[:-1]):
+        for _ in range(round(0.1 / h)):
+            flow = np.concatenate(
+                [[speed], diffusivity / width * -np.diff(t), [biot * diffusivity / thickness * t[-1]]]
+            )
+            t = t - h / width * np.diff(flow)
+        face[i + 1] = t[0]
+    scale = float(face @ warm) / float(face @ face)
+    np.testing.assert_allclose(warm, scale * face, atol=0.03 * warm.max())
 
 
 def test_heat_does_not_depend_on_the_sampling():
