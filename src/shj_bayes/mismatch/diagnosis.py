@@ -114,13 +114,13 @@ def diagnose(
     setting = Setting(evidence, coarse, fine, regions, priors, effects, variant, seed, tell)
     result = search(setting, base)
     last = result.steps[-1]
-    left, _ = largest_region(evidence, result.final, regions, last.alarm)
+    left, _ = largest_region(evidence, result.known, regions, last.alarm)
     if last.line.p_value < LINE:
         left = max(left, last.line.amplitude_kN)
     if last.repeat.p_value < REPEAT_P:
         left = max(left, last.repeat.size_kN)
     noise = result.final.rmse_kN
-    judgement = judge(result, left, share(evidence, fine, base, base, result.final))
+    judgement = judge(result, left, share(evidence, fine, base, base, result.known))
     shown = result.final if result.found else base
     if quick and effort is None:
         draws, how = approximate(evidence, shown, seed)

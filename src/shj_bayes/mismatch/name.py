@@ -79,14 +79,9 @@ class Ranking:
 
     def excluded(self) -> list[bool]:
         """For each candidate, whether the best one beats it beyond chance, by gain or by relative gain."""
-        best = self.candidates[0].relative
-        out = []
-        for i, candidate in enumerate(self.candidates):
-            apart = best - candidate.relative
-            spread = float(apart.std(ddof=1)) / np.sqrt(apart.size)
-            beaten = self.behind[i] > RIVAL_SE * self.behind_se[i] or float(apart.mean()) > RIVAL_SE * spread
-            out.append(bool(i > 0 and beaten and self.probability[i] < RIVAL_PROBABILITY))
-        return out
+        best = self.candidates[0]
+        pairs = zip(self.candidates[1:], self.probability[1:].tolist(), strict=True)
+        return [False, *(_beats(best, other) and share < RIVAL_PROBABILITY for other, share in pairs)]
 
 
 def try_all(
@@ -154,6 +149,20 @@ def _inside(fit: Refit, i: int, value: float) -> float:
     return max(value, 1e-9 * prior.a) if prior.law == "lognormal" else value
 
 
+def _simplest(candidates: Sequence[Candidate], best_first: Sequence[int]) -> int:
+    """Index of the candidate with fewest parameters among the best one and those it does not beat beyond chance."""
+    best = candidates[best_first[0]]
+    tied = [i for i in best_first if not _beats(best, candidates[i])]
+    return min(tied, key=lambda i: len(candidates[i].effect.parameters))  # the better one of two with as many
+
+
+def _beats(best: Candidate, other: Candidate) -> bool:
+    """Whether one candidate beats another beyond chance, by gain or by relative gain."""
+    pairs = ((best.gain, other.gain), (best.relative, other.relative))
+    apart = [a - b for a, b in pairs]
+    return any(float(d.sum()) > RIVAL_SE * float(np.sqrt(d.size) * d.std(ddof=1)) for d in apart)
+
+
 def _worth(evidence: Evidence, residual: FloatArray) -> float:
     """Log density that a fall of the sum of squares is worth, 1/kN^2, in noise as correlated as this residual.
 
@@ -176,7 +185,8 @@ def rank(
     """Compare candidates on held-out blocks.
 
     The best is the one of largest gain among those that `admits` (called with the gain in nats) lets in; among all,
-    when there is none.
+    when there is none. Of those that it does not beat beyond chance the one with fewest parameters comes first: a
+    change of clamping in one direction for the whole test fits as well as an asymmetry, by all its four parameters.
 
     Gains are turned into log density with the noise of the best candidate: its held-out variance, and the factor
     (1 - phi)/(1 + phi) by which correlated samples are worth less than independent ones.
@@ -184,7 +194,8 @@ def rank(
     gains = np.stack([c.gain for c in candidates])
     order = np.argsort(-gains.sum(axis=1), kind="stable")
     worth = _worth(evidence, candidates[int(order[0])].fit.residual_kN)
-    first = next((i for i in order if admits(candidates[i], worth * float(gains[i].sum()))), order[0])
+    admitted = [i for i in order if admits(candidates[i], worth * float(gains[i].sum()))]
+    first = _simplest(candidates, admitted) if admitted else order[0]
     order = np.array([first, *(i for i in order if i != first)])
     gains = gains[order]
     nats = gains * worth

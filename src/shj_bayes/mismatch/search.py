@@ -54,7 +54,8 @@ class Step:
     line : Line
         Strongest line over time in the residual at the start of the round.
     repeat : Repeat
-        What comes again in it from one half-cycle to the next.
+        What comes again in it from one half-cycle to the next; in the last round less what an effect below the
+        practical size takes up.
     taken : str
         Id of the effect that entered, empty when none did.
     why : str
@@ -83,12 +84,16 @@ class Search:
         Rounds in order; the last one took nothing.
     rankings : dict of str to Ranking
         For each effect found, its rivals given the other effects.
+    known : Refit
+        The final model, with an effect below the practical size where one is left: what that takes up is known, not
+        worth a name, and not left over.
     """
 
     base: Refit
     final: Refit
     steps: tuple[Step, ...]
     rankings: dict[str, Ranking]
+    known: Refit
 
     @property
     def found(self) -> tuple[str, ...]:
@@ -163,6 +168,10 @@ def search(setting: Setting, base: Refit) -> Search:
             why = f"no more than {MAX_EFFECTS} effects are looked for"
         else:
             why = _objection(setting, base, current, best, float(ranking.elpd_gain[0]))
+        known = current
+        if why and best.size_kN < PRACTICAL * _capacity(current) and _beyond_chance(best, float(ranking.elpd_gain[0])):
+            known = best.fit
+            again = repeats(setting.evidence, known.residual_kN, setting.rng(6, number))
         taken, reason = ("", why) if why else (best.effect.id, "best on held-out cycles")
         steps.append(Step(current, alarm, ranking, p_value, line, again, taken, reason))
         if why:
@@ -170,7 +179,7 @@ def search(setting: Setting, base: Refit) -> Search:
         current = best.fit
         if number > 0:
             current = _revise(setting, current, base, number)
-    return Search(base, current, tuple(steps), _rivals(setting, steps[0].ranking, current))
+    return Search(base, current, tuple(steps), _rivals(setting, steps[0].ranking, current), known)
 
 
 def _p_of_gains(setting: Setting, ranking: Ranking, current: Refit) -> float:
@@ -230,7 +239,7 @@ def _objection(setting: Setting, base: Refit, current: Refit, candidate: Candida
     as the t is blind to an effect that sits in three of fourteen half-cycles), and be worth a name.
     """
     name = candidate.effect.id
-    if candidate.t < GAIN_SE and nats < GAIN_NATS:
+    if not _beyond_chance(candidate, nats):
         return f"the best effect ({name}) gains t = {candidate.t:.1f} on held-out cycles: not beyond chance"
     if candidate.size_kN < PRACTICAL * _capacity(current):
         return f"the best effect ({name}) is {candidate.size_kN:.2g} kN, below {100 * PRACTICAL:.0f} % of Fy"
@@ -242,6 +251,11 @@ def _objection(setting: Setting, base: Refit, current: Refit, candidate: Candida
     if part < WORTH and fall < NOTABLE * _capacity(current) and not clear:
         return f"the best effect ({name}) would take up {100 * part:.1f} % of the misfit of the base law, {fall:.2g} kN"
     return ""
+
+
+def _beyond_chance(candidate: Candidate, nats: float) -> bool:
+    """Whether the held-out gain of an effect is beyond what selection among all effects gives."""
+    return nats > 0.0 and (candidate.t >= GAIN_SE or nats >= GAIN_NATS)
 
 
 def _revise(setting: Setting, current: Refit, base: Refit, number: int) -> Refit:

@@ -12,7 +12,7 @@ from shj_bayes.mismatch.formula import find_formula
 from shj_bayes.mismatch.locate import largest_region, profile
 from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.search import Search
-from shj_bayes.mismatch.thresholds import LINE
+from shj_bayes.mismatch.thresholds import LINE, REPEAT_P
 from shj_bayes.model.parameters import FloatArray
 
 COORDINATES = {"position": "position_mm", "slip since reversal": "slip_mm", "travel": "travel_m", "speed": "speed_mm_s"}
@@ -47,6 +47,9 @@ def describe_unknown(
     """
     residual = result.final.residual_kN
     size, region = largest_region(evidence, result.final, regions, result.steps[-1].alarm)
+    again = result.steps[-1].repeat
+    if again.p_value < REPEAT_P and again.size_kN > size:  # waves along a stroke have no region of their own
+        size, region = again.size_kN, None
     capacity = result.base.model.values(result.base.z)["Fy"]
     line = result.steps[-1].line
     formula = find_formula(evidence, residual, capacity, line, seed=seed, quick=quick)
