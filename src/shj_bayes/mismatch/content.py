@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.intervals import jackknife, natural
+from shj_bayes.mismatch.intervals import around, jackknife
 from shj_bayes.mismatch.locate import locate
 from shj_bayes.mismatch.name import effect_size
 from shj_bayes.mismatch.refit import Refit
@@ -140,9 +140,7 @@ def shift(
     evidence: Evidence, base: Refit, shown: Refit, draws: Mapping[str, FloatArray]
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Say what the omission did to the base parameters: least squares as published, against the sampled model."""
-    spread = jackknife(evidence, base)
-    rng = np.random.default_rng(12345)  # spreads of a smooth one-to-one map: the draws only carry a formula
-    wide = natural(base, base.z + rng.standard_normal((4000, base.z.size)) * spread)
+    wide = around(base, jackknife(evidence, base), 12345)  # the draws only carry the formula from free to natural
     out = {}
     for name in ("K", "Fy", "beta", "gamma", *(n for n in shown.model.names if n.startswith("ratio"))):
         before = wide.get(name)

@@ -52,7 +52,7 @@ class Effort:
 
 def approximate(evidence: Evidence, fit: Refit, seed: int) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     """Draws of a first look: around the least-squares fit, as wide as the jackknife over cycles says."""
-    draws = _around(fit, _factor(fit) * jackknife(evidence, fit), seed)
+    draws = around(fit, _factor(fit) * jackknife(evidence, fit), seed)
     return draws, {"how": "jackknife over cycles (first look)", "verdict": "tentative"}
 
 
@@ -91,11 +91,12 @@ def sampled(
     draws, verdict = sample(
         augmented_posterior(thin, start, priors), start, plan, progress=effort.progress, threads=effort.threads
     )
-    cycles, moved = jackknife(evidence, fit), of_displacement(runs, start, effort.samples, seed)
-    least = np.hypot(cycles, moved)
+    rows, moved = jackknife(evidence, fit), of_displacement(runs, start, effort.samples, seed)
     if verdict.word != "reliable":  # the mean of walkers on several hills is on none of them
         words = f"jackknife over cycles, as emcee did not settle in {effort.steps} steps"
-        return _around(fit, _factor(fit) * least, seed), {"how": words, "verdict": "tentative"}
+        both = np.concatenate([rows, np.diag(moved)])
+        return around(fit, _factor(fit) * both, seed), {"how": words, "verdict": "tentative"}
+    cycles = np.linalg.norm(rows, axis=0)
     pairs = zip(fit.model.names, fit.model.priors, cycles, moved, strict=True)
     draws |= {n: _widened(draws[n], prior, (float(a), float(b)), _factor(fit)) for n, prior, a, b in pairs}
     words = f"emcee on every {thin.stride}. sample; {'; '.join(verdict.reasons)}; "
@@ -106,7 +107,7 @@ def sampled(
 
 
 def jackknife(evidence: Evidence, fit: Refit) -> FloatArray:
-    """Estimate the standard error of the free parameters by leaving data out, shape (d,).
+    """Estimate the covariance of the free parameters by leaving data out: rows R of R'R, shape (n_left_out, d).
 
     One cycle at a time, and one stretch of equal amplitude at a time; the larger of both counts. A law that is a little
     wrong is wrong alike in all cycles of a block: only leaving out whole blocks shows by how much the parameters
@@ -119,7 +120,8 @@ def jackknife(evidence: Evidence, fit: Refit) -> FloatArray:
     if edges.size - 1 < FEWEST_BLOCKS:
         return spread
     few = float(stats.t.ppf(0.95, edges.size - 2) / stats.norm.ppf(0.95))
-    return np.maximum(spread, few * _left_out(fit, edges))
+    own, of_blocks = (np.linalg.norm(rows, axis=0) for rows in (spread, few * _left_out(fit, edges)))
+    return np.asarray(spread * np.maximum(1.0, of_blocks / np.maximum(own, 1e-300)))
 
 
 def _left_out(fit: Refit, edges: NDArray[np.int64]) -> FloatArray:
@@ -131,7 +133,7 @@ def _left_out(fit: Refit, edges: NDArray[np.int64]) -> FloatArray:
         steps.append(np.linalg.lstsq(gram - j.T @ j, -j.T @ fit.residual_kN[a:b], rcond=1e-10)[0])
     moved = np.stack(steps)
     n = moved.shape[0]
-    return np.asarray(np.sqrt((n - 1) / n * np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)))
+    return np.asarray(np.sqrt((n - 1) / n) * (moved - moved.mean(axis=0)))
 
 
 def of_displacement(runs: Sequence[Run], fit: Refit, n_samples: int, seed: int) -> FloatArray:
@@ -157,10 +159,15 @@ def _shaken(run: Run, rng: np.random.Generator) -> Run:
     return Run(recording, motion_of(recording))
 
 
-def _around(fit: Refit, spread: FloatArray, seed: int) -> dict[str, FloatArray]:
-    """Draw from a normal law in the free space."""
+def around(fit: Refit, rows: FloatArray, seed: int) -> dict[str, FloatArray]:
+    """Draw from a normal law in the free space, no wider than the prior, which has the standard deviation 1 there.
+
+    With its correlations: a test without friction to speak of leaves Fy and what is a share of it open, but not their
+    product (346 N of pressure on a seal).
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
-    return natural(fit, fit.z + rng.standard_normal((N_DRAWS, fit.z.size)) * spread)
+    root = rows / np.maximum(np.linalg.norm(rows, axis=0), 1.0)
+    return natural(fit, fit.z + rng.standard_normal((N_DRAWS, rows.shape[0])) @ root)
 
 
 def natural(fit: Refit, z: FloatArray) -> dict[str, FloatArray]:
@@ -183,5 +190,5 @@ def _widened(draws: FloatArray, prior: Prior, least: tuple[float, float], factor
     if not spread > 0 or not np.all(np.isfinite(z)):
         return draws
     cycles, displacement = least
-    wanted = factor * float(np.hypot(max(spread, cycles), displacement))
+    wanted = min(factor * float(np.hypot(max(spread, cycles), displacement)), max(spread, 1.0))
     return prior.from_free(z.mean() + (z - z.mean()) * (wanted / spread))
