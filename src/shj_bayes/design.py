@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -212,20 +213,27 @@ def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
         count = int(part["devices"].max())
         behind = f"from {len(tested)} tested sets" if name == ANY_SET else f"{count} device{'' if count == 1 else 's'}"
         lines += ["", f"{name_of(name)}: {behind}"]
-        lines.append(f"  {'':18}{'new device':>26}{'EN 1990 X_k':>20}{'EN 1990 X_d':>20}{'95/95 one-sided':>20}")
+        lines.append(f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}")
         for line in part.to_dict("records"):
             pairs = [
-                f"{line.get(f'{head}, low', float('nan')):.3g} to {line.get(f'{head}, high', float('nan')):.3g}"
+                _from_to(line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan))
                 for head in ("EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
             ]
             band = f"{line['middle']:.3g} ({line['new device, low']:.3g} to {line['new device, high']:.3g})"
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
             head = f"{line['quantity']}{unit}"
-            lines.append(f"  {head:18}{band:>26}{pairs[0]:>20}{pairs[1]:>20}{pairs[2]:>20}")
+            lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}")
+        if any(line.rstrip().endswith(" -") or "  -  " in line for line in lines[-len(part) :]):
+            lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
         lines += [f"  {text}" for text in _factor_lines(sheet, name)]
     if not (sets or enough):
         lines += ["", never_tested_words(len(tested))]
     return "\n".join(lines[1:])
+
+
+def _from_to(low: float, high: float) -> str:
+    """Both ends of a range; a dash where the tables of a standard have no factor for so few devices."""
+    return f"{low:.3g} to {high:.3g}" if math.isfinite(low) and math.isfinite(high) else "-"
 
 
 def _factor_lines(sheet: Sheet, name: str) -> list[str]:

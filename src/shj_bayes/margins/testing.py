@@ -76,11 +76,11 @@ def en1990_values(set_name: str, quantity: str, sample: Sample, ways: tuple[Spre
                 if known
                 else en1990.factor_unknown(sample.n, fractile, way.degrees)
             )
-            few = way.name == "V unknown" and sample.n < en1990.FEWEST[fractile]
+            few = way.degrees < en1990.FEWEST[fractile] - 1
             for law in (LOGNORMAL, NORMAL):
                 for side in (LOW, HIGH):
                     value, formula, inputs = _limit(sample, way, factor, law, side)
-                    note = f"Table {table} has no factor for n = {sample.n} with V unknown; use V common" if few else ""
+                    note = f"Table {table} has no factor for n = {way.degrees + 1:g} with V unknown" if few else ""
                     yield Margin(
                         set_name,
                         quantity,

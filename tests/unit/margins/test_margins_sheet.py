@@ -63,10 +63,17 @@ def test_values_by_testing_follow_from_the_devices(sheet):
 def test_one_device_has_no_spread_of_its_own(sheet):
     assert sheet.get(LABEL, "Fy", "EN 1990 characteristic, lognormal, V unknown", LOW) is None
     assert sheet.get(LABEL, "Fy", "EN 1990 characteristic, lognormal, V common", LOW).degrees == 2
+    # Two degrees of freedom are those of three devices, for which Table D2 has no factor.
+    design = sheet.get(LABEL, "Fy", "EN 1990 design, lognormal, V common", LOW)
+    assert math.isnan(design.value)
+    assert "no factor for n = 3" in design.note
 
 
 def test_degradation_turns_the_ratio_round(sheet):
-    for kind, mirrored in (("new device, 5 %", "new device, 95 %"), ("EN 1990 design, lognormal, V common",) * 2):
+    for kind, mirrored in (
+        ("new device, 5 %", "new device, 95 %"),
+        ("EN 1990 characteristic, lognormal, V common",) * 2,
+    ):
         ratio = sheet.get("Zinc 70", "ratio", kind, LOW).value
         assert sheet.get("Zinc 70", "degradation", mirrored, HIGH).value == pytest.approx(1 - ratio)
 
