@@ -186,7 +186,8 @@ def load_population(folder: Path) -> PopulationResult:
         raise PopulationError(f"{_DRAWS} is missing in {folder.name}; run `shj-bayes tables` or `campaign` again")
     if document.get("draws_sha256") not in (None, file_digest(folder / _DRAWS)):
         raise PopulationError(
-            f"{_DRAWS} in {folder.name} was cut short or altered after it was written; run the command again"
+            f"{_DRAWS} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one in "
+            f"{path.name}); restore it or run the command again"
         )
     with damage_told(f"population.json or {_DRAWS} in {folder.name}", PopulationError):
         with np.load(folder / _DRAWS, allow_pickle=False) as archive:
