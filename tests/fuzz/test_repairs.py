@@ -16,7 +16,10 @@ ORIGINAL = simulate_device(Truth(sigma=0.5, phi=0.3), seed=4, rate_Hz=8.0, block
 CHANNELS = np.column_stack([ORIGINAL.time_s, ORIGINAL.displacement_mm, ORIGINAL.force_kN])
 ROWS = np.array([[float(f"{v:.7g}") for v in row] for row in CHANNELS.tolist()])
 N = len(ROWS)
-QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+# The same examples everywhere: a test must not fail by the luck of a draw; `make fuzz` looks for new ones.
+QUICK = settings(
+    max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 HEADS = (
     {"s": 1.0, "ms": 1e3, "min": 1 / 60},
     {"mm": 1.0, "in": 1 / 25.4, "m": 1e-3},
