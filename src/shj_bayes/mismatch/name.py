@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -65,16 +66,12 @@ class Ranking:
         By held-out gain.
     elpd_gain : array, shape (n_candidates,)
         Gain in expected log predictive density of held-out blocks.
-    behind, behind_se : array, shape (n_candidates,)
-        How far each lies behind the best, and the standard error of that difference.
     probability : array, shape (n_candidates,)
         Share of resampled sets of blocks in which the candidate is best.
     """
 
     candidates: tuple[Candidate, ...]
     elpd_gain: FloatArray
-    behind: FloatArray
-    behind_se: FloatArray
     probability: FloatArray
 
     def excluded(self) -> list[bool]:
@@ -149,18 +146,28 @@ def _inside(fit: Refit, i: int, value: float) -> float:
     return max(value, 1e-9 * prior.a) if prior.law == "lognormal" else value
 
 
-def _simplest(candidates: Sequence[Candidate], best_first: Sequence[int]) -> int:
-    """Index of the candidate with fewest parameters among the best one and those it does not beat beyond chance."""
-    best = candidates[best_first[0]]
-    tied = [i for i in best_first if not _beats(best, candidates[i])]
-    return min(tied, key=lambda i: len(candidates[i].effect.parameters))  # the better one of two with as many
+def _simplest(candidates: Sequence[Candidate], best: int, may_enter: Mapping[int, Callable[[], bool]]) -> int:
+    """Index of the candidate with fewest parameters among the best one and those it does not beat beyond chance.
+
+    `may_enter` goes from the largest gain down. It is dear, so only those are asked that could come before the best.
+    """
+    first = best
+    for i, may in may_enter.items():
+        fewer = len(candidates[i].effect.parameters) < len(candidates[first].effect.parameters)
+        if fewer and not _beats(candidates[best], candidates[i]) and may():
+            first = i
+    return first
 
 
 def _beats(best: Candidate, other: Candidate) -> bool:
     """Whether one candidate beats another beyond chance, by gain or by relative gain."""
     pairs = ((best.gain, other.gain), (best.relative, other.relative))
-    apart = [a - b for a, b in pairs]
-    return any(float(d.sum()) > RIVAL_SE * float(np.sqrt(d.size) * d.std(ddof=1)) for d in apart)
+    return any(ahead_beyond_chance(a - b) for a, b in pairs)
+
+
+def ahead_beyond_chance(apart: FloatArray) -> bool:
+    """Whether a difference over blocks, shape (n_blocks,), is above 0 by more standard errors than chance gives."""
+    return float(apart.sum()) > RIVAL_SE * float(np.sqrt(apart.size) * apart.std(ddof=1))
 
 
 def _worth(evidence: Evidence, residual: FloatArray) -> float:
@@ -194,19 +201,16 @@ def rank(
     gains = np.stack([c.gain for c in candidates])
     order = np.argsort(-gains.sum(axis=1), kind="stable")
     worth = _worth(evidence, candidates[int(order[0])].fit.residual_kN)
-    admitted = [i for i in order if admits(candidates[i], worth * float(gains[i].sum()))]
-    first = _simplest(candidates, admitted) if admitted else order[0]
+    may_enter = {int(i): partial(admits, candidates[i], worth * float(gains[i].sum())) for i in order}
+    best = next((i for i, may in may_enter.items() if may()), None)
+    first = order[0] if best is None else _simplest(candidates, best, may_enter)
     order = np.array([first, *(i for i in order if i != first)])
     gains = gains[order]
     nats = gains * worth
-    behind = nats[0] - nats
     weights = rng.dirichlet(np.ones(evidence.n_blocks), size=N_BOOTSTRAP)
     winner = np.argmax(weights @ nats.T, axis=1)
-    n = evidence.n_blocks
     return Ranking(
         candidates=tuple(candidates[int(i)] for i in order),
         elpd_gain=nats.sum(axis=1),
-        behind=behind.sum(axis=1),
-        behind_se=np.sqrt(n) * behind.std(axis=1, ddof=1),
         probability=np.bincount(winner, minlength=len(candidates)) / N_BOOTSTRAP,
     )

@@ -10,7 +10,7 @@ from scipy import stats
 
 from shj_bayes.mismatch.calibrate import Alarm, Line, look, strongest_line
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.name import Candidate, Ranking, rank, try_all
+from shj_bayes.mismatch.name import Candidate, Ranking, ahead_beyond_chance, rank, try_all
 from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
 from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.repeats import Repeat, repeats
@@ -26,7 +26,6 @@ from shj_bayes.mismatch.thresholds import (
     OF_REST,
     PART,
     PRACTICAL,
-    RIVAL_SE,
     WORTH,
 )
 from shj_bayes.model.effects.effect import Effect
@@ -224,8 +223,7 @@ def _poor_double(current: Refit, tried: Sequence[Candidate], candidate: Candidat
     """
     own = candidate.fit.residual_kN - current.residual_kN
     for other in tried:
-        apart = other.gain - candidate.gain
-        if float(apart.sum()) > RIVAL_SE * float(np.sqrt(apart.size) * apart.std(ddof=1)):
+        if ahead_beyond_chance(other.gain - candidate.gain):
             change = other.fit.residual_kN - current.residual_kN
             if float(own @ change) > ALIAS * float(np.linalg.norm(own) * np.linalg.norm(change)):
                 return True
