@@ -10,6 +10,7 @@ import pytest
 from shj_bayes.inference import moments
 from shj_bayes.inference.fit import make_problem
 from shj_bayes.inference.moments import log_density_of_sums, moments_of
+from shj_bayes.inference.moments_kernel import N_NODES, NODES, calm_below
 from shj_bayes.inference.problem import Problem, Run
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.noise import Stretches, log_density
@@ -60,6 +61,31 @@ def test_sums_are_those_of_the_samples(measured: Run, beta: float, variant: str,
     for noise, phi, tolerance in (("independent", 0.0, 1e-10), ("ar1", 0.8, 1e-9), ("ar1", -0.6, 1e-9)):
         got, expected = both_ways(measured, near(beta), noise, phi, variant, leaf)
         np.testing.assert_allclose(got, expected, rtol=tolerance)
+
+
+@pytest.mark.parametrize("variant", ["seed", "continuous"])
+def test_a_calm_block_around_0_is_its_polynomial(variant: str) -> None:
+    """For every beta, however much of the block lies on either side; a third further out it is not, for most."""
+    angles = np.arccos(NODES)
+    to_powers = np.cos(np.outer(np.arange(N_NODES), angles)) * (2.0 - (np.arange(N_NODES) == 0)[:, None]) / N_NODES
+    t = np.cos(np.linspace(0.0, np.pi, 301))
+    lagrange = np.cos(np.outer(np.arccos(t), np.arange(N_NODES))) @ to_powers
+
+    def error(low: float, high: float, beta: float) -> float:
+        def law(place: np.ndarray) -> np.ndarray:
+            u = 0.5 * (low + high) + 0.5 * (high - low) * place
+            held = u * (1.0 + np.abs(u) ** beta) ** (-1.0 / beta)
+            return np.where((variant == "continuous") & (u < 0.0), u, held)
+
+        return float(np.abs(lagrange @ law(NODES) - law(t)).max())
+
+    betas = np.geomspace(3.0, 500.0, 120)
+    for beta in betas:
+        reach = calm_below(beta)
+        for side in (-1.0, -0.6, -0.3, 0.0, 0.5):
+            assert error(side * reach, reach, beta) < 1e-11
+    assert sum(error(-1.33 * calm_below(b), 1.33 * calm_below(b), b) > 1e-11 for b in betas) > 80
+    assert calm_below(2.9) == 0.0
 
 
 def test_blocks_are_used(measured: Run) -> None:
