@@ -16,7 +16,6 @@ from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.opensees import python_script, tcl_script
 from shj_bayes.margins.sheet import PLAIN, Request, Sheet, margins, motion_of
-from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
@@ -179,7 +178,7 @@ def _campaign(folder: Path) -> dict[str, Any] | None:
 
 def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> Cases:
     """Collect populations with the physics that diagnoses of the campaign's devices found."""
-    devices: list[DeviceEstimate] = []
+    places: list[tuple[str, str, str]] = []
     diagnoses, notes = {}, []
     tags = {group.name: group.tags for group in result.sets}
     for group in campaign["sets"]:
@@ -193,7 +192,10 @@ def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> 
                 diagnoses[str(group["name"]), name] = diagnosis
             if why:
                 notes.append(f"{group['name']}, {name}: {why}")
-            devices.append(device_from_fit(folder / place, name, group["name"], tags[group["name"]]))
+            places.append((place, name, str(group["name"])))
+    if not diagnoses:  # then nobody asks for the fits again, which takes long for a thousand devices
+        return cases((), diagnoses, notes)
+    devices = [device_from_fit(folder / place, name, of_set, tags[of_set]) for place, name, of_set in places]
     return cases(devices, diagnoses, notes)
 
 

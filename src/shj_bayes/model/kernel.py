@@ -55,7 +55,7 @@ _double: Any = intrinsic(_double_code)
 
 
 @njit(error_model="numpy", fastmath={"contract"})
-def _log2(u: float) -> float:
+def log2(u: float) -> float:
     """Binary logarithm of a positive normal double, to about 2e-16 of it."""
     k = (_bits(u) - 0x3FE6A09E667F3BCD) >> 52  # exponent so that the mantissa lies in [sqrt(1/2), sqrt(2))
     m = _double(_bits(u) - (k << 52))
@@ -77,7 +77,7 @@ def _log2(u: float) -> float:
 
 
 @njit(error_model="numpy", fastmath={"contract"})
-def _exp2(t: float) -> float:
+def exp2(t: float) -> float:
     """Two to the power t for |t| below 1000, to about 3e-16 of it."""
     shifted = t + _MAGIC
     f = (t - (shifted - _MAGIC)) * _LN2
@@ -148,7 +148,7 @@ def saturate(e, capacity, per_capacity, beta, knee):  # type: ignore[no-untyped-
     """Eq. (1): elastic force `e` held below `capacity` with sharpness `beta`; `knee` is `knee_of` (beta)."""
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13, c14, c15, c16, c17, c18 = knee
     u = max(abs(e) * per_capacity, 1e-290)
-    x = 2.0 * _exp2(-min(abs(beta * _log2(u)), 60.0)) - 1.0  # 2^-60 is nothing beside 1
+    x = 2.0 * exp2(-min(abs(beta * log2(u)), 60.0)) - 1.0  # 2^-60 is nothing beside 1
     g = c18
     g = g * x + c17
     g = g * x + c16
@@ -176,7 +176,7 @@ def saturate_with_slope(e, capacity, per_capacity, beta, knee):  # type: ignore[
     """Eq. (1) as `saturate`, and its derivative (1 + u^beta)^(-1/beta - 1)."""
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13, c14, c15, c16, c17, c18 = knee
     u = max(abs(e) * per_capacity, 1e-290)
-    x = 2.0 * _exp2(-min(abs(beta * _log2(u)), 60.0)) - 1.0  # 2^-60 is nothing beside 1
+    x = 2.0 * exp2(-min(abs(beta * log2(u)), 60.0)) - 1.0  # 2^-60 is nothing beside 1
     g = c18
     g = g * x + c17
     g = g * x + c16

@@ -101,7 +101,7 @@ class DeviceEstimate:
         Raises
         ------
         PopulationError
-            If the prior of a quantity is missing or does not fit its draws.
+            If the prior of a quantity is missing, does not fit its draws, or shaped them more than the recording did.
         """
         missing = sorted(set(draws) - set(log_prior))
         if missing:
@@ -109,7 +109,11 @@ class DeviceEstimate:
                 f"device {name!r}: the prior density of {', '.join(missing)} is missing; without it the single-device "
                 "prior would be counted once per device"
             )
-        return cls(name, set_name, {q: PosteriorDraws(draws[q], log_prior[q]) for q in draws}, tags)
+        try:
+            known = {q: PosteriorDraws(draws[q], log_prior[q]).condensed(quantity(q)) for q in draws}
+        except PopulationError as error:
+            raise PopulationError(f"device {name!r}: {error}") from error
+        return cls(name, set_name, known, tags)
 
     @classmethod
     def from_table(

@@ -22,10 +22,11 @@ import numpy as np
 from tqdm import tqdm
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.inference.shared import n_threads
 from shj_bayes.population.chains import ess_bulk, r_hat
 from shj_bayes.population.device import DeviceEstimate, sets_of
 from shj_bayes.population.kernel import log_likelihood_of_set, run_chain
-from shj_bayes.population.measurement import Likelihood
+from shj_bayes.population.measurement import Likelihood, lightened
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
 from shj_bayes.population.quantities import QUANTITIES, FloatArray, quantity
@@ -147,7 +148,7 @@ def fit_population(
     *,
     seed: int,
     progress: bool = False,
-    workers: int = 1,
+    workers: int = 0,
     priors: Mapping[str, PopulationPrior] | None = None,
 ) -> PopulationResult:
     """Pool devices, set by set, quantity by quantity, under the default prior and two others of the spread.
@@ -161,7 +162,7 @@ def fit_population(
     progress : bool
         Show a bar on standard error when that is a terminal.
     workers : int
-        Threads; the numbers do not depend on it.
+        Threads, 0 for one per processor; the numbers do not depend on it.
     priors : mapping of str to PopulationPrior, optional
         Replaces the default prior of the quantities named.
 
@@ -177,6 +178,7 @@ def fit_population(
     if seed < 0:
         raise PopulationError(f"the seed must be zero or a positive whole number, not {seed}")
     grouped = sets_of(devices)
+    threads = n_threads(workers)
     names = [q for q in QUANTITIES if any(q in device.measurements for device in devices)]
     main, chosen = {}, {}
     other: dict[str, dict[str, QuantityPosterior]] = {}
@@ -189,10 +191,11 @@ def fit_population(
             ]
             draws_behind[q] = min(x.effective_draws for group in sets for x in group)
             chosen[q] = (priors or {}).get(q, population_prior(q))
-            main[q] = fit_quantity(q, sets, chosen[q], _stream(seed, q, MAIN_PRIOR), workers=workers)
+            sets = [lightened(group) for group in sets]
+            main[q] = fit_quantity(q, sets, chosen[q], _stream(seed, q, MAIN_PRIOR), workers=threads)
             bar.update()
             for label, prior in other_priors(chosen[q]).items():
-                fitted = fit_quantity(q, sets, prior, _stream(seed, q, label), workers=workers, **_SHORT)
+                fitted = fit_quantity(q, sets, prior, _stream(seed, q, label), workers=threads, **_SHORT)
                 other.setdefault(label, {})[q] = fitted
                 bar.update()
     return PopulationResult(

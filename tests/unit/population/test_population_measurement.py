@@ -6,7 +6,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
 from shj_bayes.population.hierarchy import _pack
 from shj_bayes.population.kernel import log_likelihood
-from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded, RoundedRatio
+from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded, RoundedRatio, lightened
 from shj_bayes.population.quantities import quantity
 
 FY, GAMMA, RATIO = quantity("Fy"), quantity("gamma"), quantity("ratio")
@@ -118,3 +118,30 @@ def test_values_are_copied_and_frozen():
     assert device.values[0] == 70.0
     with pytest.raises(ValueError, match="read-only"):
         device.values[0] = 1.0
+
+
+def test_a_large_set_of_narrow_devices_needs_no_shapes() -> None:
+    """One normal for each device: the same likelihood of level and spread, a twelfth of the numbers."""
+    rng = np.random.default_rng(3)
+    values = np.exp(rng.normal(4.4, 0.2, 60))
+    draws = [v * (1 + 0.011 * (rng.gamma(2.0, 1.0, 4000) - 2.0)) for v in values]  # skewed, 1.6 % wide
+    group = [PosteriorDraws(d, np.zeros(d.size)).likelihood(FY) for d in draws]
+    light = lightened(group)
+    assert sum(x.weight.size for x in group) == 12 * sum(x.weight.size for x in light)
+    for mu in (4.32, 4.4, 4.48):
+        for tau in (0.16, 0.2, 0.25):
+            before, after = (log_likelihood(mu, np.log(tau), _pack([x])) for x in (group, light))
+            assert after == pytest.approx(before, abs=0.03)
+    assert lightened(group[:29]) == group[:29]
+    wide = PosteriorDraws(80.0 * np.exp(0.3 * rng.standard_normal(4000)), np.zeros(4000)).likelihood(FY)
+    assert lightened([*group, wide])[-1] is wide
+
+
+def test_what_is_kept_of_a_posterior() -> None:
+    draws = 80.0 * np.exp(0.02 * np.random.default_rng(4).standard_normal(5000))
+    whole = PosteriorDraws(draws, np.zeros(5000))
+    kept = whole.condensed(FY)
+    assert kept.point(FY) == whole.point(FY)
+    assert kept.likelihood(FY).centre_and_sd == whole.likelihood(FY).centre_and_sd
+    with pytest.raises(PopulationError, match=r"device 'a': all posterior draws of Fy are equal"):
+        DeviceEstimate.from_posterior("a", "s", {"Fy": np.ones(100)}, {"Fy": np.zeros(100)})
