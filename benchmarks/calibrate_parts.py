@@ -33,7 +33,7 @@ N_RANKS = 99  # nearly independent posterior draws for each rank
 CATALOGUE = catalogue()
 EFFECTS = ("slack", "asymmetry", "wear")  # fitted in this order, as the search of a diagnosis adds one after the other
 DEFAULTS: dict[str, dict[str, Any]] = {
-    "effects": {"rate_Hz": 2.5, "max_steps": 3000},
+    "effects": {"rate_Hz": 2.5, "max_steps": 1000},
     "margins": {"n_sets": 5, "n_devices": 2, "sd": 0.02},
 }
 
