@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 import shj_bayes
 from shj_bayes.errors import InferenceError
@@ -85,10 +86,10 @@ def inference_data(
         posterior={n: flat[:, :, i] for i, n in enumerate(names)},
         prior={n: prior[None, :, i] for i, n in enumerate(names)},
         posterior_predictive={
-            "force": noisy.reshape(shape).astype(np.float32),
-            "force_model": clean.reshape(shape).astype(np.float32),
+            "force": _short(noisy).reshape(shape),
+            "force_model": _short(clean).reshape(shape),
         },
-        prior_predictive={"force_model": prior_loops[None].astype(np.float32)},
+        prior_predictive={"force_model": _short(prior_loops)[None]},
         log_likelihood={"force_of_half_cycle": log_likelihood_of_half_cycles(problem, loops).reshape(shape)},
         sample_stats={"lp": lp},
         observed_data={"force": np.concatenate([r.recording.force_kN for r in problem.runs])},
@@ -197,6 +198,13 @@ def fit_record(
         },
         "parameters": json.loads(table.to_json(orient="records", double_precision=15)),
     }
+
+
+def _short(force_kN: FloatArray) -> NDArray[np.float32]:
+    """Round simulated forces to at most 1/16 384 of the largest in each row: packed, the file is a third smaller."""
+    largest = np.maximum(np.abs(force_kN).max(axis=-1, keepdims=True), 1e-30)
+    step = 2.0 ** (np.floor(np.log2(largest)) - 14)
+    return np.asarray(np.round(force_kN / step) * step, dtype=np.float32)
 
 
 def write_fit(folder: Path, data: az.InferenceData, table: pd.DataFrame, record: dict[str, Any]) -> None:

@@ -52,9 +52,18 @@ def legend(axes: Axes, columns: int = 1) -> None:
     )
 
 
+def _lay_out(figure: Figure) -> None:
+    """Place the diagrams once; saving a figure that has an engine for it draws everything twice."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
+
+
 def svg(figure: Figure) -> str:
     """Picture as a scalable data address; the same drawing gives the same text."""
     buffer = BytesIO()
+    _lay_out(figure)
     with mpl.rc_context({"svg.hashsalt": "shj-bayes", "svg.fonttype": "path"}):
         figure.savefig(buffer, format="svg", transparent=True, dpi=DPI, metadata={"Date": None, "Creator": None})
     return _address("svg+xml", buffer.getvalue())
@@ -63,6 +72,7 @@ def svg(figure: Figure) -> str:
 def png(figure: Figure, dpi: int = DPI) -> str:
     """Picture as a data address of pixels, for drawings of very many elements."""
     buffer = BytesIO()
+    _lay_out(figure)
     figure.savefig(buffer, format="png", transparent=True, dpi=dpi, metadata={"Software": None})
     return _address("png", buffer.getvalue())
 
