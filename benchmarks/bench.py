@@ -1,6 +1,7 @@
-"""All speed measurements, or some: ``python benchmarks/bench.py law likelihood fits moves effects population peers``.
+"""All speed measurements, or some of them: ``python benchmarks/bench.py law likelihood fits``.
 
-``make bench`` runs them all, with the population model. Each part is a script of its own with its own options.
+``make bench`` runs all: law, likelihood, fits, moves, effects, population, workers, peers. Each part is a script of its
+own with its own options.
 ``peers`` takes half an hour and what ``benchmarks/requirements.txt`` names; peers that are not installed are left out.
 """
 
@@ -10,7 +11,7 @@ import runpy
 import sys
 from pathlib import Path
 
-PARTS = ("law", "likelihood", "fits", "moves", "effects", "population", "peers")
+PARTS = ("law", "likelihood", "fits", "moves", "effects", "population", "workers", "peers")
 
 
 def main() -> int:
