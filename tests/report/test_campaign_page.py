@@ -13,6 +13,7 @@ from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import new_device_table
 from shj_bayes.report import sets
 from shj_bayes.report.campaign import render_campaign, render_tables, safe_folder
+from shj_bayes.report.figures import population as figures
 from shj_bayes.summary import band_text
 
 
@@ -117,3 +118,19 @@ def test_tables_page(tmp_path: Path) -> None:
     for claim in claims:
         assert " ".join(claim.sentence.split()) in page.text
     assert "With one peak speed" in page.text
+
+
+@pytest.mark.parametrize(("n", "crowded"), [(24, False), (25, True)])
+def test_many_devices_do_not_hide_the_band(monkeypatch: pytest.MonkeyPatch, n: int, crowded: bool) -> None:
+    """Above a number their dots get a lane beside the band, in one stroke."""
+    drawn = []
+    monkeypatch.setattr(figures, "svg", drawn.append)
+    devices = tuple((f"d{k}", (70.0 + k, 71.0 + k, 72.0 + k)) for k in range(n))
+    figures.bands([sets.SetBand("a", n, "Fy", "kN", (60.0, 80.0, 100.0), {}, devices)], "sliding force (kN)")
+    lines = drawn[0].axes[0].lines
+    bar = next(line for line in lines if tuple(line.get_xdata()) == (60.0, 100.0))
+    dots = [line for line in lines if line.get_marker() == "o" and line.get_xdata().size]
+    heights = np.concatenate([line.get_ydata() for line in dots])
+    assert heights.size == n
+    assert (len(dots) == 1) == crowded
+    assert (np.abs(heights - bar.get_ydata()[0]).min() > 0.2) == crowded

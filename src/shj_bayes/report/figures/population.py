@@ -11,6 +11,7 @@ from shj_bayes.report.figures.canvas import BLUE, GREY, INK, NARROW, SERIES, WID
 from shj_bayes.report.sets import SetBand
 
 MAX_NAME = 34
+CROWD = 24  # devices of a set beyond which their dots would hide the band; they get a lane of their own below it
 
 
 def bands(rows: Sequence[SetBand], title: str) -> str:
@@ -23,9 +24,11 @@ def bands(rows: Sequence[SetBand], title: str) -> str:
     title : str
         Axis title with unit.
     """
-    figure, axes = sheet(WIDE, 0.9 + 0.36 * len(rows))
+    crowded = max((len(row.devices) for row in rows), default=0) > CROWD
+    figure, axes = sheet(WIDE, 0.9 + (0.56 if crowded else 0.36) * len(rows))
     left, right = span(rows)
-    for y, row in enumerate(rows):
+    for place, row in enumerate(rows):
+        y = place - 0.24 * crowded
         low, middle, high = row.band
         axes.plot(row.widest, (y, y), color=GREY, linewidth=1.4, solid_capstyle="butt")
         axes.plot((low, high), (y, y), color=BLUE, linewidth=8, alpha=0.45, solid_capstyle="butt")
@@ -33,12 +36,17 @@ def bands(rows: Sequence[SetBand], title: str) -> str:
         for edge, beyond, marker in ((left, row.widest[0] < left, "<"), (right, row.widest[1] > right, ">")):
             if beyond:
                 axes.plot(edge, y, marker, color=GREY, markersize=6, clip_on=False)
+        if crowded:
+            lane = place + 0.4 * (np.arange(len(row.devices)) * 0.618 % 1.0)  # even, and the same every time
+            middles = [d_middle for _, (_, d_middle, _) in row.devices]
+            axes.plot(middles, lane, "o", color=INK, markersize=3, alpha=0.4, markeredgewidth=0)
+            continue
         for k, (_, (d_low, d_middle, d_high)) in enumerate(row.devices):
             at = y + (0.09 if k % 2 else -0.09) * (len(row.devices) > 1)
             axes.plot((d_low, d_high), (at, at), color=INK, linewidth=1)
             axes.plot(d_middle, at, "o", color=INK, markersize=4)
     axes.set_xlim(left, right)
-    axes.plot([], [], "o-", color=INK, markersize=4, linewidth=1, label="tested device")
+    axes.plot([], [], "o" if crowded else "o-", color=INK, markersize=4, linewidth=1, label="tested device")
     axes.plot([], [], color=BLUE, linewidth=8, alpha=0.45, label="new device, 90 %")
     axes.plot([], [], color=GREY, linewidth=1.4, label="under other assumptions on the spread")
     axes.set_yticks(np.arange(len(rows)), [_name(row) for row in rows], fontsize=9)
