@@ -11,7 +11,7 @@ import numpy as np
 from shj_bayes.inference.problem import FREE_LIMIT
 from shj_bayes.mismatch.evidence import Evidence
 from shj_bayes.mismatch.refit import Refit, linearise, make_model, promising_starts, refit
-from shj_bayes.mismatch.thresholds import RIVAL_PROBABILITY, RIVAL_SE
+from shj_bayes.mismatch.thresholds import AS_GOOD, RIVAL_PROBABILITY, RIVAL_SE
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors
@@ -113,17 +113,21 @@ def try_all(
         )
         ends.append(refit(coarse, model, promising_starts(coarse, rough, model, effect), sigma_kN=base.rmse_kN))
     gains = [rough.rmse_kN**2 - end.rmse_kN**2 for end in ends]
-    before = evidence.block_sums(base.held_out_residual(evidence) ** 2)
-    tiny = 1e-12 * float(before.sum()) + 1e-300
     out = []
     for effect, end, gain in zip(effects, ends, gains, strict=True):
         # Those far behind are polished less: their place behind does not hang on the last digits.
         rounds = ROUNDS if gain > BEHIND * max(gains) else FEW_ROUNDS
         fit = refit(evidence, end.model, [end.z], rounds=rounds, sigma_kN=base.rmse_kN)
-        after = evidence.block_sums(fit.held_out_residual(evidence) ** 2)
-        relative = np.log(np.maximum(before, tiny) / np.maximum(after, tiny))
-        out.append(Candidate(effect, fit, before - after, relative, effect_size(evidence, fit, effect)))
+        out.append(compare(evidence, base, fit, effect))
     return out
+
+
+def compare(evidence: Evidence, base: Refit, fit: Refit, effect: Effect) -> Candidate:
+    """Hold a model that has one effect more, already fitted, against the one without."""
+    before, after = (evidence.block_sums(one.held_out_residual(evidence) ** 2) for one in (base, fit))
+    tiny = 1e-12 * float(before.sum()) + 1e-300
+    relative = np.log(np.maximum(before, tiny) / np.maximum(after, tiny))
+    return Candidate(effect, fit, before - after, relative, effect_size(evidence, fit, effect))
 
 
 def effect_size(evidence: Evidence, fit: Refit, effect: Effect) -> float:
@@ -152,9 +156,11 @@ def _simplest(candidates: Sequence[Candidate], best: int, may_enter: Mapping[int
     `may_enter` goes from the largest gain down. It is dear, so only those are asked that could come before the best.
     """
     first = best
+    enough = AS_GOOD * float(candidates[best].gain.sum())
     for i, may in may_enter.items():
         fewer = len(candidates[i].effect.parameters) < len(candidates[first].effect.parameters)
-        if fewer and not _beats(candidates[best], candidates[i]) and may():
+        as_good = float(candidates[i].gain.sum()) >= enough and not _beats(candidates[best], candidates[i])
+        if fewer and as_good and may():
             first = i
     return first
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from shj_bayes.mismatch.calibrate import Alarm, Line, look, strongest_line
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.name import Candidate, Ranking, ahead_beyond_chance, rank, try_all
+from shj_bayes.mismatch.name import Candidate, Ranking, ahead_beyond_chance, compare, rank, try_all
 from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
 from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.repeats import Repeat, repeats
@@ -155,7 +155,7 @@ def search(setting: Setting, base: Refit) -> Search:
     for number in range(MAX_EFFECTS + 1):
         setting.tell(f"looking for misfit beyond {', '.join(e.id for e in current.model.effects) or 'the base law'}")
         alarm = look(setting.evidence, current, _directions(setting, current), setting.rng(1, number))
-        ranking = _rank(setting, base, current, setting.rng(2, number))
+        ranking = _rank(setting, base, current, _try_rest(setting, current), setting.rng(2, number))
         line = strongest_line(setting.evidence, current)
         again = repeats(setting.evidence, current.residual_kN, setting.rng(5, number))
         looks = (alarm.p_value, line.p_value, again.p_value, _p_of_gains(setting, ranking, current))
@@ -205,9 +205,10 @@ def _capacity(current: Refit) -> float:
     return current.model.values(current.z)["Fy"]
 
 
-def _rank(setting: Setting, base: Refit, current: Refit, rng: np.random.Generator) -> Ranking:
-    """Try every effect that a model does not hold yet, best first."""
-    tried = _try_rest(setting, current)
+def _rank(
+    setting: Setting, base: Refit, current: Refit, tried: Sequence[Candidate], rng: np.random.Generator
+) -> Ranking:
+    """Rank effects that a model does not hold yet, those that may enter first."""
 
     def admits(candidate: Candidate, nats: float) -> bool:
         return not _objection(setting, base, current, candidate, nats) and not _poor_double(current, tried, candidate)
@@ -258,14 +259,25 @@ def _beyond_chance(candidate: Candidate, nats: float) -> bool:
 
 def _revise(setting: Setting, current: Refit, base: Refit, number: int) -> Refit:
     """Exchange or drop effects that entered earlier, when another one is better now."""
-    for position in range(len(current.model.effects) - 1):
-        kept = [e for i, e in enumerate(current.model.effects) if i != position]
-        without = _fit_with(setting, current, kept)
-        ranking = _rank(setting, base, without, setting.rng(3, number, position))
+    for k, effect in enumerate(current.model.effects[:-1]):
+        without, tried = _in_place_of(setting, current, effect)
+        ranking = _rank(setting, base, without, tried, setting.rng(3, number, k))
         if _objection(setting, base, without, ranking.candidates[0], float(ranking.elpd_gain[0])):
-            return _revise(setting, without, base, number) if len(kept) > 1 else without
+            return _revise(setting, without, base, number) if len(without.model.effects) > 1 else without
         current = ranking.candidates[0].fit
     return current
+
+
+def _in_place_of(setting: Setting, current: Refit, effect: Effect) -> tuple[Refit, list[Candidate]]:
+    """Fit a model without one of its effects, and every effect in its place.
+
+    The effect itself stands as it is fitted now where its own starts do not lead there again: a change of clamping
+    that was found beside one effect is not given up because it is not found beside two.
+    """
+    without = _fit_with(setting, current, [other for other in current.model.effects if other is not effect])
+    tried = _try_rest(setting, without)
+    own = compare(setting.evidence, without, current, effect)
+    return without, [own if c.effect is effect and c.gain.sum() < own.gain.sum() else c for c in tried]
 
 
 def _rivals(setting: Setting, first: Ranking, final: Refit) -> dict[str, Ranking]:
@@ -275,8 +287,8 @@ def _rivals(setting: Setting, first: Ranking, final: Refit) -> dict[str, Ranking
     """
     out = {}
     for position, effect in enumerate(final.model.effects):
-        kept = [e for i, e in enumerate(final.model.effects) if i != position]
-        tried = _try_rest(setting, _fit_with(setting, final, kept)) if kept else first.candidates
+        alone = len(final.model.effects) == 1
+        tried = first.candidates if alone else _in_place_of(setting, final, effect)[1]
         out[effect.id] = rank(setting.evidence, tried, setting.rng(4, position))
     return out
 

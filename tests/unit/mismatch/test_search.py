@@ -1,0 +1,78 @@
+"""The search for effects: which of equals comes first, and what a later effect must not undo."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shj_bayes.inference.problem import Run
+from shj_bayes.mismatch import search
+from shj_bayes.mismatch.evidence import evidence_of
+from shj_bayes.mismatch.name import Candidate, _simplest, compare
+from shj_bayes.mismatch.refit import extend_starts, make_model, refit
+from shj_bayes.mismatch.regions import regions_of
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.priors import read_priors
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.protocol import Block
+
+EFFECTS, PRIORS = catalogue(), read_priors("afc")
+BLOCKS = (Block(24.0, 0.067, 3), Block(48.0, 0.033, 3))
+
+
+def candidate(name: str, gain: np.ndarray) -> Candidate:
+    """An effect that gains so much in each block."""
+    return Candidate(EFFECTS[name], None, gain, gain / 10, 1.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("share", "first"), [(0.9, "load_offset"), (0.5, "tension_step")])
+def test_the_simplest_comes_first_only_when_it_is_as_good(share: float, first: str) -> None:
+    """Few cycles scatter so widely that no difference is beyond chance; half of the gain is still not as good."""
+    assert len(EFFECTS["load_offset"].parameters) < len(EFFECTS["tension_step"].parameters)
+    few = np.array([0.0, 0.0, 30.0, 1.0, 0.0, 0.0])
+    tried = [candidate("tension_step", few), candidate("load_offset", share * few[::-1])]
+    chosen = _simplest(tried, 0, {0: lambda: True, 1: lambda: True})
+    assert tried[chosen].effect.id == first
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[search.Setting, search.Refit]:
+    """A device that takes 4 kN more in push than in pull, and the law with wear and asymmetry fitted to it."""
+    even = simulate_device(Truth(gamma=0.0), seed=3, rate_Hz=5.0, n_runs=1, blocks=BLOCKS)[0]
+    uneven = replace(even, force_kN=even.force_kN + 4.0)
+    evidence = evidence_of([Run(uneven, motion_of(uneven))], 1000)
+    model = make_model(PRIORS, 1, ())
+    law = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0}
+    start = [float(p.to_free(np.asarray(law[n]))) for n, p in zip(model.names, model.priors, strict=True)]
+    fit = refit(evidence, model, [np.array(start)])
+    for k, name in enumerate(("wear", "asymmetry"), start=1):
+        model = make_model(PRIORS, 1, tuple(EFFECTS[e] for e in ("wear", "asymmetry")[:k]))
+        fit = refit(evidence, model, extend_starts(fit, model, EFFECTS[name]))
+    tried = tuple(EFFECTS[e] for e in ("wear", "asymmetry", "load_offset"))
+    setting = search.Setting(
+        evidence, evidence, evidence, regions_of(evidence), PRIORS, tried, "seed", 1, lambda _: None
+    )
+    return setting, fit
+
+
+def test_an_effect_that_is_there_is_not_given_up_for_a_worse_fit_of_itself(
+    fitted: tuple[search.Setting, search.Refit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setting, fit = fitted
+    asymmetry = fit.model.effects[1]
+    without, honest = search._in_place_of(setting, fit, asymmetry)
+    assert [e.id for e in without.model.effects] == ["wear"]
+    assert {c.effect.id for c in honest} == {"asymmetry", "load_offset"}
+
+    def from_a_bad_start(_setting: search.Setting, _current: search.Refit) -> list[Candidate]:
+        return [compare(setting.evidence, without, without, effect) for effect in (asymmetry, EFFECTS["load_offset"])]
+
+    monkeypatch.setattr("shj_bayes.mismatch.name.effect_size", lambda *_: 1.0)
+    monkeypatch.setattr(search, "_try_rest", from_a_bad_start)
+    own, other = search._in_place_of(setting, fit, asymmetry)[1]
+    assert own.fit is fit
+    honest_gain = max(float(c.gain.sum()) for c in honest if c.effect is asymmetry)
+    assert own.gain.sum() == pytest.approx(honest_gain, rel=0.05)
+    assert honest_gain > 1000.0
+    assert other.gain.sum() == 0.0
