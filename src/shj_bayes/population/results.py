@@ -149,7 +149,7 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
     folder.mkdir(parents=True, exist_ok=True)
     table = new_device_table(result).map(safe_cell)
     write_text(folder / "population.csv", table.to_csv(index=False, lineterminator="\n"))
-    arrays: dict[str, FloatArray] = {}
+    arrays: dict[str, Any] = {}  # of numbers, so nothing is pickled (a word to say so is an array before numpy 2.1)
     for label, fits in {"default": result.posteriors, **result.other_priors}.items():
         for name, fit in fits.items():
             key = f"{label}/{name}"
@@ -157,7 +157,7 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
             arrays[f"{key}/n_devices"] = np.array(fit.n_devices)
             arrays[f"{key}/diagnostics"] = np.array([fit.r_hat, fit.ess, fit.n_chains])
     with replacing(folder / _DRAWS) as part, part.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **arrays)
+        np.savez(stream, **arrays)
     document = sealed(to_json(result) | {"draws_sha256": file_digest(folder / _DRAWS)})
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(folder / "population.json", text + "\n")
