@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
@@ -76,7 +77,7 @@ def _of(force: FloatArray, x: FloatArray, keep: slice, turns: tuple[int, int]) -
     bottom, top = turns
     last = keep.stop - 1
     push, pull = _at_zero(force, x, bottom, top), _at_zero(force, x, top, last)
-    energy = np.asarray(np.trapezoid(force[:, keep], x[keep], axis=1))
+    energy = np.asarray(trapezoid(force[:, keep], x[keep], axis=1))
     highest, lowest = np.abs(force[:, top - 1]), np.abs(force[:, last - 1])
     reach = abs(x[top - 1]) + abs(x[last - 1])
     stiffness = (highest + lowest) / reach

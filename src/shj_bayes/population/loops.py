@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
@@ -131,7 +132,7 @@ def loop_band(
     push = np.array([np.interp(grid, x[up], f[up]) for f in force])
     pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])
     cycle = slice(start[_PUSH], start[_PULL + 1] + 1)
-    energy = np.trapezoid(force[:, cycle], x[cycle], axis=1)
+    energy = trapezoid(force[:, cycle], x[cycle], axis=1)
     e05, e50, e95 = np.quantile(energy, LEVELS)
     return LoopBand(
         device.set_name,
