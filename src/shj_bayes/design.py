@@ -193,9 +193,8 @@ def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> 
             if why:
                 notes.append(f"{group['name']}, {name}: {why}")
             places.append((place, name, str(group["name"])))
-    if not diagnoses:  # then nobody asks for the fits again, which takes long for a thousand devices
-        return cases((), diagnoses, notes)
-    devices = [device_from_fit(folder / place, name, of_set, tags[of_set]) for place, name, of_set in places]
+    wanted = places if diagnoses else []  # reading a thousand fits again takes long
+    devices = [device_from_fit(folder / place, name, of_set, tags[of_set]) for place, name, of_set in wanted]
     return cases(devices, diagnoses, notes)
 
 

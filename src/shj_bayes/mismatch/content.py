@@ -122,8 +122,7 @@ def energy(evidence: Evidence, base: Refit, shown: Refit) -> dict[str, list[floa
 
 def heldout(evidence: Evidence, result: Search, shown: Refit) -> dict[str, Any]:
     """Gain of the shown model over the base law on blocks that were held out."""
-    before = evidence.block_sums(result.base.held_out_residual(evidence) ** 2)
-    after = evidence.block_sums(shown.held_out_residual(evidence) ** 2)
+    before, after = result.base.held_out_squares(evidence), shown.held_out_squares(evidence)
     residual = shown.residual_kN
     phi = float(np.clip(residual[:-1] @ residual[1:] / max(float(residual @ residual), 1e-300), 0.0, 0.99))
     gain = (before - after) * (1 - phi) / (1 + phi) / (2 * shown.rmse_kN**2)

@@ -113,18 +113,19 @@ def try_all(
         )
         ends.append(refit(coarse, model, promising_starts(coarse, rough, model, effect), sigma_kN=base.rmse_kN))
     gains = [rough.rmse_kN**2 - end.rmse_kN**2 for end in ends]
+    before = base.held_out_squares(evidence)
     out = []
     for effect, end, gain in zip(effects, ends, gains, strict=True):
         # Those far behind are polished less: their place behind does not hang on the last digits.
         rounds = ROUNDS if gain > BEHIND * max(gains) else FEW_ROUNDS
         fit = refit(evidence, end.model, [end.z], rounds=rounds, sigma_kN=base.rmse_kN)
-        out.append(compare(evidence, base, fit, effect))
+        out.append(compare(evidence, before, fit, effect))
     return out
 
 
-def compare(evidence: Evidence, base: Refit, fit: Refit, effect: Effect) -> Candidate:
-    """Hold a model that has one effect more, already fitted, against the one without."""
-    before, after = (evidence.block_sums(one.held_out_residual(evidence) ** 2) for one in (base, fit))
+def compare(evidence: Evidence, before: FloatArray, fit: Refit, effect: Effect) -> Candidate:
+    """Hold a fitted model against the one without its effect, whose held-out squares are `before`."""
+    after = fit.held_out_squares(evidence)
     tiny = 1e-12 * float(before.sum()) + 1e-300
     relative = np.log(np.maximum(before, tiny) / np.maximum(after, tiny))
     return Candidate(effect, fit, before - after, relative, effect_size(evidence, fit, effect))

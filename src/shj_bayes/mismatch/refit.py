@@ -106,6 +106,10 @@ class Refit:
             out[a:b] = r + j @ step
         return out
 
+    def held_out_squares(self, evidence: Evidence) -> FloatArray:
+        """Sum of squares of each block's held-out residual, shape (n_blocks,), kN^2."""
+        return evidence.block_sums(self.held_out_residual(evidence) ** 2)
+
 
 def make_model(
     priors: Priors, n_runs: int, effects: Sequence[Effect], *, variant: str = "seed", speed: bool = True

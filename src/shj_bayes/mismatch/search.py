@@ -276,7 +276,7 @@ def _in_place_of(setting: Setting, current: Refit, effect: Effect) -> tuple[Refi
     """
     without = _fit_with(setting, current, [other for other in current.model.effects if other is not effect])
     tried = _try_rest(setting, without)
-    own = compare(setting.evidence, without, current, effect)
+    own = compare(setting.evidence, without.held_out_squares(setting.evidence), current, effect)
     return without, [own if c.effect is effect and c.gain.sum() < own.gain.sum() else c for c in tried]
 
 
@@ -286,8 +286,8 @@ def _rivals(setting: Setting, first: Ranking, final: Refit) -> dict[str, Ranking
     In the place of the only effect stands the base law, and `first` holds every effect tried beside that already.
     """
     out = {}
+    alone = len(final.model.effects) == 1
     for position, effect in enumerate(final.model.effects):
-        alone = len(final.model.effects) == 1
         tried = first.candidates if alone else _in_place_of(setting, final, effect)[1]
         out[effect.id] = rank(setting.evidence, tried, setting.rng(4, position))
     return out

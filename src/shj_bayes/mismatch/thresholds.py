@@ -9,9 +9,7 @@ PRACTICAL = 0.01  # of Fy: a smaller effect is negligible for design and is repo
 GAIN_SE = 3.0  # standard errors by which the held-out gain of an effect must exceed 0, or
 GAIN_NATS = 8.0  # held-out gain in log density that is beyond chance by itself: noise gave 5.5 at most in 105 devices
 RIVAL_SE = 2.0  # standard errors by which the best effect must beat another one to exclude it
-AS_GOOD = (
-    0.8  # of the best gain: a simpler effect with less does not come first, however wide the scatter over few cycles
-)
+AS_GOOD = 0.8  # of the best gain: a simpler effect with less does not come first, however few cycles there are
 RIVAL_PROBABILITY = 0.05  # a rival that wins in this share of resampled cycle sets is not excluded
 MAX_EFFECTS = 4
 EXPLAINED = 0.85  # of the misfit above noise: with less, and an alarm that is left, the catalogue has not explained it

@@ -186,12 +186,11 @@ def fit_population(
     with tqdm(total=3 * len(names), desc="population", disable=None if progress else True, leave=False) as bar:
         for q in names:
             sets = [
-                [d.measurements[q].likelihood(quantity(q)) for d in group if q in d.measurements]
+                lightened([d.measurements[q].likelihood(quantity(q)) for d in group if q in d.measurements])
                 for group in grouped.values()
             ]
             draws_behind[q] = min(x.effective_draws for group in sets for x in group)
             chosen[q] = (priors or {}).get(q, population_prior(q))
-            sets = [lightened(group) for group in sets]
             main[q] = fit_quantity(q, sets, chosen[q], _stream(seed, q, MAIN_PRIOR), workers=threads)
             bar.update()
             for label, prior in other_priors(chosen[q]).items():

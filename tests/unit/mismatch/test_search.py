@@ -66,7 +66,8 @@ def test_an_effect_that_is_there_is_not_given_up_for_a_worse_fit_of_itself(
     assert {c.effect.id for c in honest} == {"asymmetry", "load_offset"}
 
     def from_a_bad_start(_setting: search.Setting, _current: search.Refit) -> list[Candidate]:
-        return [compare(setting.evidence, without, without, effect) for effect in (asymmetry, EFFECTS["load_offset"])]
+        before = without.held_out_squares(setting.evidence)
+        return [compare(setting.evidence, before, without, effect) for effect in (asymmetry, EFFECTS["load_offset"])]
 
     monkeypatch.setattr("shj_bayes.mismatch.name.effect_size", lambda *_: 1.0)
     monkeypatch.setattr(search, "_try_rest", from_a_bad_start)
