@@ -14,11 +14,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.reader import read
 
 PISTON_MM2 = 490.874  # of the seal rig: pi/4 (25 mm)^2
 EMPS = {"mass": 95.1, "coulomb_N": 20.4, "viscous": 203.5, "offset_N": -3.16}  # Janot, Gautier, Brunot 2019
 BACKLASH_MM = (2.8, 3.3)
+LEVEL = 0.05  # push and pull levels can be read off a loop to about this share of their mean
+LOADS = (
+    "restoring",
+    "load_offset",
+    "reversal_form",
+)  # elastic stiffness, the load cell's zero and the law: not friction
 MOVED_IN = 0.002  # of the band actuator: more than its resolution
 
 
@@ -58,6 +67,8 @@ class Case:
         ``judge(diagnosis, file, all diagnoses)`` gives the comparisons.
     columns, units : str or None
         As for `shj_bayes.recording.reader.read`.
+    rate_Hz : float or None
+        Sampling rate stated for a file without time.
     without : tuple of str
         Effects taken out of the catalogue.
     """
@@ -68,6 +79,7 @@ class Case:
     judge: Judge
     columns: str | None = None
     units: str | None = None
+    rate_Hz: float | None = None
     without: tuple[str, ...] = ()
 
 
@@ -76,6 +88,14 @@ def effect(answer: Answer, name: str) -> dict[str, float] | None:
     for one in answer["effects"]:
         if one["id"] == name:
             return {key: float(row["mean"]) for key, row in one["parameters"].items()}
+    return None
+
+
+def _offset_N(answer: Answer) -> float | None:
+    """Constant force that was found, N; not share times Fy, which may both be open where their product is not."""
+    for one in answer["effects"]:
+        if one["id"] == "load_offset":
+            return float(np.copysign(1000 * one["size_kN"], one["parameters"]["size"]["mean"]))
     return None
 
 
@@ -116,17 +136,16 @@ def _pressure(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judge
     """Compare the constant in the force with pressure times area."""
     table = pd.read_csv(file, sep="\t", header=None)
     newton = float(np.median(table[5])) * 0.1 * PISTON_MM2
-    found = effect(answer, "load_offset")
-    if found is None:
+    own = _offset_N(answer)
+    if own is None:
         return [Judged(False, f"the pressure pushes with {newton:.1f} N; no constant force was named")]
-    own = 1000 * found["size"] * answer["shift"]["Fy"]["after"]["mean"]
     near = abs(own - newton) <= max(0.1 * newton, 1.0)
     return [Judged(near, f"the pressure pushes with {newton:.1f} N; diagnosed constant {own:.1f} N")]
 
 
 def _emps(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     """Compare mass, Coulomb and viscous friction and offset with the published identification."""
-    shift, mass, offset = answer["shift"], effect(answer, "inertia"), effect(answer, "load_offset")
+    shift, mass = answer["shift"], effect(answer, "inertia")
     capacity = 1000 * shift["Fy"]["after"]["mean"]
     viscous = 1000 * capacity * shift["gamma"]["after"]["mean"]
     out = [
@@ -145,9 +164,68 @@ def _emps(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
                 abs(mass["size"] / EMPS["mass"] - 1) < 0.1, f"mass {EMPS['mass']} kg; diagnosed {mass['size']:.1f} kg"
             )
         )
-    own = 1000 * offset["size"] * shift["Fy"]["after"]["mean"] if offset else 0.0
-    out.append(Judged(abs(own - EMPS["offset_N"]) < 1.0, f"offset {EMPS['offset_N']} N; diagnosed {own:.2f} N"))
+    # The published law has no asymmetry: its offset is the mean of push and pull at the speeds of the test.
+    own = _offset_N(answer) or 0.0
+    words = f"offset {EMPS['offset_N']} N; diagnosed {own:.2f} N"
+    if uneven := effect(answer, "asymmetry"):
+        speed = motion_of(read(file, columns=EMPS_COLUMNS, units="s,m,N")).speed_mm_s
+        own += uneven["size"] * (capacity + viscous / 1000 * float(np.mean(speed[speed > 1.0])))
+        words += f" and push and pull {2 * abs(uneven['size']):.0%} apart, together {own:.2f} N at the mean speed"
+    out.append(Judged(abs(own - EMPS["offset_N"]) < 1.0, words))
     return out
+
+
+def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
+    """Compare how far push and pull are apart with their levels at mid-stroke, read off the loop."""
+    recording = read(file)
+    motion = motion_of(recording)
+    position = motion.displacement_mm - np.median(motion.displacement_mm)
+    middle = np.abs(position) < 0.25 * np.percentile(np.abs(position), 99)
+    middle &= motion.speed_mm_s > 0.2 * np.percentile(motion.speed_mm_s, 95)  # not while it waits
+    direction = np.repeat(motion.direction, np.diff(motion.start))
+    push, pull = (q * float(np.median(recording.force_kN[middle & (direction == q)])) for q in (1, -1))
+    level = (push - pull) / (push + pull)
+    found = [one["size"] for name in ("asymmetry", "load_offset") if (one := effect(answer, name))]
+    own = f"diagnosed {sum(found):+.0%}" if found else "neither asymmetry nor offset was named"
+    words = f"push is {level:+.0%} off the mean of push and pull at mid-stroke; {own}"
+    return [Judged(abs(sum(found) - level) <= LEVEL, words)]
+
+
+def _change(expected: bool) -> Judge:
+    """Compare whether the force changes from cycle to cycle."""
+
+    def judge(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
+        slow = [one["id"] for one in answer["effects"] if catalogue()[one["id"]].family == "slow_change"]
+        known = "the force grows from cycle to cycle" if expected else "the force is steady from cycle to cycle"
+        own = f"diagnosed {', '.join(slow)}" if slow else "no slow change was named"
+        return [Judged(bool(slow) == expected, f"{known}; {own}")]
+
+    return judge
+
+
+def _no_friction(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
+    """Check that metal which yields is not given the name of a friction effect."""
+    named = [one["id"] for one in answer["effects"] if one["id"] not in LOADS]
+    if answer["verdict"] not in ("named", "family"):
+        return [Judged(True, f"metal that yields, nothing slides; the answer is {answer['verdict']}")]
+    words = f"metal that yields, nothing slides; named: {', '.join(named) or 'no friction effect'}"
+    return [Judged(not named, words)]
+
+
+def _gas(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
+    """Compare the constant in the force with what is known of the damper's gas accumulator."""
+    own = _offset_N(answer)
+    words = "no constant force was named" if own is None else f"diagnosed {own:.0f} N"
+    return [Judged(own is not None and 64.0 <= own <= 105.0, f"the gas pushes with 64 to 105 N; {words}")]
+
+
+def _both(*judges: Judge) -> Judge:
+    """Make several comparisons with one diagnosis."""
+
+    def judge(answer: Answer, file: Path, answers: Mapping[str, Answer]) -> list[Judged]:
+        return [one for judge in judges for one in judge(answer, file, answers)]
+
+    return judge
 
 
 def _backlash(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
@@ -178,26 +256,53 @@ def _hidden(pair: str) -> Judge:
     return judge
 
 
-def _seal(name: str) -> Case:
-    """Make the case of one seal: its pressure is withheld."""
-    return Case(
-        f"seal {name}", f"seals-tud/{name}.txt.gz", "pressure", _pressure, "time=1,displacement=5,force=7", "ms,mm,N"
-    )
+def _seal(name: str, judge: Judge = _pressure, *, friction: bool = False) -> Case:
+    """Make the case of one seal: its force with the pressure withheld, or friction alone, which the pressure gives."""
+    file, force = f"seals-tud/{name}.txt.gz", f"#7 - {0.1 * PISTON_MM2}*#6" if friction else "7"
+    id, withheld = (f"friction of {name}", "how it goes on") if friction else (f"seal {name}", "pressure")
+    return Case(id, file, withheld, judge, f"time=1,displacement=5,force={force}", "ms,mm,N")
 
 
+def _brfd(name: str, judge: Judge = _backlash) -> Case:
+    """Make the case of one test of the band brake whose backlash is published."""
+    return Case(f"brfd {name}", f"brfd-lehigh/{name}.csv.gz", "what is published or read off the loop", judge)
+
+
+def _metal(id: str, file: str, columns: str = "displacement=1,force=2") -> Case:
+    """Make the case of a test without friction and without time."""
+    return Case(id, file, "that nothing slides", _no_friction, columns, "mm,kN", rate_Hz=1.0)
+
+
+COUPON = "displacement=#1*1000,force=#2*0.1"  # strain and MPa, as if of a bar of 1 m and 100 mm2
+EMPS_COLUMNS = "time=t,displacement=qm,force=gtau*vir"
 BRFD = "brfd-lehigh/ds1_0.5Hz80lb.csv.gz"
 CASES = (
     Case("brfd step", "brfd-lehigh/ds4_step0.03ea1forward.csv.gz", "band position and band force", _band),
     Case("brfd harmonic", "brfd-lehigh/ds4_harmonic0.03ea1forward.csv.gz", "band position and band force", _band),
-    Case("brfd slack", BRFD, "the published backlash", _backlash),
+    Case("brfd slack", BRFD, "the published backlash", _both(_backlash, _apart)),
     Case("brfd slack hidden", BRFD, "slack, taken out of the catalogue", _hidden("brfd slack"), without=("slack",)),
-    *(_seal(name) for name in ("KDN_1bar", "KDN_7bar", "PK_1bar")),
+    _brfd("ds1_0.5Hz25lb"),
+    _brfd("ds2_0.5Hz30lb0.5in"),
+    _brfd("ds2_0.5Hz30lb1in"),
+    _brfd("ds2_0.5Hz36lb0.5in"),
+    _brfd("ds2_0.25Hz36lb1in", _both(_backlash, _apart)),
+    _brfd("ds2_0.5Hz36lb1in", _both(_backlash, _apart)),
+    _brfd("ds2_1Hz36lb1in"),
+    _brfd("ds2_eq_ImperialValleyMCE"),
+    *(_seal(name) for name in ("KDN_1bar", "KDN_3bar", "KDN_7bar", "PK_1bar", "O-ring_7bar")),
+    *(_seal(name, _change(expected=False), friction=True) for name in ("KDN_1bar", "KDN_3bar", "KDN_7bar", "PK_1bar")),
+    _seal("O-ring_7bar", _change(expected=True), friction=True),
+    Case("emps", "emps/DATA_EMPS.mat", "published mass, friction and offset", _emps, EMPS_COLUMNS, "s,m,N"),
     Case(
-        "emps",
-        "emps/DATA_EMPS.mat",
-        "published mass, friction and offset",
-        _emps,
-        "time=t,displacement=qm,force=gtau*vir",
-        "s,m,N",
+        "mr damper",
+        "mr-damper-utfpr/ensaio5.1.mat",
+        "the gas accumulator",
+        _gas,
+        "time=Ts,displacement=dist,force=forc",
+        "s,mm,N",
     ),
+    _metal("flexural plate", "quasistatic/Ganey2015_UFP_damper.csv"),
+    _metal("slit damper", "quasistatic/Chan_Albermani_slit_damper_digitised.csv"),
+    _metal("steel coupon 1", "steel-coupons/RESSPyLab_example_1.csv", COUPON),
+    _metal("steel coupon 2", "steel-coupons/RESSPyLab_example_2.csv", COUPON),
 )

@@ -98,7 +98,7 @@ def _task(case: Case, folder: Path, scratch: Path) -> dict[str, Any]:
     """Write time, displacement and force of a recording, and nothing else of it."""
     own = scratch / case.id
     own.mkdir()
-    recording = read(folder / case.file, columns=case.columns, units=case.units)
+    recording = read(folder / case.file, columns=case.columns, units=case.units, rate_Hz=case.rate_Hz)
     path = write_csv(own / "run1.csv", recording, digits=12)
     return {
         "name": case.id,

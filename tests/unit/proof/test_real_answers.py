@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
+from scipy.io import savemat
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
@@ -18,7 +19,10 @@ BY_ID = {case.id: case for case in CASES}
 
 def diagnosis(verdict="named", where=(), fy_kN=0.02, gamma=0.0, heldout=0.5, **effects):
     """As much of a diagnosis as the comparisons read."""
-    found = [{"id": k, "parameters": {n: {"mean": v} for n, v in values.items()}} for k, values in effects.items()]
+    found = [
+        {"id": k, "size_kN": fy_kN * abs(values["size"]), "parameters": {n: {"mean": v} for n, v in values.items()}}
+        for k, values in effects.items()
+    ]
     return {
         "verdict": verdict,
         "effects": found,
@@ -77,6 +81,58 @@ def test_published_friction_and_mass_are_compared(tmp_path):
     own = diagnosis(fy_kN=0.0204, gamma=203.5 / 20.4 / 1000, inertia={"size": 96.0}, load_offset={"size": -3.16 / 20.4})
     assert all(one.agrees for one in BY_ID["emps"].judge(own, tmp_path, {}))
     assert [one.agrees for one in BY_ID["emps"].judge(diagnosis(), tmp_path, {})] == [True, False, False, False]
+
+
+def test_growth_from_cycle_to_cycle_is_compared(tmp_path):
+    growing = diagnosis(bedding_in={"size": 0.1}, asymmetry={"size": 0.1})
+    assert [one.agrees for one in BY_ID["friction of KDN_1bar"].judge(growing, tmp_path, {})] == [False]
+    assert [one.agrees for one in BY_ID["friction of O-ring_7bar"].judge(growing, tmp_path, {})] == [True]
+    judged = BY_ID["friction of O-ring_7bar"].judge(diagnosis(asymmetry={"size": 0.1}), tmp_path, {})
+    assert [one.words for one in judged] == ["the force grows from cycle to cycle; no slow change was named"]
+    assert not judged[0].agrees
+
+
+def test_push_and_pull_are_compared_with_the_loop(tmp_path):
+    """Levels of 12 and 8 kN: push is 20 % off the mean, by an asymmetry, by an offset, or by both."""
+    time = np.linspace(0, 10, 2001)
+    path = tmp_path / "loop.csv"
+    force = np.where(np.cos(2 * np.pi * time / 2) > 0, 12.0, -8.0)
+    columns = {"time_s": time, "displacement_mm": 25 * np.sin(2 * np.pi * time / 2) + 3, "force_kN": force}
+    pd.DataFrame(columns).to_csv(path, index=False)
+    judge = BY_ID["brfd ds2_0.5Hz36lb1in"].judge
+    apart = diagnosis(slack={"size": 3.0}, asymmetry={"size": 0.3}, load_offset={"size": -0.12})
+    judged = judge(apart, path, {})
+    assert [one.agrees for one in judged] == [True, True]
+    assert "push is +20% off the mean of push and pull at mid-stroke; diagnosed +18%" in judged[1].words
+    assert [one.agrees for one in judge(diagnosis(), path, {})] == [False, False]
+
+
+def test_an_asymmetry_beside_the_offset_belongs_to_it(tmp_path):
+    """At 100 mm/s friction is 40 N; -13 % of it in push and +2 N throughout are -3.2 N together."""
+    time = np.linspace(0, 8, 4001)
+    path = tmp_path / "emps.mat"
+    place = 0.1 * np.abs((time % 4) - 2)
+    savemat(path, {"t": time, "qm": place, "vir": np.sign(np.sin(np.pi * time / 2)), "gtau": 1.0})
+    own = diagnosis(
+        fy_kN=0.020, gamma=0.01, inertia={"size": 95.0}, load_offset={"size": 0.1}, asymmetry={"size": -0.13}
+    )
+    judged = BY_ID["emps"].judge(own, path, {})
+    assert "push and pull 26% apart, together -3.2 N at the mean speed" in judged[-1].words.replace("-3.20", "-3.2")
+    assert judged[-1].agrees
+
+
+def test_metal_that_yields_gets_no_friction_name(tmp_path):
+    judge = BY_ID["flexural plate"].judge
+    assert judge(diagnosis("unknown", restoring={"size": 0.1}, wear={"size": 0.1}), tmp_path, {})[0].agrees
+    assert judge(diagnosis("named", restoring={"size": 0.1}), tmp_path, {})[0].agrees
+    assert not judge(diagnosis("named", restoring={"size": 0.1}, wear={"size": 0.1}), tmp_path, {})[0].agrees
+
+
+def test_the_force_of_the_gas_is_compared(tmp_path):
+    judge = BY_ID["mr damper"].judge
+    assert judge(diagnosis(fy_kN=0.5, load_offset={"size": 0.16}), tmp_path, {})[0].agrees
+    assert not judge(diagnosis(fy_kN=0.5, load_offset={"size": -0.16}), tmp_path, {})[0].agrees
+    assert not judge(diagnosis(), tmp_path, {})[0].agrees
 
 
 def test_a_catalogue_without_the_effect_must_say_unknown(tmp_path):
