@@ -77,3 +77,21 @@ def test_an_effect_that_is_there_is_not_given_up_for_a_worse_fit_of_itself(
     assert own.gain.sum() == pytest.approx(honest_gain, rel=0.05)
     assert honest_gain > 1000.0
     assert other.gain.sum() == 0.0
+
+
+def test_the_state_in_which_a_test_began_is_not_predicted_for_its_first_cycle() -> None:
+    """A clearance of 3 mm, 2.7 of it ahead at first: the other cycles say nothing of that, the prior says 1.5 mm."""
+    plain = simulate_device(Truth(gamma=0.0), seed=5, rate_Hz=5.0, n_runs=1, blocks=BLOCKS)[0]
+    evidence = evidence_of([Run(plain, motion_of(plain))], 1000)
+    law = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0}
+    law |= {"slack.size": 3.0, "slack.softness": 0.3, "slack.start": 0.9}
+    model = make_model(PRIORS, 1, (EFFECTS["slack"],))
+    z = np.array([float(p.to_free(np.asarray(law[n]))) for n, p in zip(model.names, model.priors, strict=True)])
+    noise = np.random.default_rng(1).standard_normal(evidence.force_kN.size)
+    loose = replace(evidence, force_kN=model.force(evidence, z) + noise)
+    fit = refit(loose, model, [z])
+    assert [name for name, known in zip(model.names, model.predicted, strict=True) if not known] == ["slack.start"]
+    first = slice(*loose.block_edges[:2])
+    assert np.std(fit.held_out_residual(loose)[first]) < 1.3
+    blind = replace(model, effects=(replace(EFFECTS["slack"], initial=()),))
+    assert np.std(replace(fit, model=blind).held_out_residual(loose)[first]) > 2.0

@@ -114,6 +114,9 @@ class Effect:
     start : mapping of str to tuple of float
         Values to start a search from, per parameter; every combination is one start (a few, or a grid of up to 300
         that is scanned to first order). A parameter that is not named starts at the middle of its prior.
+    initial : tuple of str
+        Parameters that say how the device stood when the test began: only the first cycle tells of them, so they are
+        not predicted for it from the others.
     """
 
     id: str
@@ -129,6 +132,7 @@ class Effect:
     act: Act
     source: str
     start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    initial: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse effects without words, parameters or a neutral value."""
@@ -139,7 +143,7 @@ class Effect:
         names = {p.name for p in self.parameters}
         if not names or not set(self.neutral) <= names or not self.neutral:
             raise ModelError(f"effect {self.id}: needs parameters, and a neutral value for at least one of them")
-        if not set(self.start) <= names:
+        if not {*self.start, *self.initial} <= names:
             raise ModelError(f"effect {self.id}: starts must be for its parameters, {', '.join(self.names)}")
 
     @property
