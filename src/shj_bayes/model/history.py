@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from shj_bayes.errors import ModelError
+from shj_bayes.model.course import course_of, fill_between
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import Motion, frozen
 
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
 
@@ -69,10 +69,9 @@ class History:
         """Freeze the arrays."""
         n = self.motion.displacement_mm.size
         for name in ARRAYS:
-            values = np.array(getattr(self, name), dtype=np.float64)
+            values = frozen(getattr(self, name), np.float64)
             if values.shape != (n,):
                 raise ModelError(f"{name} has shape {values.shape}; it needs ({n},)")
-            values.setflags(write=False)
             object.__setattr__(self, name, values)
 
     @property
@@ -85,9 +84,11 @@ class History:
         return replace(self, motion=motion, **{name: getattr(self, name)[keep] for name in ARRAYS})
 
     @cached_property
-    def course(self) -> CubicHermiteSpline:
-        """Displacement over time between the samples, mm; through their speeds as well, so that few samples do."""
-        return CubicHermiteSpline(self.time_s, self.motion.displacement_mm, self.direction * self.speed_mm_s)
+    def course(self) -> FloatArray:
+        """Polynomials over time between the samples, so that few samples do; see `course_of`."""
+        velocity = self.direction * self.speed_mm_s
+        x = self.motion.displacement_mm
+        return course_of(self.time_s, x, velocity, self.travel_m, self.acceleration_mm_s2)
 
     @cached_property
     def moved_mm(self) -> FloatArray:
@@ -194,31 +195,22 @@ def delayed(history: History, lag_s: float) -> History | None:
     start = np.concatenate([[0], np.searchsorted(then, history.turn_s), [time.size]]).astype(np.int64)
     if np.any(np.diff(start) <= 0):
         return None
-    index = np.repeat(np.arange(start.size - 1), np.diff(start))
-    sense, origin = motion.direction[index].astype(np.float64), motion.turning_mm[index]
-    clipped = np.clip(then, time[0], time[-1])
-    slipped = np.maximum(sense * (history.course(clipped) - origin), 0.0)
-    own = slice(0, int(start[1]))  # the first half-cycle may begin with a rest on either side of its origin
-    slipped[own] = sense[own] * (history.course(clipped[own]) - origin[own])
-    moved = Motion(
-        displacement_mm=origin + sense * slipped,
-        speed_mm_s=np.maximum(sense * history.course(clipped, 1), 0.0),
-        start=start,
-        turning_mm=motion.turning_mm,
-        direction=motion.direction,
-    )
     first = motion.start[:-1]
-    middle = motion.displacement_mm[0] - history.position_mm[0]
+    of_half = motion.direction, motion.turning_mm, history.amplitude_mm[first], history.rest_s[first]
+    rows = np.empty((8, time.size))
+    fill_between(rows, then, time[-1], start, of_half, history.course)
+    rows.setflags(write=False)
+    x, speed, direction, slip, travel, amplitude, acceleration, rest = rows
     return replace(
         history,
-        motion=moved,
-        position_mm=moved.displacement_mm - middle,
-        direction=sense,
-        slip_mm=np.abs(moved.displacement_mm - moved.turning_mm[index]),
-        travel_m=np.interp(then, time, history.travel_m),
-        amplitude_mm=history.amplitude_mm[first][index],
-        acceleration_mm_s2=np.interp(then, time, history.acceleration_mm_s2),
-        rest_s=history.rest_s[first][index],
+        motion=Motion(x, speed, start, motion.turning_mm, motion.direction),
+        position_mm=x - (motion.displacement_mm[0] - history.position_mm[0]),
+        direction=direction,
+        slip_mm=slip,
+        travel_m=travel,
+        amplitude_mm=amplitude,
+        acceleration_mm_s2=acceleration,
+        rest_s=rest,
     )
 
 

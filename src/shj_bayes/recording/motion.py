@@ -3,15 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from shj_bayes.errors import RecordingError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+
+def frozen(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
+    """Array that nobody can change: a copy, unless nobody can change this one already (a law with a delay makes many).
+
+    Parameters
+    ----------
+    values : array_like
+        What to keep.
+    kind : numpy type
+        Its type.
+    """
+    array = np.asarray(values, dtype=kind)
+    owner: Any = array
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:
+        owner = owner.base
+    if owner is not None:
+        array = array.copy()
+        array.setflags(write=False)
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +77,11 @@ class Motion:
             ("turning_mm", np.float64),
             ("direction", np.int64),
         ):
-            values = np.array(getattr(self, name), dtype=kind)
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
+            object.__setattr__(self, name, frozen(getattr(self, name), kind))
         n = self.displacement_mm.size
-        unsure = np.zeros(n, dtype=np.bool_) if self.unsure is None else np.array(self.unsure, dtype=np.bool_)
+        unsure = frozen(np.zeros(n) if self.unsure is None else self.unsure, np.bool_)
         if unsure.shape != (n,):
             raise RecordingError(f"unsure has shape {unsure.shape}; it needs ({n},)")
-        unsure.setflags(write=False)
         object.__setattr__(self, "unsure", unsure)
         n_half = self.turning_mm.size
         if self.speed_mm_s.shape != (n,) or np.any(self.speed_mm_s < 0):

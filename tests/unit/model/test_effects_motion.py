@@ -6,11 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
-from shj_bayes.model.history import History, histories
+from shj_bayes.model.history import History, delayed, histories
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import Block, exact_motion
 
@@ -86,6 +87,79 @@ def test_compliance_works_in_series_with_the_stiffness():
     slip, back = h.slip_mm[h.motion.start[1] :], f[h.motion.start[1] :]
     slope = np.polyfit(slip[slip < 4], back[slip < 4], 1)[0]
     assert slope == pytest.approx(-1 / (1 / K + 0.02), rel=1e-3)
+
+
+def by_bisection(turning: list[float], x: np.ndarray, half: np.ndarray, base: Base, parts: dict[str, float]):
+    """Force behind an elastic part and a clearance, each sample on its own by halving an interval of forces."""
+    gap, take_up, series, smooth = parts["gap"], parts["softness"] * parts["gap"], parts["series"], parts["smooth"]
+    ahead, reset, out = gap * parts["start"], 0.0, np.empty(x.size)
+
+    def one(travel: float, sense: float) -> float:
+        def law(f: float) -> float:
+            e = reset + base.K * sense * max(travel - sense * series * (f - reset), 0.0)
+            if e * sense > 0 and reset * sense <= 0:
+                past = max(e * sense - base.K * ahead, 0.0)
+                full = base.K * take_up
+                e = sense * (0.4 * past if past < full else past - 0.6 * full)
+            held = e / (1 + abs(e / base.Fy) ** base.beta) ** (1 / base.beta)
+            return held if e * sense > 0 else held + smooth * (e - held)
+
+        low, high = -4 * base.Fy, 4 * base.Fy
+        for _ in range(80):
+            f = (low + high) / 2
+            low, high = (f, high) if law(f) > f else (low, f)
+        return f
+
+    for k, (begin, end) in enumerate(pairwise(turning)):
+        sense = float(np.sign(end - begin))
+        for i in np.flatnonzero(half == k):
+            out[i] = one((x[i] - begin) * sense, sense)
+        before, reset = reset, one(abs(end - begin), sense)
+        if abs(reset) < 1e-9 * base.Fy and before * sense <= 0:
+            reset = 0.0
+            crossed = abs(end - begin) + series * before * sense + before * sense / base.K
+            ahead = max(gap - ahead + min(max(crossed, 0.0), ahead), 0.0)
+        else:
+            ahead = gap
+    return out
+
+
+@pytest.mark.parametrize(("smooth", "variant"), [(0.0, "seed"), (1.0, "continuous")])
+@pytest.mark.parametrize("softness", [0.05, 0.9])
+def test_a_frame_and_a_clearance_together_agree_with_bisection(smooth: float, variant: str, softness: float):
+    """With stops inside the clearance and reversals under load; strong compliance, where steps could jump the gap."""
+    turning = [0.0, 24.0, -25.0, -24.0, -26.0, 20.0, 12.5, 14.0, 11.0, 26.0, -20.0]
+    h = ramps(turning, step=0.05)
+    for beta, series, start in ((8.0, 0.01, 0.3), (60.0, 0.08, 0.9), (1.5, 0.03, 0.0)):
+        base = Base(K, FY, beta, 0.0, FY)
+        f = run(
+            h,
+            variant,
+            base,
+            slack={"size": 3.0, "softness": softness, "start": start},
+            frame_compliance={"size": series},
+        )
+        parts = {"gap": 3.0, "softness": softness, "series": series, "smooth": smooth, "start": start}
+        oracle = by_bisection(turning, h.motion.displacement_mm, h.motion.half_cycle, base, parts)
+        np.testing.assert_allclose(f, oracle, atol=1e-9 * FY)
+
+
+@pytest.mark.parametrize("lag", [0.07, -0.23])
+def test_the_motion_of_a_moment_ago_lies_on_a_spline(lag: float):
+    time, motion = exact_motion((Block(48.0, 0.034, 2), Block(20.0, 0.1, 1)), 5.0)
+    h = histories([time], [motion])[0]
+    late = delayed(h, lag)
+    then = np.clip(h.time_s - lag, h.time_s[0], h.time_s[-1])
+    spline = CubicHermiteSpline(h.time_s, h.motion.displacement_mm, h.direction * h.speed_mm_s)
+    away = np.min(np.abs(then[:, None] - h.turn_s), axis=1) > 0.2  # beside a reversal each half-cycle keeps its side
+    np.testing.assert_allclose(late.motion.displacement_mm[away], spline(then)[away], atol=1e-9)
+    np.testing.assert_allclose(late.speed_mm_s[away], np.abs(spline(then, 1))[away], atol=1e-9)
+    np.testing.assert_allclose(late.travel_m, np.interp(then, h.time_s, h.travel_m), atol=1e-12)
+    np.testing.assert_allclose(late.acceleration_mm_s2, np.interp(then, h.time_s, h.acceleration_mm_s2), atol=1e-9)
+    np.testing.assert_array_equal(late.slip_mm, np.abs(late.slip_mm))
+    own = late.motion.turning_mm[late.motion.half_cycle] + late.direction * late.slip_mm
+    np.testing.assert_allclose(late.motion.displacement_mm, own, atol=1e-12)
+    assert not any(array.flags.writeable for array in (late.slip_mm, late.motion.displacement_mm, late.position_mm))
 
 
 def test_a_positive_lag_records_the_force_later():

@@ -37,50 +37,50 @@ def _elastic(distance, reset, sense, stiffness, slack, take_up):  # type: ignore
 
 
 @njit(error_model="numpy", fastmath={"contract"})
-def _in_series(distance, reset, sense, law, capacity, knee, parts, guess):  # type: ignore[no-untyped-def]
-    """Force of the device behind an elastic part: the device moves by the distance less what the part takes up."""
-    slack, take_up, compliance, smooth = parts[0], parts[1], parts[2], parts[3]
-    low, high = -4.0 * capacity - abs(reset), 4.0 * capacity + abs(reset)
-    f = guess
-    for _ in range(60):  # bisection guarded secant: the force falls when the series part takes up more
-        own = distance - sense * compliance * (f - reset)
-        value = _held(_elastic(own, reset, sense, law[0], slack, take_up), sense, capacity, law[2], knee, smooth) - f
-        if value > 0.0:
-            low = f
+def _divide(targets, softs, x, origin, reset, sense, law, caps, knee, parts):  # type: ignore[no-untyped-def]
+    """Find on which straight piece of `_elastic` each sample lies: targets = softs e + compliance H(e) holds there.
+
+    Pieces: before the gap, in it (force 0), at the share `FIRST` of the stiffness, at full stiffness. Their ends follow
+    from the forces there, so no sample has to try more than one.
+    """
+    slack, take_up, compliance = parts[0], parts[1], parts[2]
+    soft = 1.0 / law[0]
+    softs[:] = soft
+    for i in range(targets.size):
+        targets[i] = x[i] - origin + (soft + compliance) * reset
+    if (slack == 0.0 and take_up == 0.0) or reset * sense > 0.0:
+        return
+    for i in range(targets.size):
+        along = targets[i] * sense
+        if along <= 0.0:
+            continue
+        if along <= slack:
+            targets[i] = 0.0
+            continue
+        past, capacity = along - slack, law[1] * caps[i]
+        at_end = FIRST * law[0] * take_up
+        first = past <= take_up + compliance * min(at_end, capacity)  # dearer to say in most samples: by Eq. (1)
+        if first and past <= take_up + compliance * saturate(at_end, capacity, 1.0 / capacity, law[2], knee):
+            targets[i], softs[i] = sense * past, soft / FIRST
         else:
-            high = f
-        if abs(value) < 1e-9 * capacity or high - low < 1e-9 * capacity:
-            break
-        step = 1e-6 * capacity
-        moved = distance - sense * compliance * (f + step - reset)
-        other = (
-            _held(_elastic(moved, reset, sense, law[0], slack, take_up), sense, capacity, law[2], knee, smooth)
-            - f
-            - step
-        )
-        slope = (other - value) / step
-        f = f - value / slope if slope < 0.0 else 0.5 * (low + high)
-        if not low < f < high:
-            f = 0.5 * (low + high)
-    return f
+            targets[i] = sense * (past - (1.0 - FIRST) * take_up)
 
 
 @njit(error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
-def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, compliance, smooth, work):  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
-    """Force of neighbouring samples of the device behind an elastic part, without slack or delay.
+def _solve(out, targets, softs, reset, sense, law, caps, knee, parts, work):  # type: ignore[no-untyped-def]
+    """Force of neighbouring samples of the device behind an elastic part.
 
-    The unknown is the elastic force e of Eq. (1), since then the travel is explicit:
+    The unknown is the elastic force e of Eq. (1), since then the travel is explicit: for a device without slack
     x - origin = (e - reset) / K + c (H(e) - reset). It rises with e and bends one way on either side of 0, and lies
     beyond both its straight ends, so Newton's steps from the further of these come to it from one side.
     """
-    stiffness, beta = law[0], law[2]
-    soft = 1.0 / stiffness
+    compliance, smooth, beta = parts[2], parts[3], law[2]
     for i in range(out.size):
         capacity = law[1] * caps[i]
-        target = x[i] - origin + soft * reset + compliance * reset
-        elastic = target / (soft + compliance)
-        sliding = (target - compliance * np.copysign(capacity, target)) * stiffness
-        far = elastic if abs(elastic) > sliding * np.sign(target) else sliding
+        target = targets[i]
+        elastic = target / (softs[i] + compliance)
+        sliding = (target - compliance * np.copysign(capacity, target)) / softs[i]
+        far = elastic if abs(elastic) >= sliding * np.sign(target) else sliding
         # Where unloading is straight (a share of the continuous rule) the elastic line is the nearer guess.
         guess = far if smooth == 0.0 or target * sense > 0.0 else elastic
         work[i] = guess if (guess - reset) * sense > 0.0 else reset
@@ -93,8 +93,8 @@ def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, compliance, s
             share = smooth if e * sense <= 0.0 else 0.0
             held = held + share * (e - held)
             slope = slope + share * (1.0 - slope)
-            missing = x[i] - origin - soft * (e - reset) - compliance * (held - reset)
-            moved = e + missing / (soft + compliance * slope)
+            missing = targets[i] - softs[i] * e - compliance * held
+            moved = e + missing / (softs[i] + compliance * slope)
             # Eq. (1) as published jumps towards unloading at a reversal: the part in series takes that up at first.
             moved = moved if (moved - reset) * sense > 0.0 else reset
             work[i] = moved
@@ -103,6 +103,17 @@ def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, compliance, s
             left += change * change
         if left < _CLOSE:
             break
+
+
+@njit(error_model="numpy", fastmath={"contract"})
+def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, parts, work):  # type: ignore[no-untyped-def]
+    """Force of the samples of a half-cycle of the device behind an elastic part, perhaps with slack."""
+    for i in range(0, out.size, _TOGETHER):
+        own = slice(i, min(i + _TOGETHER, out.size))
+        n = own.stop - own.start
+        targets, softs, guess = work[0, :n], work[1, :n], work[2, :n]
+        _divide(targets, softs, x[own], origin, reset, sense, law, caps[own], knee, parts)
+        _solve(out[own], targets, softs, reset, sense, law, caps[own], knee, parts, guess)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -118,7 +129,7 @@ def limit_rise(clamping, moved, slope):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]  # noqa: PLR0912
+def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]
     """Fill `out` with the rate-free force of one run.
 
     `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack and take-up (mm), compliance (mm/kN),
@@ -131,21 +142,13 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
     ahead[0] = slack * parts[4] if start_force == 0.0 else slack
     plain = slack == 0.0 and take_up == 0.0
     knee = knee_of(beta)
-    work, end = np.empty(_TOGETHER), np.empty(1)
+    work, end = np.empty((3, _TOGETHER)), np.empty(1)
     reset = start_force
     for k in range(turning.size):
         a, b, sense = start[k], start[k + 1], float(direction[k])
         xs, caps, outs, origin = x[a:b], clamping[a:b], out[a:b], turning[k]
-        if compliance > 0.0 and plain:
-            for i in range(0, outs.size, _TOGETHER):
-                j = min(i + _TOGETHER, outs.size)
-                part = (outs[i:j], xs[i:j], origin, reset, sense, law, caps[i:j], knee, compliance, smooth, work)
-                _fill_in_series(*part)
-        elif compliance > 0.0:
-            guess = reset
-            for i in range(outs.size):
-                guess = _in_series((xs[i] - origin) * sense, reset, sense, law, law[1] * caps[i], knee, ahead, guess)
-                outs[i] = guess
+        if compliance > 0.0:
+            _fill_in_series(outs, xs, origin, reset, sense, law, caps, knee, ahead, work)
         elif plain:
             for i in range(outs.size):
                 outs[i] = _held(stiffness * (xs[i] - origin) + reset, sense, law[1] * caps[i], beta, knee, smooth)
@@ -157,12 +160,10 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
             reach = (turning[k + 1] - origin) * sense
             capacity = law[1] * clamping[b - 1]
             before = reset
-            if compliance > 0.0 and plain:
+            if compliance > 0.0:
                 there, last = turning[k + 1 : k + 2], clamping[b - 1 : b]
-                _fill_in_series(end, there, origin, reset, sense, law, last, knee, compliance, smooth, work)
+                _fill_in_series(end, there, origin, reset, sense, law, last, knee, ahead, work)
                 reset = end[0]
-            elif compliance > 0.0:
-                reset = _in_series(reach, reset, sense, law, capacity, knee, ahead, outs[outs.size - 1])
             else:
                 reset = _held(
                     _elastic(reach, reset, sense, stiffness, ahead[0], take_up), sense, capacity, beta, knee, smooth
