@@ -57,12 +57,13 @@ def find_start(problem: Problem, n_polish: int = 3, *, threads: int = 1) -> Star
     InferenceError
         If no parameters give a finite posterior density.
     """
-    coarse = Coarse(problem)
-    found = [problem.free(_with_noise(problem, theta)[None])[0] for theta in coarse.best_laws(n_polish)]
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         if n > 1 and problem.layout.noise in BY_SUMS:
-            list(pool.map(lambda run: run.moments, problem.runs))  # made once; half a second at a million samples
+            made = pool.map(lambda run: run.moments, problem.runs)  # beside the coarse search, which needs none of them
+        found = [problem.free(_with_noise(problem, theta)[None])[0] for theta in Coarse(problem).best_laws(n_polish)]
+        if n > 1 and problem.layout.noise in BY_SUMS:
+            list(made)
         return polish(Shared(problem, pool, n), found)
 
 
