@@ -43,10 +43,11 @@ def force_with_effects(
     array, shape (n_samples,)
         Force, kN.
     """
+    recorded, (history, own) = history, history.turned
     total = combine([effect.act(history, values[effect.id], base) for effect in effects])
-    late = delayed(history, total.lag_s) if total.lag_s else None
+    late = delayed(recorded, total.lag_s) if total.lag_s else None
     if late is not None:  # the law on the motion of a moment ago: the force itself has corners that thinning would cut
-        history = late
+        history, own = late
         total = combine([effect.act(history, values[effect.id], base) for effect in effects])
     share, gap, stiffness = total.second_surface
     smooth = 1.0 if variant == "continuous" else total.smooth_reversal
@@ -54,8 +55,9 @@ def force_with_effects(
     if share > 0:
         force = force + _surface(history, base, total, (share, gap, stiffness * share, smooth), start_force_kN * share)
     force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * history.speed_mm_s) + total.added_kN
+    force = force[own]
     if total.lag_s and late is None:
-        force = np.interp(history.time_s - total.lag_s, history.time_s, force)
+        force = np.interp(recorded.time_s - total.lag_s, recorded.time_s, force)
     return np.asarray(force)
 
 
@@ -68,7 +70,7 @@ def _surface(
     out = np.empty(motion.displacement_mm.size)
     clamping = np.array(np.broadcast_to(total.clamping, out.shape), dtype=np.float64)
     if np.ndim(total.clamping):
-        limit_rise(clamping, history.moved_mm, base.K / base.Fy)
+        limit_rise(clamping, history.moved_mm, motion.start, base.K / base.Fy)
     rate_free_force(
         out,
         motion.displacement_mm,

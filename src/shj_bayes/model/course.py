@@ -7,6 +7,28 @@ from numba import njit
 
 from shj_bayes.model.parameters import FloatArray
 
+# Shares of the speed of the last sample but one of a half-cycle at which samples are added up to its end. Friction that
+# rises as the speed falls rises most there, and no faster than the stiffness allows: the force at the turning point
+# hangs on the whole way to it. Without them it was off by up to 1.2 kN of 65 at 10 Hz, with the end alone by 1.1.
+SLOWING = (0.5, 0.25, 0.125, 0.0625, 0.03125, 0.0)
+NEAR_TURNING = (
+    0.0003,
+    0.001,
+    0.003,
+    0.01,
+)  # distances from it, of the half stroke, of samples that thinning leaves there
+ROWS = (
+    "time_s",
+    "displacement_mm",
+    "speed_mm_s",
+    "direction",
+    "slip_mm",
+    "travel_m",
+    "amplitude_mm",
+    "acceleration_mm_s2",
+    "rest_s",
+)
+
 
 def course_of(
     time: FloatArray, displacement: FloatArray, velocity: FloatArray, travel: FloatArray, acceleration: FloatArray
@@ -31,31 +53,42 @@ def course_of(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def fill_between(out, then, end, start, of_half, course):  # type: ignore[no-untyped-def]
-    """Fill the rows of `out` with what was at rising times `then`.
+def fill_between(out, own, time, lag, start, of_half, course, way):  # type: ignore[no-untyped-def]
+    """Fill the rows of `out`, in the order of `ROWS`, with what was `lag` before each time, and `own` with where it is.
 
-    Rows: displacement, speed, direction, slip, travel, amplitude, acceleration, rest. Before the first sample and after
-    the last, at `end`, everything stands at what it was there. `start` is where the half-cycles begin in `then`;
+    In between come the samples of `way`: their rows, and where they begin in each half-cycle. Before the first sample
+    and after the last everything stands at what it was there. `start` is where in `time` each half-cycle has come;
     `of_half` holds direction, turning point, amplitude and rest of each.
     """
     direction, turning, amplitude, rest = of_half
-    i, last = 0, course.shape[0] - 1
+    rows, begins = way
+    i, last, m = 0, course.shape[0] - 1, 0
     for half in range(direction.size):
-        sense, origin = float(direction[half]), turning[half]
-        for k in range(start[half], start[half + 1]):
-            t = min(max(then[k], course[0, 0]), end)
-            while i < last and course[i + 1, 0] <= t:
+        sense, origin, w = float(direction[half]), turning[half], begins[half]
+        for k in range(start[half], start[half + 1] + 1):
+            ends = k == start[half + 1]
+            while w < begins[half + 1] and (ends or rows[0, w] + lag <= time[k]):
+                out[:, m] = rows[:, w]
+                out[0, m] += lag
+                m, w = m + 1, w + 1
+            if ends:
+                break
+            then = min(max(time[k] - lag, time[0]), time[-1])
+            while i < last and course[i + 1, 0] <= then:
                 i += 1
             p = course[i]
-            s = t - p[0]
-            slip = sense * (p[1] + s * (p[2] + s * (p[3] + s * p[4])) - origin)
-            if half > 0:  # the first half-cycle may begin with a rest on either side of its origin
-                slip = max(slip, 0.0)
-            out[0, k] = origin + sense * slip
-            out[1, k] = max(sense * (p[2] + s * (2.0 * p[3] + s * 3.0 * p[4])), 0.0)
-            out[2, k] = sense
-            out[3, k] = abs(slip)
-            out[4, k] = p[5] + s * p[6]
-            out[5, k] = amplitude[half]
-            out[6, k] = p[7] + s * p[8]
-            out[7, k] = rest[half]
+            s = then - p[0]
+            x = p[1] + s * (p[2] + s * (p[3] + s * p[4]))
+            # The first half-cycle may begin with a rest on either side of its origin.
+            x = origin if half > 0 and lag != 0.0 and sense * (x - origin) < 0.0 else x
+            out[0, m] = time[k]
+            out[1, m] = x
+            out[2, m] = max(sense * (p[2] + s * (2.0 * p[3] + s * 3.0 * p[4])), 0.0)
+            out[3, m] = sense
+            out[4, m] = abs(x - origin)
+            out[5, m] = p[5] + s * p[6]
+            out[6, m] = amplitude[half]
+            out[7, m] = p[7] + s * p[8]
+            out[8, m] = rest[half]
+            own[k] = m
+            m += 1

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.errors import ModelError
-from shj_bayes.model.course import course_of, fill_between
+from shj_bayes.model.course import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion, frozen
 
+Way = tuple[FloatArray, NDArray[np.int64]]
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
 
 
@@ -49,6 +50,11 @@ class History:
         95th percentile of the speed in all runs, mm/s.
     n_runs : int
         Number of runs of the device.
+    begun_s, tested_s : float
+        Testing time before this run began, and of all runs together, s.
+    near_turns : tuple of arrays, or None
+        Samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and
+        where those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
     """
 
     run: int
@@ -64,6 +70,9 @@ class History:
     half_stroke_mm: float
     peak_speed_mm_s: float
     n_runs: int
+    begun_s: float
+    tested_s: float
+    near_turns: Way | None = None
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -80,8 +89,14 @@ class History:
         return self.motion.speed_mm_s
 
     def thinned(self, keep: NDArray[np.int64], motion: Motion) -> History:
-        """History at some of its samples; `motion` is that of these."""
-        return replace(self, motion=motion, **{name: getattr(self, name)[keep] for name in ARRAYS})
+        """History at some of its samples; `motion` is that of these. What is left out near turning points is `way`."""
+        rows, begins = self.way
+        out = np.setdiff1d(_near_turning(self.motion), keep)
+        half = np.concatenate([np.repeat(np.arange(motion.n_half), np.diff(begins)), self.motion.half_cycle[out]])
+        both = np.concatenate([rows, self.rows[:, out]], axis=1)
+        order = np.lexsort((both[0], half))
+        way = (both[:, order], np.searchsorted(half[order], np.arange(motion.n_half + 1)))
+        return replace(self, motion=motion, near_turns=way, **{name: getattr(self, name)[keep] for name in ARRAYS})
 
     @cached_property
     def course(self) -> FloatArray:
@@ -98,6 +113,9 @@ class History:
     @cached_property
     def turn_s(self) -> FloatArray:
         """Time at which each half-cycle but the first begins, between its first sample and the one before, s."""
+        if self.near_turns is not None:  # as the whole recording has it
+            rows, begins = self.near_turns
+            return np.asarray(rows[0, begins[1:-1] - 1])
         first = self.motion.start[1:-1]
         before, after = self.speed_mm_s[first - 1], self.speed_mm_s[first]
         step = self.time_s[first] - self.time_s[first - 1]
@@ -105,6 +123,38 @@ class History:
         rested = before < STANDING * self.peak_speed_mm_s
         share = np.where(rested, 1.0, before / np.maximum(before + after, 1e-300))
         return np.asarray(self.time_s[first - 1] + share * step)
+
+    @property
+    def rows(self) -> FloatArray:
+        """All channels, in the order of `course.ROWS`, shape (9, n_samples)."""
+        of_motion = (self.motion.displacement_mm, self.motion.speed_mm_s)
+        return np.stack([self.time_s, *of_motion, *(getattr(self, name) for name in ROWS[3:])])
+
+    @cached_property
+    def way(self) -> Way:
+        """Samples between those of this history, on the way to each turning point.
+
+        What friction is at a turning point sets the force of the whole half-cycle behind it. The motion slows down
+        evenly from the last sample but one on.
+        """
+        if self.near_turns is not None:
+            return self.near_turns
+        motion, share = self.motion, np.array(SLOWING)
+        base = np.maximum(motion.start[1:-1] - 2, motion.start[:-2])
+        out = np.repeat(self.rows[:, base, None], share.size, axis=2)
+        end, x = motion.turning_mm[1:, None], motion.displacement_mm[base, None]
+        out[0] = self.turn_s[:, None] - share * (self.turn_s - self.time_s[base])[:, None]
+        out[1] = end - share**2 * (end - x)
+        out[2] *= share
+        out[4] = np.abs(out[1] - motion.turning_mm[:-1, None])
+        out[5] += 1e-3 * np.abs(out[1] - x)
+        begins = share.size * np.append(np.arange(motion.n_half), motion.n_half - 1)
+        return frozen(out.reshape(len(ROWS), -1), np.float64), begins
+
+    @cached_property
+    def turned(self) -> tuple[History, NDArray[np.int64]]:
+        """History with the samples of `way`, and which of its samples are those of this one."""
+        return _with_way(self, 0.0, self.motion.start)
 
     @property
     def normal_position(self) -> FloatArray:
@@ -145,8 +195,9 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
     if abs(middle) < 0.02 * half_stroke:
         middle = 0.0
     peak = max(float(np.percentile(m.speed_mm_s, 95)) for m in motions)
+    tested = float(sum(time[-1] - time[0] for time in times_s))
     out = []
-    before = 0.0
+    before, begun = 0.0, 0.0
     for run, (time, motion) in enumerate(zip(times_s, motions, strict=True), start=1):
         index = motion.half_cycle
         sign = motion.direction[index].astype(np.float64)
@@ -170,14 +221,17 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
                 half_stroke_mm=half_stroke,
                 peak_speed_mm_s=peak,
                 n_runs=len(motions),
+                begun_s=begun,
+                tested_s=tested,
             )
         )
+        begun += float(time[-1] - time[0])
         before += float(travel[-1])
     return tuple(out)
 
 
-def delayed(history: History, lag_s: float) -> History | None:
-    """History of the moment `lag_s` ago at each sample, or None where that leaves a half-cycle without samples.
+def delayed(history: History, lag_s: float) -> tuple[History, NDArray[np.int64]] | None:
+    """`History.turned` of the moment `lag_s` ago.
 
     Parameters
     ----------
@@ -188,22 +242,27 @@ def delayed(history: History, lag_s: float) -> History | None:
 
     Returns
     -------
-    History or None
+    tuple of History and array of int, or None
+        None where that leaves a half-cycle without samples.
     """
-    motion, time = history.motion, history.time_s
-    then = time - lag_s
-    start = np.concatenate([[0], np.searchsorted(then, history.turn_s), [time.size]]).astype(np.int64)
-    if np.any(np.diff(start) <= 0):
-        return None
+    time = history.time_s
+    start = np.concatenate([[0], np.searchsorted(time - lag_s, history.turn_s), [time.size]]).astype(np.int64)
+    return None if np.any(np.diff(start) <= 0) else _with_way(history, lag_s, start)
+
+
+def _with_way(history: History, lag_s: float, start: NDArray[np.int64]) -> tuple[History, NDArray[np.int64]]:
+    """Make the history of a moment ago, with its half-cycles from `start` on, and say where its samples are."""
+    motion, (way, begins) = history.motion, history.way
     first = motion.start[:-1]
     of_half = motion.direction, motion.turning_mm, history.amplitude_mm[first], history.rest_s[first]
-    rows = np.empty((8, time.size))
-    fill_between(rows, then, time[-1], start, of_half, history.course)
+    rows, own = np.empty((len(ROWS), start[-1] + way.shape[1])), np.empty(start[-1], dtype=np.int64)
+    fill_between(rows, own, history.time_s, lag_s, start, of_half, history.course, (way, begins))
     rows.setflags(write=False)
-    x, speed, direction, slip, travel, amplitude, acceleration, rest = rows
-    return replace(
+    time, x, speed, direction, slip, travel, amplitude, acceleration, rest = rows
+    moved = replace(
         history,
-        motion=Motion(x, speed, start, motion.turning_mm, motion.direction),
+        motion=Motion(x, speed, start + begins, motion.turning_mm, motion.direction),
+        time_s=time,
         position_mm=x - (motion.displacement_mm[0] - history.position_mm[0]),
         direction=direction,
         slip_mm=slip,
@@ -211,7 +270,19 @@ def delayed(history: History, lag_s: float) -> History | None:
         amplitude_mm=amplitude,
         acceleration_mm_s2=acceleration,
         rest_s=rest,
+        near_turns=None,
     )
+    return moved, own
+
+
+def _near_turning(motion: Motion) -> NDArray[np.int64]:
+    """Find the samples at the distances `NEAR_TURNING` before each turning point, and the last two before it."""
+    near = np.asarray(NEAR_TURNING) * 0.5 * float(np.ptp(motion.displacement_mm))
+    out = [np.zeros(0, dtype=np.int64)]
+    for a, b, end in zip(motion.start[:-2], motion.start[1:-1], motion.turning_mm[1:], strict=True):
+        to_go = np.minimum.accumulate(np.abs(end - motion.displacement_mm[a:b]))
+        out.append(np.maximum(np.append(b - 1 - np.searchsorted(to_go[::-1], near), (b - 2, b - 1)), a))
+    return np.unique(np.concatenate(out))
 
 
 def _rest(time: FloatArray, motion: Motion, peak: float) -> FloatArray:

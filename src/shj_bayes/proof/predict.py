@@ -21,8 +21,8 @@ def predict(
 ) -> FloatArray:
     """Force for a further run of the device, with the parameter means of the diagnosis.
 
-    The device carries on from its last run: same clamping, travel counted on. Lengths and speeds that effects refer to
-    (half stroke, peak speed) are those of the tested runs, whatever the new motion.
+    The device carries on from its last run: same clamping, travel and time counted on. Lengths, speeds and durations
+    that effects refer to (half stroke, peak speed, testing time) are those of the tested runs, whatever the new motion.
 
     Parameters
     ----------
@@ -49,6 +49,7 @@ def predict(
         half_stroke_mm=scales.half_stroke_mm,
         peak_speed_mm_s=scales.peak_speed_mm_s,
         n_runs=scales.n_runs,
+        tested_s=scales.tested_s,
     )
     values = {name: float(row[when]["mean"]) for name, row in record["shift"].items()}
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0

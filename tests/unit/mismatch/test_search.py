@@ -95,3 +95,16 @@ def test_the_state_in_which_a_test_began_is_not_predicted_for_its_first_cycle() 
     assert np.std(fit.held_out_residual(loose)[first]) < 1.3
     blind = replace(model, effects=(replace(EFFECTS["slack"], initial=()),))
     assert np.std(replace(fit, model=blind).held_out_residual(loose)[first]) > 2.0
+
+
+def test_thinning_keeps_the_way_to_each_turning_point_beside_the_evidence() -> None:
+    recording = simulate_device(Truth(gamma=0.0), seed=3, rate_Hz=50.0, n_runs=1, blocks=BLOCKS)[0]
+    run = Run(recording, motion_of(recording))
+    whole, thin = (evidence_of([run], n).histories[0] for n in (10**6, 500))
+    assert whole.time_s.size == recording.n_samples
+    assert thin.time_s.size <= 500 + thin.motion.n_half
+    dense, sparse = whole.turned[0], thin.turned[0]
+    for k in range(thin.motion.n_half - 1):
+        last = slice(dense.motion.start[k + 1] - 8, dense.motion.start[k + 1])
+        own = slice(sparse.motion.start[k + 1] - 8, sparse.motion.start[k + 1])
+        np.testing.assert_allclose(sparse.rows[:, own], dense.rows[:, last], rtol=1e-12, atol=1e-12)

@@ -11,7 +11,8 @@ from scipy.interpolate import CubicHermiteSpline
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
-from shj_bayes.model.history import History, delayed, histories
+from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm
+from shj_bayes.model.history import ARRAYS, History, delayed, histories
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import Block, exact_motion
 
@@ -148,18 +149,48 @@ def test_a_frame_and_a_clearance_together_agree_with_bisection(smooth: float, va
 def test_the_motion_of_a_moment_ago_lies_on_a_spline(lag: float):
     time, motion = exact_motion((Block(48.0, 0.034, 2), Block(20.0, 0.1, 1)), 5.0)
     h = histories([time], [motion])[0]
-    late = delayed(h, lag)
+    late, own = delayed(h, lag)
     then = np.clip(h.time_s - lag, h.time_s[0], h.time_s[-1])
     spline = CubicHermiteSpline(h.time_s, h.motion.displacement_mm, h.direction * h.speed_mm_s)
     away = np.min(np.abs(then[:, None] - h.turn_s), axis=1) > 0.2  # beside a reversal each half-cycle keeps its side
-    np.testing.assert_allclose(late.motion.displacement_mm[away], spline(then)[away], atol=1e-9)
-    np.testing.assert_allclose(late.speed_mm_s[away], np.abs(spline(then, 1))[away], atol=1e-9)
-    np.testing.assert_allclose(late.travel_m, np.interp(then, h.time_s, h.travel_m), atol=1e-12)
-    np.testing.assert_allclose(late.acceleration_mm_s2, np.interp(then, h.time_s, h.acceleration_mm_s2), atol=1e-9)
-    np.testing.assert_array_equal(late.slip_mm, np.abs(late.slip_mm))
-    own = late.motion.turning_mm[late.motion.half_cycle] + late.direction * late.slip_mm
-    np.testing.assert_allclose(late.motion.displacement_mm, own, atol=1e-12)
+    np.testing.assert_array_equal(late.time_s[own], h.time_s)
+    np.testing.assert_allclose(late.motion.displacement_mm[own][away], spline(then)[away], atol=1e-9)
+    np.testing.assert_allclose(late.speed_mm_s[own][away], np.abs(spline(then, 1))[away], atol=1e-9)
+    np.testing.assert_allclose(late.travel_m[own], np.interp(then, h.time_s, h.travel_m), atol=1e-12)
+    np.testing.assert_allclose(late.acceleration_mm_s2[own], np.interp(then, h.time_s, h.acceleration_mm_s2), atol=1e-9)
+    where = late.motion.turning_mm[late.motion.half_cycle] + late.direction * late.slip_mm
+    np.testing.assert_allclose(late.motion.displacement_mm, where, atol=1e-12)
     assert not any(array.flags.writeable for array in (late.slip_mm, late.motion.displacement_mm, late.position_mm))
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.07])
+def test_each_half_cycle_is_followed_to_its_turning_point(lag: float):
+    time, motion = exact_motion((Block(48.0, 0.034, 2), Block(20.0, 0.1, 1)), 5.0)
+    h = histories([time], [motion])[0]
+    whole, own = h.turned if lag == 0 else delayed(h, lag)
+    if lag == 0:
+        for name in ARRAYS:
+            np.testing.assert_allclose(getattr(whole, name)[own], getattr(h, name), rtol=1e-13, atol=1e-13)
+    ends = whole.motion.start[1:-1] - 1
+    assert not np.isin(ends, own).any()
+    np.testing.assert_array_equal(whole.motion.displacement_mm[ends], motion.turning_mm[1:])
+    np.testing.assert_array_equal(whole.speed_mm_s[ends], 0.0)
+    np.testing.assert_allclose(whole.time_s[ends], h.turn_s + lag, atol=1e-12)
+    assert np.all(np.diff(whole.time_s) >= 0)
+    assert np.all(np.diff(whole.travel_m) >= (-1e-12 if lag == 0 else -1e-4))  # straight between samples, also there
+    for a, b in pairwise(whole.motion.start):
+        assert np.all(np.diff(whole.slip_mm[a:b]) >= -1e-9)
+
+
+def test_the_force_at_a_turning_point_does_not_depend_on_the_sampling():
+    """Friction that rises with the logarithm of falling speed, at 5 samples a second and at 500."""
+    values = {"size": -0.05, "corner": 0.003}
+    out = []
+    for rate in (5.0, 500.0):
+        time, motion = exact_motion((Block(6.0, 0.27, 3), Block(24.0, 0.067, 2)), rate)
+        out.append((time, run(histories([time], [motion])[0], base=Base(K, FY, 60.0, 0.0, FY), velocity_law=values)))
+    fine = np.interp(out[0][0], *out[1])
+    assert np.max(np.abs(out[0][1] - fine)) < 0.003 * FY
 
 
 def test_a_positive_lag_records_the_force_later():
@@ -182,8 +213,8 @@ def test_bend_of_the_speed_law_is_as_large_as_its_size():
     time, motion = exact_motion((Block(48.0, 0.034, 2),), 200.0)
     h = histories([time], [motion])[0]
     for corner in (0.001, 0.05, 1.5):
-        factor = catalogue()["velocity_law"].act(h, {"size": 0.1, "corner": corner}, BASE).clamping
-        assert np.max(factor) == pytest.approx(1.1, abs=1e-3)
+        bent = catalogue()["velocity_law"].act(h, {"size": 0.1, "corner": corner}, BASE)
+        assert np.max(bent.clamping + bent.gamma_s_per_mm * h.speed_mm_s) == pytest.approx(1.1, abs=1e-3)
 
 
 def test_end_bearing_can_be_at_one_end_only():
@@ -212,7 +243,8 @@ def test_friction_memory_lags_by_its_length():
     """In a sine stroke much longer than the memory, u - m is nearly L du/ds: 0.1 x 5 mm / 48 mm at its start."""
     time, motion = exact_motion((Block(48.0, 0.034, 2),), 200.0)
     h = histories([time], [motion])[0]
-    factor = np.asarray(catalogue()["friction_memory"].act(h, {"size": 0.1, "length": 5.0}, BASE).clamping) - 1.0
+    memory = catalogue()["friction_memory"].act(h, {"size": 0.1, "length": 5.0}, BASE)
+    factor = np.asarray(memory.clamping) - 1.0 + memory.gamma_s_per_mm * h.speed_mm_s
     speed, half = h.speed_mm_s / h.peak_speed_mm_s, h.motion.half_cycle
     late = (half == 2) & (h.slip_mm > 25.0) & (h.slip_mm < 70.0)  # the law is steep in slip near both ends
     rate = np.gradient(speed[late], h.slip_mm[late])
@@ -228,3 +260,21 @@ def test_friction_memory_does_not_depend_on_the_sampling():
         h = histories([time], [motion])[0]
         out.append((time, np.asarray(catalogue()["friction_memory"].act(h, values, BASE).clamping)))
     np.testing.assert_allclose(out[0][1], np.interp(out[0][0], *out[1]), atol=1e-3)
+
+
+def test_a_small_reversal_under_load_leads_back_to_the_capacity_of_its_own_direction():
+    """Push slides at 100 kN, pull at 60: 0.5 mm back and on again, push slides at 100 at once."""
+    h = ramps([0.0, 30.0, 29.5, 40.0])
+    f = run(h, asymmetry={"size": 0.25})
+    again = f[h.motion.start[2] :]
+    assert again[0] == pytest.approx(100.0 - 0.5 * K, abs=0.5)
+    assert again[h.slip_mm[h.motion.start[2] :] > 0.6].min() == pytest.approx(100.0, abs=0.5)
+
+
+def test_sliding_begins_where_the_force_of_the_reversal_lets_it():
+    """After a full stroke 2 Fy/K, after a reversal under load what it came down by, at first Fy/K."""
+    h = ramps([0.0, 30.0, 29.0, 40.0, 38.0])
+    slid = slid_mm(h, BASE)
+    begins = [h.slip_mm[a:b][slid[a:b] > 0] for a, b in pairwise(h.motion.start)]
+    assert [round(float(s.min()), 1) if s.size else None for s in begins] == [4.0, None, 1.0, None]
+    assert np.sum(slid_since_mm(h, BASE)) == pytest.approx(26.0 + 10.0, abs=0.1)

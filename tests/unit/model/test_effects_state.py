@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import optimize
@@ -13,6 +15,7 @@ from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import Block, exact_motion
 
 BASES = (Base(18.0, 80.0, 10.0, 0.0, 80.0), Base(18.0, 60.0, 10.0, 0.0, 80.0))
+ELASTIC = BASES[0].Fy / BASES[0].K  # from zero force to sliding, mm
 BLOCKS = (Block(24.0, 0.067, 3), Block(48.0, 0.034, 3))
 
 
@@ -74,10 +77,11 @@ def test_heat_follows_the_heat_equation():
     cooling = thickness**2 / (diffusivity * root**2)
     warm = 1 - clamping("thermal", history, size=0.2, cooling=cooling, spread=thickness**2 / (np.pi**2 * diffusivity))
     t, face = np.zeros(cells), np.zeros(history.time_s.size)
-    for i, speed in enumerate(history.speed_mm_s[:-1]):
+    slid = np.maximum(np.diff(np.maximum(history.slip_mm - ELASTIC * (1 + (history.motion.half_cycle > 0)), 0.0)), 0.0)
+    for i, power in enumerate(slid / 0.1):
         for _ in range(round(0.1 / h)):
             flow = np.concatenate(
-                [[speed], diffusivity / width * -np.diff(t), [biot * diffusivity / thickness * t[-1]]]
+                [[power], diffusivity / width * -np.diff(t), [biot * diffusivity / thickness * t[-1]]]
             )
             t = t - h / width * np.diff(flow)
         face[i + 1] = t[0]
@@ -94,10 +98,11 @@ def test_heat_does_not_depend_on_the_sampling():
 
 
 def test_a_weaker_run_heats_less():
-    first, second = two_runs()
+    """With as much sliding in both: the second is softer by as much as it is weaker."""
+    bases = BASES[0], replace(BASES[1], K=0.75 * BASES[0].K)
     hot, mild = (
         1 - clamping("thermal", h, b, size=0.2, cooling=60.0, spread=0.5)
-        for h, b in zip((first, second), BASES, strict=True)
+        for h, b in zip(two_runs(), bases, strict=True)
     )
     np.testing.assert_allclose(mild, 0.75 * hot, rtol=1e-9)
 
@@ -139,3 +144,24 @@ def test_amplitude_compares_with_the_largest_block():
     factor = clamping("amplitude", history, size=0.1)
     assert factor[10] == pytest.approx(0.9, abs=1e-4)
     assert factor[-10] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_further_run_goes_on_from_the_tested_ones_whatever_its_duration():
+    """A short third run: the channel has warmed for two tests and a bit, and the clamping is as it was at the end."""
+    motion = exact_motion(BLOCKS, 10.0)[1]
+    n = int(motion.start[3])
+    short = Motion(motion.displacement_mm[:n], motion.speed_mm_s[:n], motion.start[:4], *ends_of(motion, 3))
+    time = np.arange(motion.displacement_mm.size) / 10.0
+    tested = histories([time, time], [motion, motion])
+    third = histories([time, time, time[:n]], [motion, motion, short])[2]
+    third = replace(third, tested_s=tested[0].tested_s, n_runs=2)
+    warm = catalogue()["drift"].act(third, {"size": 0.05, "warming": 2.0}, BASES[0]).added_kN
+    tests = (2 * time[-1] + third.time_s) / time[-1]
+    np.testing.assert_allclose(warm, 80.0 * 0.05 * np.expm1(-tests / 2.0) / np.expm1(-0.5))
+    loose = {"size": -0.2, "begin": 0.8, "length": 0.3, "side": 0.0}
+    np.testing.assert_allclose(clamping("tension_step", third, **loose), 0.8, atol=1e-3)
+
+
+def ends_of(motion: Motion, n_half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Turning points and directions of the first half-cycles."""
+    return motion.turning_mm[:n_half], motion.direction[:n_half]

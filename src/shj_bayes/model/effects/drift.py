@@ -11,7 +11,7 @@ from shj_bayes.model.priors import Prior
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Add a share of Fy_first, growing with time, slower and slower, and going on from run to run."""
-    clock, warming = history.run - 1 + history.time_s / history.time_s[-1], values["warming"]
+    clock, warming = (history.begun_s + history.time_s) / history.tested_s * history.n_runs, values["warming"]
     return Contribution(added_kN=base.Fy_first * values["size"] * np.expm1(-clock / warming) / np.expm1(-1.0 / warming))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.effects.sliding import slid_since_mm
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -27,10 +28,15 @@ def _remembered(speed: FloatArray, moved: FloatArray, length: float) -> FloatArr
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + c (u - m), u = |v|/v_peak, and m the speed that the contact remembers."""
+    """Clamping 1 - c m and gamma + c/v_peak, m the speed u = |v|/v_peak that the contact remembers while it slides.
+
+    At a steady speed both cancel. The speed of the moment acts as Eq. (2) does, on the elastic branches as well.
+    """
     speed = history.speed_mm_s / history.peak_speed_mm_s
-    remembered = _remembered(speed, history.moved_mm, values["length"])
-    return Contribution(clamping=1.0 + values["size"] * (speed - remembered))
+    remembered = _remembered(speed, slid_since_mm(history, base), values["length"])
+    return Contribution(
+        clamping=1.0 - values["size"] * remembered, gamma_s_per_mm=values["size"] / history.peak_speed_mm_s
+    )
 
 
 EFFECT = Effect(
@@ -38,7 +44,7 @@ EFFECT = Effect(
     family="odd_in_position",
     title="Friction remembers the speed",
     statement="Friction follows the speed {length:.0f} mm late: {size:+.0%} per unit of peak speed while speeding up.",
-    equation="Fy -> Fy (1 + c (u - m)), L dm/ds + m = u, u = |v|/v_peak",
+    equation="Fy -> Fy (1 - c m), gamma |v| -> gamma |v| + c u, L dm/ds + m = u, u = |v|/v_peak, s slid",
     cause="Friction follows speed with a delay (debris or lubricant film needs some slip to adapt).",
     shows="Plateaus tilted along the motion in every block alike; the push and pull tilts oppose each other in time.",
     next_test="Triangular cycles at constant speed: the tilt vanishes, that of a spring stays.",

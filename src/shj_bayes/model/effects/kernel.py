@@ -117,15 +117,17 @@ def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, parts, work):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def limit_rise(clamping, moved, slope):  # type: ignore[no-untyped-def]
+def limit_rise(clamping, moved, start, slope):  # type: ignore[no-untyped-def]
     """Keep the capacity from rising faster than the elastic stiffness can follow: `slope` per mm moved.
 
     A capacity that recovers makes no force without motion. Without this a pause in which the plates cool looked like a
     force that grows at rest, and friction that rises as the speed falls came back at full height within the last
-    hundredth of a millimetre of a stroke, from where the next one then started.
+    hundredth of a millimetre of a stroke, from where the next one then started. The other direction has a capacity of
+    its own, so each half-cycle begins anew.
     """
-    for i in range(1, clamping.size):
-        clamping[i] = min(clamping[i], clamping[i - 1] + slope * moved[i])
+    for k in range(start.size - 1):
+        for i in range(start[k] + 1, start[k + 1]):
+            clamping[i] = min(clamping[i], clamping[i - 1] + slope * moved[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

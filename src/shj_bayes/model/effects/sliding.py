@@ -3,15 +3,39 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 
 
+@njit(cache=True)
+def _to_sliding(turning, direction, stiffness, capacity):  # type: ignore[no-untyped-def]
+    """Distance from each reversal to sliding: from the force there, by an elastic and perfectly plastic device."""
+    out = np.empty(turning.size)
+    force = 0.0
+    for k in range(turning.size):
+        out[k] = (capacity - force * direction[k]) / stiffness
+        if k + 1 < turning.size:
+            force += stiffness * (turning[k + 1] - turning[k])
+            force = min(max(force, -capacity), capacity)
+    return out
+
+
 def slid_mm(history: History, base: Base) -> FloatArray:
-    """Slip since the reversal less the elastic part 2 Fy/K (Fy/K at the start of a run), shape (n_samples,), mm."""
-    elastic = base.Fy / base.K
-    slid = history.slip_mm - 2 * elastic
-    slid[: history.motion.start[1]] += elastic
-    return np.asarray(np.maximum(slid, 0.0))
+    """Slip since the reversal less the elastic part, shape (n_samples,), mm: 2 Fy/K after a stroke that slid.
+
+    After a reversal under load it is less, after one that came before sliding more: in an earthquake both are common.
+    """
+    motion = history.motion
+    elastic = _to_sliding(motion.turning_mm, motion.direction, base.K, base.Fy)
+    return np.asarray(np.maximum(history.slip_mm - elastic[motion.half_cycle], 0.0))
+
+
+def slid_since_mm(history: History, base: Base) -> FloatArray:
+    """Distance slid since the sample before, shape (n_samples,), mm: what heats, wears and changes a contact.
+
+    Motion of the elastic branches is not sliding; in small cycles it is most of the travel.
+    """
+    return np.asarray(np.maximum(np.diff(slid_mm(history, base), prepend=0.0), 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from scipy.special import expit
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
@@ -13,7 +14,7 @@ RAMP = 0.005  # of the testing time: sudden for an engineer, smooth enough for a
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + c (1 + side q) from a moment on, for a time; both as shares of the testing time of all runs."""
-    clock = (history.run - 1 + history.time_s / history.time_s[-1]) / history.n_runs
+    clock = np.minimum((history.begun_s + history.time_s) / history.tested_s, 1.0)  # after the tests it stays as it is
     begin = values["begin"]
     window = expit((clock - begin) / RAMP) * expit((begin + values["length"] - clock) / RAMP)
     return Contribution(clamping=1.0 + values["size"] * (1.0 + values["side"] * history.direction) * window)

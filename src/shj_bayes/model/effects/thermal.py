@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.effects.sliding import slid_since_mm
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -16,12 +17,13 @@ STROKES = 60.0  # reference duration in half strokes at peak speed: about the pa
 
 
 @njit(cache=True)
-def _temperature(power: FloatArray, step: FloatArray, tau: float) -> FloatArray:
-    """Solve tau T' + T = tau P from cold, exactly for power held over each step (uneven sampling is fine)."""
-    out = np.zeros_like(power)
-    for i in range(1, power.size):
-        keep = np.exp(-step[i - 1] / tau)
-        out[i] = keep * out[i - 1] + tau * (1.0 - keep) * power[i - 1]
+def _temperature(heat: FloatArray, step: FloatArray, tau: float) -> FloatArray:
+    """Solve T' + T / tau = P from cold, exactly for heat that comes evenly over each step (uneven sampling is fine)."""
+    out = np.zeros_like(heat)
+    for i in range(1, heat.size):
+        share = step[i - 1] / tau
+        kept = -np.expm1(-share) / share if share > 0.0 else 1.0
+        out[i] = np.exp(-share) * out[i - 1] + kept * heat[i]
     return out
 
 
@@ -34,14 +36,14 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     section 3.11). The first root follows from the cooling time, and Bi from the first root.
     """
     tau, spread, speed = values["cooling"], values["spread"], history.peak_speed_mm_s
-    power = base.Fy / base.Fy_first * history.speed_mm_s / speed
+    heat = base.Fy / base.Fy_first * slid_since_mm(history, base) / speed
     duration = STROKES * history.half_stroke_mm / speed
-    warmth, reference = np.zeros_like(power), 0.0
+    warmth, reference = np.zeros_like(heat), 0.0
     roots = _roots(spread / tau)
     for root in roots.tolist():
         decay = tau * float(roots[0] / root) ** 2
         weight = 2.0 / (1.0 + float(np.sinc(2.0 * root / np.pi)))
-        warmth += weight * _temperature(power, np.diff(history.time_s), decay)
+        warmth += weight * _temperature(heat, np.diff(history.time_s), decay)
         reference += -weight * decay * np.expm1(-duration / decay)
     return Contribution(clamping=1.0 - values["size"] * warmth / reference)
 

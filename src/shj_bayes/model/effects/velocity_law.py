@@ -10,13 +10,20 @@ from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + c [b(u) - u] / max(b - u), b = ln(1 + u/u0) / ln(1 + 1/u0), u = |v|/v_peak: bent beside straight."""
+    """Clamping 1 + c b / max(b - u), b = ln(1 + u/u0) / ln(1 + 1/u0), u = |v|/v_peak; the straight part from gamma.
+
+    It is not taken from the clamping: gamma then made up for it, which by Eq. (2) acts on the elastic branches too (up
+    to 0.6 kN of 65 wrong there).
+    """
     corner = values["corner"]
     scale = np.log1p(1.0 / corner)
     speed = history.speed_mm_s / history.peak_speed_mm_s
     steepest = 1.0 / scale - corner  # where the slope of b is 1
     largest = np.log1p(steepest / corner) / scale - steepest
-    return Contribution(clamping=1.0 + values["size"] / largest * (np.log1p(speed / corner) / scale - speed))
+    size = values["size"] / largest
+    return Contribution(
+        clamping=1.0 + size * np.log1p(speed / corner) / scale, gamma_s_per_mm=-size / history.peak_speed_mm_s
+    )
 
 
 EFFECT = Effect(
@@ -24,7 +31,8 @@ EFFECT = Effect(
     family="low_speed",
     title="Speed dependence that is not linear",
     statement="Speed dependence is bent: at low speed the sliding force is up to {size:+.0%} off a linear speed law.",
-    equation="Fy -> Fy (1 + c [b - u] / max[b - u]), b = ln(1 + u/u0)/ln(1 + 1/u0), u = |v|/v_peak",
+    equation="Fy -> Fy (1 + c b/max[b - u]), gamma |v| -> gamma |v| - c u/max[b - u], "
+    "b = ln(1 + u/u0)/ln(1 + 1/u0), u = |v|/v_peak",
     cause="Friction that follows the logarithm of speed or saturates, as most contacts do; a power law looks alike.",
     shows="Shoulders near both ends of every stroke, where the speed falls; flat around mid-stroke.",
     next_test="Triangular cycles at three or more speeds a factor of 5 apart: the law is then read off directly.",
