@@ -59,11 +59,10 @@ def find_start(problem: Problem, n_polish: int = 3, *, threads: int = 1) -> Star
     """
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
-        if n > 1 and problem.layout.noise in BY_SUMS:
-            made = pool.map(lambda run: run.moments, problem.runs)  # beside the coarse search, which needs none of them
+        by_sums = problem.runs if n > 1 and problem.layout.noise in BY_SUMS else ()
+        made = pool.map(lambda run: run.moments, by_sums)  # beside the coarse search, which needs none of them
         found = [problem.free(_with_noise(problem, theta)[None])[0] for theta in Coarse(problem).best_laws(n_polish)]
-        if n > 1 and problem.layout.noise in BY_SUMS:
-            list(made)
+        list(made)
         return polish(Shared(problem, pool, n), found)
 
 

@@ -11,12 +11,8 @@ from shj_bayes.model.parameters import FloatArray
 # rises as the speed falls rises most there, and no faster than the stiffness allows: the force at the turning point
 # hangs on the whole way to it. Without them it was off by up to 1.2 kN of 65 at 10 Hz, with the end alone by 1.1.
 SLOWING = (0.5, 0.25, 0.125, 0.0625, 0.03125, 0.0)
-NEAR_TURNING = (
-    0.0003,
-    0.001,
-    0.003,
-    0.01,
-)  # distances from it, of the half stroke, of samples that thinning leaves there
+# Distances from a turning point, of the half stroke, at which samples that thinning leaves out go on being followed.
+NEAR_TURNING = (0.0003, 0.001, 0.003, 0.01)
 ROWS = (
     "time_s",
     "displacement_mm",
