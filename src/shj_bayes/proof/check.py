@@ -40,6 +40,11 @@ def check(folder: Path, *, workers: int = 2, progress: bool = False) -> list[str
         At the first thing that does not agree.
     """
     seed, keys, nonces = seal.read_opened(folder)
+    if missing := [name for name in ("recordings", "diagnoses") if not (folder / name).is_dir()]:
+        raise ProofError(
+            f"{folder.name} lacks {' and '.join(missing)}; a check needs all that a proof wrote. "
+            f"`shj-bayes prove -n {len(keys)} --seed {seed} -o DIR` writes it anew"
+        )
     sealed, transcript = (read_json(folder / name, ProofError) for name in (seal.COMMITMENT, TRANSCRIPT))
     if seal.sha256(folder / seal.COMMITMENT) != transcript["commitment_sha256"]:
         raise ProofError(f"{seal.COMMITMENT} is not the one under which the diagnosis ran")

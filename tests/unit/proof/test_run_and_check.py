@@ -153,6 +153,13 @@ def test_a_finished_folder_is_not_overwritten(finished):
         prove(finished, n=N, seed=SEED + 1, workers=1)
 
 
+def test_page_and_keys_alone_cannot_be_checked():
+    """The proof that is kept with the project has neither recordings nor diagnoses; the command says what to do."""
+    kept = next((Path(__file__).resolve().parents[3] / "reports").glob("proof-*"))
+    with pytest.raises(ProofError, match=r"lacks recordings and diagnoses.*prove -n 200 --seed \d+"):
+        check(kept)
+
+
 def test_a_folder_without_proof_is_refused_in_words(tmp_path):
     done = CliRunner().invoke(main, ["prove", "--check", str(tmp_path)])
     assert done.exit_code == 1
