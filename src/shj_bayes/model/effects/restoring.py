@@ -10,7 +10,7 @@ from shj_bayes.model.priors import Prior
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Add k [(1 - c) u + c u^3] as a share of Fy_first, u = x/L."""
     u, cubic = history.normal_position, values["stiffening"]
-    return Contribution(added_kN=base.Fy_first * values["size"] * ((1.0 - cubic) * u + cubic * u**3))
+    return Contribution(added_kN=base.Fy_first * values["size"] * u * (1.0 - cubic + cubic * u * u))
 
 
 EFFECT = Effect(
