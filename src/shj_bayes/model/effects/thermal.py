@@ -11,7 +11,7 @@ from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
-N_MODES = 7  # the plate as a whole, and heat through its thickness; the next last a fiftieth of its time, and hold little
+N_MODES = 7  # the plate as a whole, and heat through its thickness; the next last a fiftieth of its time
 STEEPEST = 1.55  # of the first mode's angle: at pi/2 the far face is held cold
 STROKES = 60.0  # reference duration in half strokes at peak speed: about the paper's protocol, whatever the device
 
