@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes.arrays import frozen
 from shj_bayes.errors import ModelError
 from shj_bayes.model.course import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion, frozen
+from shj_bayes.recording.motion import Motion
 
 Way = tuple[FloatArray, NDArray[np.int64]]
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
@@ -78,7 +79,7 @@ class History:
         """Freeze the arrays."""
         n = self.motion.displacement_mm.size
         for name in ARRAYS:
-            values = frozen(getattr(self, name), np.float64)
+            values = frozen(getattr(self, name))
             if values.shape != (n,):
                 raise ModelError(f"{name} has shape {values.shape}; it needs ({n},)")
             object.__setattr__(self, name, values)
@@ -95,7 +96,7 @@ class History:
         half = np.concatenate([np.repeat(np.arange(motion.n_half), np.diff(begins)), self.motion.half_cycle[out]])
         both = np.concatenate([rows, self.rows[:, out]], axis=1)
         order = np.lexsort((both[0], half))
-        way = (both[:, order], np.searchsorted(half[order], np.arange(motion.n_half + 1)))
+        way = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(motion.n_half + 1)))
         return replace(self, motion=motion, near_turns=way, **{name: getattr(self, name)[keep] for name in ARRAYS})
 
     @cached_property
@@ -149,7 +150,7 @@ class History:
         out[4] = np.abs(out[1] - motion.turning_mm[:-1, None])
         out[5] += 1e-3 * np.abs(out[1] - x)
         begins = share.size * np.append(np.arange(motion.n_half), motion.n_half - 1)
-        return frozen(out.reshape(len(ROWS), -1), np.float64), begins
+        return frozen(out.reshape(len(ROWS), -1)), begins
 
     @cached_property
     def turned(self) -> tuple[History, NDArray[np.int64]]:
@@ -162,16 +163,7 @@ class History:
         return np.asarray(self.position_mm / self.half_stroke_mm)
 
 
-ARRAYS = (
-    "time_s",
-    "position_mm",
-    "direction",
-    "slip_mm",
-    "travel_m",
-    "amplitude_mm",
-    "acceleration_mm_s2",
-    "rest_s",
-)
+ARRAYS = ("time_s", "position_mm", *ROWS[3:])
 
 
 def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple[History, ...]:

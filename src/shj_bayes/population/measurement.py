@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from shj_bayes.arrays import frozen
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.quantities import FloatArray, Quantity
 
@@ -18,12 +19,6 @@ FEWEST_EFFECTIVE = 25.0
 """Below this effective number of importance draws a device's posterior says too little about its likelihood."""
 MANY_DEVICES, NARROW = 30, 0.1
 """Devices of a set from which on its spread is well known, and the part of that spread that counts as narrow."""
-
-
-def _frozen(values: FloatArray | list[float]) -> FloatArray:
-    copy = np.array(values, dtype=np.float64)
-    copy.setflags(write=False)
-    return copy
 
 
 @dataclass(frozen=True)
@@ -50,7 +45,7 @@ class Likelihood:
     def __post_init__(self) -> None:
         """Freeze the arrays; pieces must adjoin."""
         for name in ("first", "second", "weight"):
-            object.__setattr__(self, name, _frozen(getattr(self, name)))
+            object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.pieces and not np.array_equal(self.first[1:], self.second[:-1]):
             raise PopulationError("the pieces of a likelihood must adjoin, each starting where the one before ends")
 
@@ -219,14 +214,14 @@ class PosteriorDraws:
 
     def __post_init__(self) -> None:
         """Refuse too few draws or a prior that does not belong to them."""
-        object.__setattr__(self, "values", _frozen(self.values))
+        object.__setattr__(self, "values", frozen(self.values))
         if self.values.ndim != 1 or self.values.size < 4 * N_COMPONENTS:
             raise PopulationError(
                 f"posterior draws must be one column of at least {4 * N_COMPONENTS}; got shape {self.values.shape}. "
                 "Run the fit of that device longer"
             )
         if not callable(self.log_prior):
-            object.__setattr__(self, "log_prior", _frozen(self.log_prior))
+            object.__setattr__(self, "log_prior", frozen(self.log_prior))
             if np.shape(self.log_prior) != self.values.shape:
                 raise PopulationError(
                     f"log prior has shape {np.shape(self.log_prior)}, the draws {self.values.shape}; "

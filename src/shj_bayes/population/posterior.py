@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from shj_bayes.arrays import frozen
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import Tags
 from shj_bayes.population.priors import PopulationPrior
@@ -21,12 +22,6 @@ ANY_SET = "(any set)"
 R_HAT_LIMIT = 1.01
 ESS_LIMIT = 400.0
 """Chains have met when R-hat is below and the effective sample size above these (Vehtari et al. 2021)."""
-
-
-def _read_only(values: FloatArray) -> FloatArray:
-    copy = np.array(values, dtype=np.float64)
-    copy.setflags(write=False)
-    return copy
 
 
 @dataclass(frozen=True)
@@ -92,7 +87,7 @@ class QuantityPosterior:
     def __post_init__(self) -> None:
         """Freeze the arrays and check that they belong together."""
         for name in ("mu", "tau", "hyper"):
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
+            object.__setattr__(self, name, frozen(getattr(self, name)))
         n = len(self.n_devices)
         if self.mu.shape != self.tau.shape or self.mu.shape[1] != n or self.hyper.shape != (self.mu.shape[0], 4):
             raise PopulationError(

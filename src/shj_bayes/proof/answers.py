@@ -83,20 +83,21 @@ class Case:
     without: tuple[str, ...] = ()
 
 
+def _found(answer: Answer, name: str) -> dict[str, Any] | None:
+    """Give what a diagnosis says of an effect, or None where it was not found."""
+    return next((one for one in answer["effects"] if one["id"] == name), None)
+
+
 def effect(answer: Answer, name: str) -> dict[str, float] | None:
     """Give the means of an effect's parameters, or None where it was not found."""
-    for one in answer["effects"]:
-        if one["id"] == name:
-            return {key: float(row["mean"]) for key, row in one["parameters"].items()}
-    return None
+    one = _found(answer, name)
+    return {key: float(row["mean"]) for key, row in one["parameters"].items()} if one else None
 
 
 def _offset_N(answer: Answer) -> float | None:
     """Constant force that was found, N; not share times Fy, which may both be open where their product is not."""
-    for one in answer["effects"]:
-        if one["id"] == "load_offset":
-            return float(np.copysign(1000 * one["size_kN"], one["parameters"]["size"]["mean"]))
-    return None
+    one = _found(answer, "load_offset")
+    return float(np.copysign(1000 * one["size_kN"], one["parameters"]["size"]["mean"])) if one else None
 
 
 def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
@@ -182,7 +183,7 @@ def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     position = motion.displacement_mm - np.median(motion.displacement_mm)
     middle = np.abs(position) < 0.25 * np.percentile(np.abs(position), 99)
     middle &= motion.speed_mm_s > 0.2 * np.percentile(motion.speed_mm_s, 95)  # not while it waits
-    direction = np.repeat(motion.direction, np.diff(motion.start))
+    direction = motion.direction[motion.half_cycle]
     push, pull = (q * float(np.median(recording.force_kN[middle & (direction == q)])) for q in (1, -1))
     level = (push - pull) / (push + pull)
     found = [one["size"] for name in ("asymmetry", "load_offset") if (one := effect(answer, name))]

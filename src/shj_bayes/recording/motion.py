@@ -3,36 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from shj_bayes.arrays import frozen
 from shj_bayes.errors import RecordingError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-
-def frozen(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
-    """Array that nobody can change: a copy, unless nobody can change this one already (a law with a delay makes many).
-
-    Parameters
-    ----------
-    values : array_like
-        What to keep.
-    kind : numpy type
-        Its type.
-    """
-    array = np.asarray(values, dtype=kind)
-    owner: Any = array
-    while isinstance(owner, np.ndarray) and not owner.flags.writeable:
-        owner = owner.base
-    if owner is not None:
-        array = array.copy()
-        array.setflags(write=False)
-    return array
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes.arrays import frozen
 from shj_bayes.errors import RecordingError, plain_text
 
 FloatArray = NDArray[np.float64]
@@ -101,7 +102,7 @@ class Recording:
         """Copy, check and freeze the arrays."""
         n = np.size(self.time_s)
         for name in ("time_s", "displacement_mm", "force_kN"):
-            values = np.array(getattr(self, name), dtype=np.float64)
+            values = frozen(getattr(self, name))
             if values.shape != (n,):
                 raise RecordingError(f"{name} has shape {values.shape}; all channels need shape ({n},)")
             if not np.all(np.isfinite(values)):
@@ -109,14 +110,12 @@ class Recording:
                 raise RecordingError(
                     f"{name} is {values[bad]} at sample {bad}; fill or drop such samples before making a Recording"
                 )
-            values.setflags(write=False)
             object.__setattr__(self, name, values)
         if n < 2 or np.any(np.diff(self.time_s) <= 0):
             raise RecordingError(f"time_s needs at least 2 strictly increasing values; got {n} samples")
-        used = np.ones(n, dtype=np.bool_) if self.used is None else np.array(self.used, dtype=np.bool_)
+        used = frozen(np.ones(n) if self.used is None else self.used, np.bool_)
         if used.shape != (n,):
             raise RecordingError(f"used has shape {used.shape}; it needs shape ({n},)")
-        used.setflags(write=False)
         object.__setattr__(self, "used", used)
 
     @classmethod
