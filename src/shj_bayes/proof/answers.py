@@ -266,7 +266,7 @@ def _seal(name: str, judge: Judge = _pressure, *, friction: bool = False) -> Cas
 
 def _brfd(name: str, judge: Judge = _backlash) -> Case:
     """Make the case of one test of the band brake whose backlash is published."""
-    return Case(f"brfd {name}", f"brfd-lehigh/{name}.csv.gz", "what is published or read off the loop", judge)
+    return Case(f"brfd {name}", f"brfd-lehigh/{name}.csv.gz", "the published backlash", judge)
 
 
 def _metal(id: str, file: str, columns: str = "displacement=1,force=2") -> Case:
