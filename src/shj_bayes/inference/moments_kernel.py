@@ -23,7 +23,14 @@ _LAGRANGE = np.cos(np.outer(np.arange(N_NODES), np.arccos(NODES))) * 2.0 / N_NOD
 _LAGRANGE[0] /= 2.0
 N_SCALARS, N_VECTORS, N_MATRICES = 10, 9, 3
 N_PRODUCTS = N_NODES * (N_NODES // 2 + 1)  # of the values at the nodes, each pair once (see `_wound`)
-SHARPNESS = 5.0  # of the ellipse around a block in which h must be analytic: error about 5^-16 = 7e-12 of Fy
+# A block is its polynomial where that errs by 1e-11 of Fy at most. What the 16 points miss is s^-16 of the largest bend
+# (what Eq. (1) differs from its straight parts by) in an ellipse of sharpness s around the block, if no singular point
+# is in it. The two figures were found by trying (``test_moments`` tries them again).
+SHARP_ENOUGH = 4.6e10  # s^16 beta: near the knee the bend is of the order of Fy / beta
+TAIL = 2e-10  # 4 s^-15 / (s - 1) times the bend, |u|^beta / beta or its inverse, where that is small
+TAIL_SHARPNESS = np.array([5.0, 3.5, 2.5, 1.8, 1.4])
+TAIL_REACH = 0.5 * (TAIL_SHARPNESS + 1.0 / TAIL_SHARPNESS)  # half-axis of the ellipse in half-widths of the block
+N_SHAPE = 6 + TAIL_REACH.size
 NEGLIGIBLE = 1e-13  # |u|^beta / beta below which Eq. (1) counts as analytic at u = e/Fy = 0
 _SUMS = {"contract", "reassoc", "nsz"}  # the order of additions is free, infinities and NaN keep their meaning
 
@@ -262,20 +269,47 @@ def _beyond(u1, u2, real, square, limit):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _smooth(u1, u2, singular, sense):  # type: ignore[no-untyped-def]
-    """Say whether Eq. (1) from u1 to u2 (in Fy) is its polynomial: no singular point within the ellipse around it.
+def shape_of(beta):  # type: ignore[no-untyped-def]
+    """Give what `is_polynomial` needs to know of Eq. (1) with this beta, shape (N_SHAPE,).
 
     The singular points are +-exp(+-i pi / beta), and 0, where |u|^beta counts only beyond the height `NEGLIGIBLE`, and
-    not at all in a block that `calm_below` holds; `singular` holds the real part and the square of the imaginary part
-    of the first, the square of the second, and the last.
+    not at all in a block that `calm_below` holds: real part and square of the imaginary part of the first, the second,
+    its square, and the last; then the half-axes' factor of an ellipse that is sharp enough; then for each of
+    `TAIL_SHARPNESS` how far an ellipse may reach.
     """
+    out = np.empty(N_SHAPE)
+    out[0] = abs(math.cos(math.pi / beta))
+    out[1] = math.sin(math.pi / beta) ** 2
+    out[2] = (NEGLIGIBLE * beta) ** (1.0 / beta)
+    out[3] = out[2] * out[2]
+    out[4] = calm_below(beta)
+    sharpness = (SHARP_ENOUGH / beta) ** (1.0 / 16.0)
+    out[5] = 0.5 * (sharpness + 1.0 / sharpness)
+    for i in range(TAIL_REACH.size):
+        height = 0.25 * TAIL * beta * TAIL_SHARPNESS[i] ** 15 * (TAIL_SHARPNESS[i] - 1.0)
+        out[6 + i] = min(height, 0.5) ** (1.0 / beta)
+    return out
+
+
+@njit(error_model="numpy")
+def is_polynomial(u1, u2, shape, sense):  # type: ignore[no-untyped-def]
+    """Say whether Eq. (1) from u1 to u2 (in Fy) is its polynomial to 1e-11 of Fy; `shape` is `shape_of` beta."""
     if u1 * sense < 0.0 and u2 * sense < 0.0:
         return True  # the continuous rule on its way down is a straight line
-    if max(-u1, u2) <= singular[3]:
+    if max(-u1, u2) <= shape[4]:
         return True
-    limit = 0.5 * (SHARPNESS + 1.0 / SHARPNESS) * (u2 - u1)
-    nearer = math.copysign(singular[0], u1 + u2)  # of the two on either side
-    return _beyond(u1, u2, nearer, singular[1], limit) and _beyond(u1, u2, 0.0, singular[2], limit)
+    limit = shape[5] * (u2 - u1)
+    nearer = math.copysign(shape[0], u1 + u2)  # of the two on either side
+    if _beyond(u1, u2, nearer, shape[1], limit) and _beyond(u1, u2, 0.0, shape[3], limit):
+        return True
+    if u1 * u2 <= 0.0:
+        return False
+    centre, half = 0.5 * abs(u1 + u2), 0.5 * (u2 - u1)
+    for i in range(TAIL_REACH.size):
+        reach = TAIL_REACH[i] * half
+        if (centre + reach <= shape[6 + i] and reach - centre < shape[2]) or (centre - reach) * shape[6 + i] >= 1.0:
+            return True
+    return False
 
 
 @njit(error_model="numpy")
@@ -312,13 +346,10 @@ def sums_of_many(motion, tree, sums, packed, ends, laws, start_force, variant): 
         senses[:] = direction
     resets = np.empty((m, n_half))
     knees = [knee_of(laws[j, 2]) for j in range(m)]
-    elastic, singular = np.empty(m), np.empty((m, 4))
+    elastic, shapes = np.empty(m), np.empty((m, N_SHAPE))
     for j in range(m):
         elastic[j] = elastic_below(laws[j, 2])
-        singular[j, 0] = abs(math.cos(math.pi / laws[j, 2]))
-        singular[j, 1] = math.sin(math.pi / laws[j, 2]) ** 2
-        singular[j, 2] = (NEGLIGIBLE * laws[j, 2]) ** (2.0 / laws[j, 2])
-        singular[j, 3] = calm_below(laws[j, 2])
+        shapes[j] = shape_of(laws[j, 2])
         resets[j, 0] = start_force
         for k in range(n_half - 1):
             e = laws[j, 0] * (turning[k + 1] - turning[k]) + resets[j, k]
@@ -350,7 +381,7 @@ def sums_of_many(motion, tree, sums, packed, ends, laws, start_force, variant): 
                     out[j, 0] += b * (b * scalars[i, 4] + 2.0 * g * scalars[i, 5]) + g * g * scalars[i, 6]
                     out[j, 1] += scalars[i, 7] - 2.0 * g * scalars[i, 8] + g * g * scalars[i, 9]
                     out[j, 3] += scalars[i, 1]
-                elif _smooth(u1, u2, singular[j], senses[k]):
+                elif is_polynomial(u1, u2, shapes[j], senses[k]):
                     _fill_nodes(h, nodes, turning[k], resets[j, k], stiffness, capacity, beta, knees[j], senses[k])
                     squares, differences = _by_nodes(h, gamma, scalars[i], vectors[i], matrices[i], twice)
                     out[j, 0] += squares

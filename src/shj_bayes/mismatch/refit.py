@@ -16,7 +16,8 @@ from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.model.priors import Prior, Priors
 
 STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
-PRIOR_WEIGHT = 1.0
+Z_LIMIT = 12.0  # of the standardised parameters
+MAX_HALVINGS = 10
 N_STARTS = 5
 
 
@@ -97,26 +98,62 @@ class Refit:
         n = max(int(np.count_nonzero(self.residual_kN)), 1)
         return float(np.sqrt(np.sum(self.residual_kN**2) / n))
 
-    def held_out_residual(self, evidence: Evidence) -> FloatArray:
+    def held_out_residual(self, evidence: Evidence, *, check: bool = True) -> FloatArray:
         """Residual of each block under the parameters fitted without that block, shape (n,), kN.
 
-        The refit without the block is one Gauss-Newton step from the full fit; for a linear model that is exact. The
-        state in which a test began stays as it is: without the first cycle it would be that of the prior, by a step
-        that is anything but small (230 nats lost on a slack that takes up 87 % of the misfit).
+        The fit without the block is one Gauss-Newton step from the full fit, exact for a linear model. The state in
+        which a test began stays as it is: without the first cycle it would be that of the prior (230 nats lost on a
+        slack that takes up 87 % of the misfit).
+
+        Parameters
+        ----------
+        evidence : Evidence
+            What the model was fitted to.
+        check : bool
+            Whether a step that does not do for the other blocks what it promised is shortened.
         """
-        jacobian = self.jacobian[:, self.model.predicted]
+        told = self.model.predicted
+        jacobian = self.jacobian[:, told]
         gram = jacobian.T @ jacobian + _ridge(self) * np.eye(jacobian.shape[1])
         out = self.residual_kN.copy()
         for a, b in pairwise(evidence.block_edges):
-            j, r = jacobian[a:b], self.residual_kN[a:b]
-            rest = gram - j.T @ j
-            step = np.linalg.lstsq(rest, j.T @ r, rcond=1e-10)[0]
-            out[a:b] = r + j @ step
+            j = jacobian[a:b]
+            step = np.zeros(self.z.size)
+            step[told] = np.linalg.lstsq(gram - j.T @ j, j.T @ self.residual_kN[a:b], rcond=1e-10)[0]
+            left = self.residual_kN + self.jacobian @ step
+            if check:
+                left = self._walk(evidence, slice(a, b), -step, left)
+            out[a:b] = left[a:b]
         return out
 
-    def held_out_squares(self, evidence: Evidence) -> FloatArray:
-        """Sum of squares of each block's held-out residual, shape (n_blocks,), kN^2."""
-        return evidence.block_sums(self.held_out_residual(evidence) ** 2)
+    def _walk(self, evidence: Evidence, block: slice, step: FloatArray, promised: FloatArray) -> FloatArray:
+        """Residual at the end of a step that a block was left out for, halved while that serves the others better.
+
+        A wear of slots or the moment of a change has folds where the full step leads nowhere (of 14 half-cycles one
+        was missed by 8252 units of noise, and by 157 after halving). Descending to the optimum without the block was
+        tried: where one block holds what others do not, it ends in another optimum, and gains of 24 nats came and went
+        with effects that changed nothing.
+        """
+        rest = evidence.weight.copy()
+        rest[block] = 0.0
+
+        def leave(length: float) -> tuple[float, FloatArray]:
+            z = np.clip(self.z + length * step, -Z_LIMIT, Z_LIMIT)
+            residual = _residual(evidence, self.model, z)
+            return _cost(residual * rest, z, self.rmse_kN), residual
+
+        cost, residual = leave(1.0)
+        if float((residual**2 - promised**2) @ rest) > _ridge(self):
+            for halvings in range(1, MAX_HALVINGS):
+                shorter = leave(0.5**halvings)
+                if shorter[0] >= cost:
+                    break
+                cost, residual = shorter
+        return residual
+
+    def held_out_squares(self, evidence: Evidence, *, check: bool = True) -> FloatArray:
+        """Sum of squares of each block's held-out residual, shape (n_blocks,), kN^2; see `held_out_residual`."""
+        return evidence.block_sums(self.held_out_residual(evidence, check=check) ** 2)
 
 
 def make_model(
@@ -156,10 +193,10 @@ def refit(
     Refit
     """
     short = [_descend(evidence, model, z, 4, sigma_kN) if len(starts) > 2 else z for z in starts]
-    costs = [_cost(evidence, model, z, sigma_kN or 1.0) for z in short]
+    costs = [_cost(_residual(evidence, model, z), z, sigma_kN or 1.0) for z in short]
     best = [short[i] for i in np.argsort(costs, kind="stable")[:2]]
     ends = [_descend(evidence, model, z, rounds, sigma_kN) for z in best]
-    z = ends[int(np.argmin([_cost(evidence, model, end, sigma_kN or 1.0) for end in ends]))]
+    z = ends[int(np.argmin([_cost(_residual(evidence, model, end), end, sigma_kN or 1.0) for end in ends]))]
     return linearise(evidence, model, z)
 
 
@@ -204,13 +241,13 @@ def _start_values(effect: Effect, prior: Prior) -> list[float]:
     return [0.0]
 
 
-def _residual_and_prior(evidence: Evidence, model: Model, z: FloatArray) -> FloatArray:
+def _residual(evidence: Evidence, model: Model, z: FloatArray) -> FloatArray:
     return (evidence.force_kN - model.force(evidence, z)) * evidence.weight
 
 
-def _cost(evidence: Evidence, model: Model, z: FloatArray, sigma: float) -> float:
-    r = _residual_and_prior(evidence, model, z)
-    value = float(r @ r) / sigma**2 + PRIOR_WEIGHT * float(z @ z)
+def _cost(residual: FloatArray, z: FloatArray, sigma: float) -> float:
+    """Sum of squares in units of the noise, and the priors as weak springs on the standardised parameters."""
+    value = float(residual @ residual) / sigma**2 + float(z @ z)
     return value if np.isfinite(value) else np.inf
 
 
@@ -229,7 +266,7 @@ def _descend(evidence: Evidence, model: Model, z: FloatArray, rounds: int, sigma
     force = model.force(evidence, z)
     r = (evidence.force_kN - force) * evidence.weight
     scale = sigma or max(float(np.std(r)), 1e-12)
-    cost = float(r @ r) / scale**2 + float(z @ z)
+    cost = _cost(r, z, scale)
     damping = 1e-3
     for _ in range(rounds):
         jacobian = _jacobian(evidence, model, z, force)
@@ -238,10 +275,10 @@ def _descend(evidence: Evidence, model: Model, z: FloatArray, rounds: int, sigma
         for _ in range(8):
             step = np.linalg.solve(gram + damping * np.diag(np.diag(gram)), slope)
             step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
-            trial = np.clip(z + step, -12.0, 12.0)
+            trial = np.clip(z + step, -Z_LIMIT, Z_LIMIT)
             new = model.force(evidence, trial)
             new_r = (evidence.force_kN - new) * evidence.weight
-            new_cost = float(new_r @ new_r) / scale**2 + float(trial @ trial)
+            new_cost = _cost(new_r, trial, scale)
             if new_cost < cost:
                 break
             damping *= 5.0
@@ -257,7 +294,7 @@ def _descend(evidence: Evidence, model: Model, z: FloatArray, rounds: int, sigma
 
 def _ridge(fit: Refit) -> float:
     """Weight of the priors in the units of the Gram matrix."""
-    return PRIOR_WEIGHT * max(fit.rmse_kN, 1e-12) ** 2
+    return max(fit.rmse_kN, 1e-12) ** 2
 
 
 def orthogonal_to(jacobian: FloatArray, columns: FloatArray) -> FloatArray:

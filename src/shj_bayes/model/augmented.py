@@ -43,21 +43,20 @@ def force_with_effects(
     array, shape (n_samples,)
         Force, kN.
     """
-    recorded, (history, own) = history, history.turned
-    total = combine([effect.act(history, values[effect.id], base) for effect in effects])
-    late = delayed(recorded, total.lag_s) if total.lag_s else None
-    if late is not None:  # the law on the motion of a moment ago: the force itself has corners that thinning would cut
-        history, own = late
-        total = combine([effect.act(history, values[effect.id], base) for effect in effects])
+    lag_s = sum(values[effect.id][effect.delay] for effect in effects if effect.delay)
+    late = delayed(history, lag_s) if lag_s else None
+    # The law on the motion of a moment ago: the force itself has corners that thinning would cut.
+    moved, own = late or history.turned
+    total = combine([effect.act(moved, values[effect.id], base) for effect in effects])
     share, gap, stiffness = total.second_surface
     smooth = 1.0 if variant == "continuous" else total.smooth_reversal
-    force = _surface(history, base, total, (1.0 - share, 0.0, 1.0 - share, smooth), start_force_kN * (1.0 - share))
+    force = _surface(moved, base, total, (1.0 - share, 0.0, 1.0 - share, smooth), start_force_kN * (1.0 - share))
     if share > 0:
-        force = force + _surface(history, base, total, (share, gap, stiffness * share, smooth), start_force_kN * share)
-    force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * history.speed_mm_s) + total.added_kN
+        force = force + _surface(moved, base, total, (share, gap, stiffness * share, smooth), start_force_kN * share)
+    force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * moved.speed_mm_s) + total.added_kN
     force = force[own]
-    if total.lag_s and late is None:
-        force = np.interp(recorded.time_s - total.lag_s, recorded.time_s, force)
+    if lag_s and late is None:
+        force = np.interp(history.time_s - lag_s, history.time_s, force)
     return np.asarray(force)
 
 

@@ -10,7 +10,7 @@ import pytest
 from shj_bayes.inference import moments
 from shj_bayes.inference.fit import make_problem
 from shj_bayes.inference.moments import log_density_of_sums, moments_of
-from shj_bayes.inference.moments_kernel import N_NODES, NODES, calm_below
+from shj_bayes.inference.moments_kernel import N_NODES, NODES, calm_below, is_polynomial, shape_of
 from shj_bayes.inference.problem import Problem, Run
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.noise import Stretches, log_density
@@ -63,29 +63,49 @@ def test_sums_are_those_of_the_samples(measured: Run, beta: float, variant: str,
         np.testing.assert_allclose(got, expected, rtol=tolerance)
 
 
-@pytest.mark.parametrize("variant", ["seed", "continuous"])
-def test_a_calm_block_around_0_is_its_polynomial(variant: str) -> None:
-    """For every beta, however much of the block lies on either side; a third further out it is not, for most."""
+def misses(low: float, high: float, beta: float, variant: str = "seed") -> float:
+    """Largest error of the polynomial through the nodes of a block, in Fy."""
     angles = np.arccos(NODES)
     to_powers = np.cos(np.outer(np.arange(N_NODES), angles)) * (2.0 - (np.arange(N_NODES) == 0)[:, None]) / N_NODES
     t = np.cos(np.linspace(0.0, np.pi, 301))
     lagrange = np.cos(np.outer(np.arccos(t), np.arange(N_NODES))) @ to_powers
 
-    def error(low: float, high: float, beta: float) -> float:
-        def law(place: np.ndarray) -> np.ndarray:
-            u = 0.5 * (low + high) + 0.5 * (high - low) * place
-            held = u * (1.0 + np.abs(u) ** beta) ** (-1.0 / beta)
-            return np.where((variant == "continuous") & (u < 0.0), u, held)
+    def law(place: np.ndarray) -> np.ndarray:
+        u = 0.5 * (low + high) + 0.5 * (high - low) * place
+        size = np.maximum(np.abs(u), 1e-300)
+        held = np.sign(u) * np.minimum(size, 1.0) * (1.0 + np.minimum(size, 1 / size) ** beta) ** (-1.0 / beta)
+        return np.where((variant == "continuous") & (u < 0.0), u, held)
 
-        return float(np.abs(lagrange @ law(NODES) - law(t)).max())
+    return float(np.abs(lagrange @ law(NODES) - law(t)).max())
 
+
+@pytest.mark.parametrize("variant", ["seed", "continuous"])
+def test_a_calm_block_around_0_is_its_polynomial(variant: str) -> None:
+    """For every beta, however much of the block lies on either side; a third further out it is not, for most."""
     betas = np.geomspace(3.0, 500.0, 120)
     for beta in betas:
         reach = calm_below(beta)
         for side in (-1.0, -0.6, -0.3, 0.0, 0.5):
-            assert error(side * reach, reach, beta) < 1e-11
-    assert sum(error(-1.33 * calm_below(b), 1.33 * calm_below(b), b) > 1e-11 for b in betas) > 80
+            assert misses(side * reach, reach, beta, variant) < 1e-11
+    assert sum(misses(-1.33 * calm_below(b), 1.33 * calm_below(b), b, variant) > 1e-11 for b in betas) > 80
     assert calm_below(2.9) == 0.0
+
+
+@pytest.mark.parametrize("beta", [1.0, 1.3, 2.0, 2.5, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
+def test_a_block_that_counts_as_polynomial_is_one(beta: float) -> None:
+    """Anywhere about the knee and of any width; of those that are one, nine in ten are known to be."""
+    rng = np.random.default_rng(int(10 * beta))
+    shape, known, all_that_are = shape_of(beta), 0, 0
+    for _ in range(400):
+        middle = np.exp(rng.uniform(-30.0, 30.0) / beta)
+        half = middle * np.exp(rng.uniform(-5.0, 0.0)) * min(1.0, 30.0 / beta)
+        low, high = np.sort([-middle - half, -middle + half] if rng.random() < 0.5 else [middle - half, middle + half])
+        error = misses(low, high, beta)
+        all_that_are += error < 1e-11
+        if is_polynomial(low, high, shape, 0.0):
+            known += 1
+            assert error < 1.2e-11
+    assert known >= 0.88 * all_that_are
 
 
 def test_blocks_are_used(measured: Run) -> None:

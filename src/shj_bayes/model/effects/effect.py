@@ -42,8 +42,6 @@ class Contribution:
         its clearance a device rests against is chance.
     compliance_mm_per_kN : float
         Elastic part in series (grip, frame).
-    lag_s : float
-        Time by which the force channel is behind the displacement channel.
     smooth_reversal : float
         Share of the continuous reversal rule, 0 (Eq. 1 as published) to 1 (no jump).
     gamma_s_per_mm : float
@@ -59,7 +57,6 @@ class Contribution:
     take_up_mm: float = 0.0
     open_at_start: float = 0.5
     compliance_mm_per_kN: float = 0.0
-    lag_s: float = 0.0
     smooth_reversal: float = 0.0
     gamma_s_per_mm: float = 0.0
     second_surface: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -117,6 +114,9 @@ class Effect:
     initial : tuple of str
         Parameters that say how the device stood when the test began: only the first cycle tells of them, so they are
         not predicted for it from the others.
+    delay : str
+        Parameter that is the time by which the force channel is behind the displacement channel, s; all effects act on
+        the motion of that moment. Empty for most.
     """
 
     id: str
@@ -133,6 +133,7 @@ class Effect:
     source: str
     start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     initial: tuple[str, ...] = ()
+    delay: str = ""
 
     def __post_init__(self) -> None:
         """Refuse effects without words, parameters or a neutral value."""
@@ -143,8 +144,10 @@ class Effect:
         names = {p.name for p in self.parameters}
         if not names or not set(self.neutral) <= names or not self.neutral:
             raise ModelError(f"effect {self.id}: needs parameters, and a neutral value for at least one of them")
-        if not {*self.start, *self.initial} <= names:
-            raise ModelError(f"effect {self.id}: starts must be for its parameters, {', '.join(self.names)}")
+        if not {*self.start, *self.initial, self.delay or self.names[0]} <= names:
+            raise ModelError(
+                f"effect {self.id}: starts, initial state and delay must be of its parameters, {', '.join(self.names)}"
+            )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,7 +169,6 @@ def combine(contributions: list[Contribution]) -> Contribution:
         take_up_mm=sum(c.take_up_mm for c in contributions),
         open_at_start=next((c.open_at_start for c in contributions if c.slack_mm > 0), 0.5),
         compliance_mm_per_kN=sum(c.compliance_mm_per_kN for c in contributions),
-        lag_s=sum(c.lag_s for c in contributions),
         smooth_reversal=min(1.0, sum(c.smooth_reversal for c in contributions)),
         gamma_s_per_mm=sum(c.gamma_s_per_mm for c in contributions),
         second_surface=second[0] if second else (0.0, 0.0, 1.0),

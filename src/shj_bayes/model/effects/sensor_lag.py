@@ -8,8 +8,8 @@ from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Force recorded a lag after the displacement."""
-    return Contribution(lag_s=values["size"])
+    """Force as it is; `Effect.delay` says how much later it is recorded."""
+    return Contribution()
 
 
 EFFECT = Effect(
@@ -26,4 +26,5 @@ EFFECT = Effect(
     act=act,
     source="DOMAIN E16.",
     start={"size": (0.03, -0.03)},
+    delay="size",
 )
