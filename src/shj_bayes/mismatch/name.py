@@ -55,6 +55,12 @@ class Candidate:
         spread = float(self.relative.std(ddof=1))
         return float(np.sqrt(self.relative.size) * self.relative.mean() / spread) if spread > 0 else 0.0
 
+    @property
+    def without_best(self) -> float:
+        """Share of the gain that is left without the block that gains most."""
+        total = float(self.gain.sum())
+        return 1.0 - float(self.gain.max()) / total if total > 0 else 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
