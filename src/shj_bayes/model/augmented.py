@@ -11,6 +11,8 @@ from shj_bayes.model.effects.kernel import limit_rise, rate_free_force
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
+LEAST = 1e-3  # of the clamping: effects that take more than all of it leave this
+
 
 def force_with_effects(
     history: History,
@@ -48,11 +50,15 @@ def force_with_effects(
     # The law on the motion of a moment ago: the force itself has corners that thinning would cut.
     moved, own = late or history.turned
     total = combine([effect.act(moved, values[effect.id], base) for effect in effects])
+    clamping = np.maximum(np.broadcast_to(total.clamping, moved.time_s.shape), LEAST)
+    if np.ndim(total.clamping):
+        limit_rise(clamping, moved.travel_m, moved.motion.start, 1000.0 * base.K / base.Fy)
     share, gap, stiffness = total.second_surface
     smooth = 1.0 if variant == "continuous" else total.smooth_reversal
-    force = _surface(moved, base, total, (1.0 - share, 0.0, 1.0 - share, smooth), start_force_kN * (1.0 - share))
+    first, second = (1.0 - share, 0.0, 1.0 - share, smooth), (share, gap, stiffness * share, smooth)
+    force = _surface(moved, base, total, clamping, first, start_force_kN * (1.0 - share))
     if share > 0:
-        force = force + _surface(moved, base, total, (share, gap, stiffness * share, smooth), start_force_kN * share)
+        force = force + _surface(moved, base, total, clamping, second, start_force_kN * share)
     force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * moved.speed_mm_s) + total.added_kN
     force = force[own]
     if lag_s and late is None:
@@ -61,15 +67,17 @@ def force_with_effects(
 
 
 def _surface(
-    history: History, base: Base, total: Contribution, surface: tuple[float, float, float, float], start_force: float
+    history: History,
+    base: Base,
+    total: Contribution,
+    clamping: FloatArray,
+    surface: tuple[float, float, float, float],
+    start_force: float,
 ) -> FloatArray:
     """Rate-free force of one sliding surface that carries a share of capacity and of stiffness behind a gap."""
     share, gap, stiffness, smooth = surface
     motion = history.motion
     out = np.empty(motion.displacement_mm.size)
-    clamping = np.array(np.broadcast_to(total.clamping, out.shape), dtype=np.float64)
-    if np.ndim(total.clamping):
-        limit_rise(clamping, history.moved_mm, motion.start, base.K / base.Fy)
     rate_free_force(
         out,
         motion.displacement_mm,

@@ -61,12 +61,14 @@ def fill_between(out, own, time, lag, start, of_half, course, way):  # type: ign
     i, last, m = 0, course.shape[0] - 1, 0
     for half in range(direction.size):
         sense, origin, w = float(direction[half]), turning[half], begins[half]
+        until = rows[0, w] + lag if w < begins[half + 1] else np.inf
         for k in range(start[half], start[half + 1] + 1):
             ends = k == start[half + 1]
-            while w < begins[half + 1] and (ends or rows[0, w] + lag <= time[k]):
+            while w < begins[half + 1] and (ends or until <= time[k]):
                 out[:, m] = rows[:, w]
-                out[0, m] += lag
+                out[0, m] = until
                 m, w = m + 1, w + 1
+                until = rows[0, w] + lag if w < begins[half + 1] else np.inf
             if ends:
                 break
             then = min(max(time[k] - lag, time[0]), time[-1])

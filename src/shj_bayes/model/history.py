@@ -107,11 +107,6 @@ class History:
         return course_of(self.time_s, x, velocity, self.travel_m, self.acceleration_mm_s2)
 
     @cached_property
-    def moved_mm(self) -> FloatArray:
-        """Distance moved since the sample before, mm."""
-        return np.maximum(np.diff(1000.0 * self.travel_m, prepend=1000.0 * self.travel_m[0]), 0.0)
-
-    @cached_property
     def turn_s(self) -> FloatArray:
         """Time at which each half-cycle but the first begins, between its first sample and the one before, s."""
         if self.near_turns is not None:  # as the whole recording has it
@@ -249,13 +244,15 @@ def _with_way(history: History, lag_s: float, start: NDArray[np.int64]) -> tuple
     of_half = motion.direction, motion.turning_mm, history.amplitude_mm[first], history.rest_s[first]
     rows, own = np.empty((len(ROWS), start[-1] + way.shape[1])), np.empty(start[-1], dtype=np.int64)
     fill_between(rows, own, history.time_s, lag_s, start, of_half, history.course, (way, begins))
-    rows.setflags(write=False)
+    position = rows[1] - (motion.displacement_mm[0] - history.position_mm[0])
+    for array in (rows, position):  # so that nobody copies them
+        array.setflags(write=False)
     time, x, speed, direction, slip, travel, amplitude, acceleration, rest = rows
     moved = replace(
         history,
         motion=Motion(x, speed, start + begins, motion.turning_mm, motion.direction),
         time_s=time,
-        position_mm=x - (motion.displacement_mm[0] - history.position_mm[0]),
+        position_mm=position,
         direction=direction,
         slip_mm=slip,
         travel_m=travel,

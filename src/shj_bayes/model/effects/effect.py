@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from shj_bayes.errors import ModelError
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
@@ -163,7 +161,7 @@ def combine(contributions: list[Contribution]) -> Contribution:
         clamping, added = clamping * c.clamping, added + c.added_kN
     second = [c.second_surface for c in contributions if c.second_surface[0] > 0]
     return Contribution(
-        clamping=np.maximum(clamping, 1e-3),
+        clamping=clamping,
         added_kN=added,
         slack_mm=sum(c.slack_mm for c in contributions),
         take_up_mm=sum(c.take_up_mm for c in contributions),

@@ -117,8 +117,8 @@ def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, parts, work):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def limit_rise(clamping, moved, start, slope):  # type: ignore[no-untyped-def]
-    """Keep the capacity from rising faster than the elastic stiffness can follow: `slope` per mm moved.
+def limit_rise(clamping, travel, start, slope):  # type: ignore[no-untyped-def]
+    """Keep the capacity from rising faster than the elastic stiffness can follow: `slope` per unit of travel.
 
     A capacity that recovers makes no force without motion. Without this a pause in which the plates cool looked like a
     force that grows at rest, and friction that rises as the speed falls came back at full height within the last
@@ -127,7 +127,7 @@ def limit_rise(clamping, moved, start, slope):  # type: ignore[no-untyped-def]
     """
     for k in range(start.size - 1):
         for i in range(start[k] + 1, start[k + 1]):
-            clamping[i] = min(clamping[i], clamping[i - 1] + slope * moved[i])
+            clamping[i] = min(clamping[i], clamping[i - 1] + slope * max(travel[i] - travel[i - 1], 0.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

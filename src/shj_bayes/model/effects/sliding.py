@@ -11,12 +11,14 @@ from shj_bayes.model.parameters import FloatArray
 
 
 @njit(cache=True)
-def _to_sliding(turning, direction, stiffness, capacity):  # type: ignore[no-untyped-def]
-    """Distance from each reversal to sliding: from the force there, by an elastic and perfectly plastic device."""
-    out = np.empty(turning.size)
+def _slid(slip, start, turning, direction, stiffness, capacity):  # type: ignore[no-untyped-def]
+    """Slip less the distance from each reversal to sliding: from the force there, by an elastic and plastic device."""
+    out = np.empty(slip.size)
     force = 0.0
     for k in range(turning.size):
-        out[k] = (capacity - force * direction[k]) / stiffness
+        elastic = (capacity - force * direction[k]) / stiffness
+        for i in range(start[k], start[k + 1]):
+            out[i] = max(slip[i] - elastic, 0.0)
         if k + 1 < turning.size:
             force += stiffness * (turning[k + 1] - turning[k])
             force = min(max(force, -capacity), capacity)
@@ -29,8 +31,7 @@ def slid_mm(history: History, base: Base) -> FloatArray:
     After a reversal under load it is less, after one that came before sliding more: in an earthquake both are common.
     """
     motion = history.motion
-    elastic = _to_sliding(motion.turning_mm, motion.direction, base.K, base.Fy)
-    return np.asarray(np.maximum(history.slip_mm - elastic[motion.half_cycle], 0.0))
+    return np.asarray(_slid(history.slip_mm, motion.start, motion.turning_mm, motion.direction, base.K, base.Fy))
 
 
 def slid_since_mm(history: History, base: Base) -> FloatArray:

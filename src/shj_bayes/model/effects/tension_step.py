@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import expit
+from numba import njit
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 RAMP = 0.005  # of the testing time: sudden for an engineer, smooth enough for a search
+FAR = 37.0  # ramps from its middle, where a logistic function is 0 or 1 to double precision
+
+
+@njit(cache=True)
+def _window(clock: FloatArray, begin: float, end: float) -> FloatArray:
+    """Rise from 0 to 1 at the beginning and fall at the end, both as logistic functions."""
+    out = np.empty_like(clock)
+    for i in range(clock.size):
+        rise, fall = (clock[i] - begin) / RAMP, (end - clock[i]) / RAMP
+        out[i] = 0.0 if min(rise, fall) < -FAR else 1.0
+        if abs(rise) < FAR:
+            out[i] /= 1.0 + np.exp(-rise)
+        if abs(fall) < FAR:
+            out[i] /= 1.0 + np.exp(-fall)
+    return out
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + c (1 + side q) from a moment on, for a time; both as shares of the testing time of all runs."""
     clock = np.minimum((history.begun_s + history.time_s) / history.tested_s, 1.0)  # after the tests it stays as it is
-    begin = values["begin"]
-    window = expit((clock - begin) / RAMP) * expit((begin + values["length"] - clock) / RAMP)
+    window = _window(clock, values["begin"], values["begin"] + values["length"])
     return Contribution(clamping=1.0 + values["size"] * (1.0 + values["side"] * history.direction) * window)
 
 

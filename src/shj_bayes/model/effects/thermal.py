@@ -16,7 +16,7 @@ STEEPEST = 1.55  # of the first mode's angle: at pi/2 the far face is held cold
 STROKES = 60.0  # reference duration in half strokes at peak speed: about the paper's protocol, whatever the device
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _temperature(heat: FloatArray, step: FloatArray, decays: FloatArray, weights: FloatArray) -> FloatArray:
     """Add up w T, T' + T / tau = P from cold, exactly for heat that comes evenly over each step, however uneven."""
     out, warm = np.zeros_like(heat), np.zeros_like(decays)
@@ -29,9 +29,11 @@ def _temperature(heat: FloatArray, step: FloatArray, decays: FloatArray, weights
                 share = last / decays[k]
                 left[k] = np.exp(-share)
                 kept[k] = (1.0 - left[k]) / share if share > 1e-5 else 1.0 - 0.5 * share
-        for k in range(decays.size):
+        total = 0.0
+        for k in range(N_MODES):  # a number that the compiler knows
             warm[k] = left[k] * warm[k] + kept[k] * heat[i]
-            out[i] += weights[k] * warm[k]
+            total += weights[k] * warm[k]
+        out[i] = total
     return out
 
 
