@@ -7,7 +7,8 @@ LINE = 1e-3  # chance below which a line over time counts as part of what is lef
 ALPHA = 0.02  # of a false alarm in a recording with nothing missing; halved for each effect already found
 PRACTICAL = 0.01  # of Fy: a smaller effect is negligible for design and is reported with its size, not raised
 GAIN_SE = 3.0  # standard errors by which the held-out gain of an effect must exceed 0, or
-GAIN_NATS = 8.0  # held-out gain in log density that is beyond chance by itself: noise gave 5.5 at most in 105 devices
+GAIN_NATS = 8.0  # held-out gain in log density, without the best block, that is beyond chance by itself: in noise, with
+# that block, 5.5 at most in 105 devices
 RIVAL_SE = 2.0  # standard errors by which the best effect must beat another one to exclude it
 AS_GOOD = 0.8  # of the best gain: a simpler effect with less does not come first, however few cycles there are
 RIVAL_PROBABILITY = 0.05  # a rival that wins in this share of resampled cycle sets is not excluded

@@ -1,6 +1,7 @@
 """The search for effects: which of equals comes first, and what a later effect must not undo."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.name import Candidate, _simplest, compare
 from shj_bayes.mismatch.refit import extend_starts, make_model, refit
 from shj_bayes.mismatch.regions import regions_of
+from shj_bayes.mismatch.verdict import judge
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -95,6 +97,43 @@ def test_the_state_in_which_a_test_began_is_not_predicted_for_its_first_cycle() 
     assert np.std(fit.held_out_residual(loose)[first]) < 1.3
     blind = replace(model, effects=(replace(EFFECTS["slack"], initial=()),))
     assert np.std(replace(fit, model=blind).held_out_residual(loose)[first]) > 2.0
+
+
+def test_a_step_of_leaving_out_that_leads_nowhere_is_halved() -> None:
+    """A change of clamping in one and a half half-cycles: without either, the other says little of when it began."""
+    plain = simulate_device(Truth(gamma=0.0), seed=5, rate_Hz=5.0, n_runs=1, blocks=BLOCKS)[0]
+    evidence = evidence_of([Run(plain, motion_of(plain))], 1000)
+    law = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0}
+    law |= {"tension_step.size": -0.2, "tension_step.begin": 0.5, "tension_step.length": 0.1, "tension_step.side": 0.0}
+    model = make_model(PRIORS, 1, (EFFECTS["tension_step"],))
+    z = np.array([float(p.to_free(np.asarray(law[n]))) for n, p in zip(model.names, model.priors, strict=True)])
+    noise = np.random.default_rng(1).standard_normal(evidence.force_kN.size)
+    fit = refit(replace(evidence, force_kN=model.force(evidence, z) + noise), model, [z])
+    stepped = replace(evidence, force_kN=fit.force_kN + fit.residual_kN)
+    far, near = (fit.held_out_squares(stepped, check=check) for check in (False, True))
+    own = stepped.block_sums(fit.residual_kN**2)
+    assert np.max(far / own) > 2.0 * np.max(near / own)
+    assert np.median(near / far) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("gain", "enough"), [([70.0, 1.0, 1.0, -0.5], False), ([6.0, 5.0, 4.0, -0.5], True)])
+def test_a_gain_in_one_block_alone_names_nothing(gain: list[float], enough: bool) -> None:
+    tried = replace(candidate("stick_slip", np.array(gain)), relative=np.array([0.0, 0.0, 0.0, 1.0]))
+    assert tried.t < search.GAIN_SE
+    assert search._beyond_chance(tried, sum(gain)) == enough
+
+
+@pytest.mark.parametrize(("left_kN", "word"), [(3.2, "unknown"), (1.0, "named")])
+def test_what_no_load_cell_would_do_is_not_explained(left_kN: float, word: str) -> None:
+    """Over few half-cycles nothing is beyond chance; 7 % of Fy on which neighbours agree is still not noise."""
+    repeat = SimpleNamespace(p_value=0.5, size_kN=0.1, rms_kN=0.1)
+    step = SimpleNamespace(why="p = 0.0628: nothing more than noise explains", repeat=repeat)
+    base = SimpleNamespace(model=SimpleNamespace(values=lambda _: {"Fy": 45.0}), z=None)
+    known = SimpleNamespace(rmse_kN=left_kN)
+    result = SimpleNamespace(base=base, known=known, steps=(step, step), rankings={}, found=("two_stage",))
+    judged = judge(result, 2.0, 0.6)  # type: ignore[arg-type]
+    assert judged.word == word
+    assert ("3.2 kN root mean square" in judged.reason) == (word == "unknown")
 
 
 def test_thinning_keeps_the_way_to_each_turning_point_beside_the_evidence() -> None:
