@@ -129,10 +129,10 @@ class Refit:
     def _walk(self, evidence: Evidence, block: slice, step: FloatArray, promised: FloatArray) -> FloatArray:
         """Residual at the end of a step that a block was left out for, halved while that serves the others better.
 
-        A wear of slots or the moment of a change has folds where the full step leads nowhere (of 14 half-cycles one
-        was missed by 8252 units of noise, and by 157 after halving). Descending to the optimum without the block was
-        tried: where one block holds what others do not, it ends in another optimum, and gains of 24 nats came and went
-        with effects that changed nothing.
+        Without one of few blocks the full step in the moment of a change or the width of a gap may lead nowhere: of 14
+        half-cycles one was missed by 8252 units of noise, where the fit without it misses it by 157. Descending to that
+        fit was tried: where one block holds what others do not it ends in another optimum, and gains of 24 nats came
+        and went with effects that changed nothing.
         """
         rest = evidence.weight.copy()
         rest[block] = 0.0
