@@ -5,7 +5,9 @@ Run ``python benchmarks/peers.py`` (half an hour; ``--only NAME ...`` takes some
 from the most probable point where it takes a start, until R-hat < 1.01 over four chains or ensembles and ESS >= 1000
 for every parameter, or its own stop. A time counts only if all means are within 0.1 standard deviations of the
 reference and all standard deviations within 3 %: the column "right" says so. The reference is a run of shj-bayes of
-20 000 effective draws. Seconds are processor time, all threads together, so that other work does not count.
+20 000 effective draws. Seconds are processor time, all threads together, so that other work does not count, and wall
+time, which says what two processors are worth. numpy is held to one thread: its vector products here are too short for
+more, and the threads that wait would count against it.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import numpy as np
 from devices import device
 from numpy_posterior import NumpyPosterior
 from samplers import SAMPLERS, Draws, reference
+from threadpoolctl import threadpool_limits
 
 from shj_bayes.inference.problem import Problem
 from shj_bayes.inference.start import Start, find_start
@@ -26,7 +29,7 @@ from shj_bayes.model.parameters import FloatArray
 LOST = (ImportError, RuntimeError, OSError)  # not installed, or not for this machine
 
 
-def line(name: str, draws: Draws, seconds: float, mean: FloatArray, sd: FloatArray) -> str:
+def line(name: str, draws: Draws, seconds: tuple[float, float], mean: FloatArray, sd: FloatArray) -> str:
     """One row of the table."""
     flat = draws.chains.reshape(-1, mean.size) if draws.weights is None else draws.chains
     weights = np.full(flat.shape[0], 1 / flat.shape[0]) if draws.weights is None else draws.weights
@@ -35,18 +38,22 @@ def line(name: str, draws: Draws, seconds: float, mean: FloatArray, sd: FloatArr
     width = np.sqrt(weights @ (flat - own) ** 2) / sd
     right = off.max() < 0.1 and np.all(np.abs(width - 1) < 0.03)
     return (
-        f"{name:38s} {seconds:8.1f} {draws.evaluations:12d} {draws.ess:8.0f} {draws.evaluations / draws.ess:9.1f}"
+        f"{name:38s} {seconds[0]:9.2f} {seconds[1]:8.2f} {draws.evaluations:12d}"
+        f" {draws.ess:8.0f} {draws.evaluations / draws.ess:9.1f}"
         f" {off.max():11.2f} {width.min():7.3f} {width.max():6.3f}  {'yes' if right else 'NO':4s} {draws.note}"
     )
 
 
-def timed(work: Callable[[Problem, NumpyPosterior, Start], Draws], beta: float, start: Start) -> tuple[Draws, float]:
-    """Sample with a fresh problem; processor time, s."""
+def timed(
+    work: Callable[[Problem, NumpyPosterior, Start], Draws], beta: float, start: Start
+) -> tuple[Draws, tuple[float, float]]:
+    """Sample with a fresh problem; processor and wall time, s."""
     problem = device(20.0, beta)
     posterior = NumpyPosterior(problem)
-    begin = time.process_time()
-    draws = work(problem, posterior, start)
-    return draws, time.process_time() - begin
+    begin = time.process_time(), time.perf_counter()
+    with threadpool_limits(1, user_api="blas"):
+        draws = work(problem, posterior, start)
+    return draws, (time.process_time() - begin[0], time.perf_counter() - begin[1])
 
 
 def main() -> None:
@@ -64,7 +71,7 @@ def main() -> None:
         mean, sd = flat.mean(axis=0), flat.std(axis=0)
         n = sum(run.recording.n_samples for run in problem.runs)
         print(f"beta {beta:g}, {n} samples, {mean.size} parameters")
-        print(f"{'':38s}  seconds  evaluations      ESS  per draw  mean off by  sd from    to  right")
+        print(f"{'':38s} processor     wall  evaluations      ESS  per draw  mean off by  sd from    to  right")
         for name in options.only:
             try:
                 draws, seconds = timed(SAMPLERS[name], beta, start)

@@ -80,17 +80,27 @@ def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callab
     return sample
 
 
-def laplace_importance(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
-    """Climb from the best law of a coarse grid by finite differences, then importance draws from a t law at the top."""
-    d = start.free.size
+def laplace_from_our_grid(problem: Problem, posterior: NumpyPosterior, _start: Start) -> Draws:
+    """Laplace with importance sampling that starts from the best law of our compiled coarse grid."""
     guess = Coarse(problem).best_laws(1, descend=False)[0]
     guess[problem.layout.index("sigma")] = 5.0
     guess[problem.layout.index("phi")] = 0.5
+    return _laplace(posterior, problem.free(guess[None])[0])
+
+
+def laplace_alone(_problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
+    """Laplace with importance sampling that starts from the middle of the priors, with nothing of ours."""
+    return _laplace(posterior, np.zeros(start.free.size))
+
+
+def _laplace(posterior: NumpyPosterior, first: FloatArray) -> Draws:
+    """Climb by finite differences, then importance draws from a t law at the top."""
+    d = first.size
 
     def fall(z: FloatArray) -> float:
         return min(-posterior(z), 1e12)
 
-    found = minimize(fall, problem.free(guess[None])[0], method="BFGS", options={"gtol": 1.0})
+    found = minimize(fall, first, method="BFGS", options={"gtol": 1.0})
     top = polish(posterior, [np.asarray(found.x, dtype=np.float64)])
     rng = np.random.default_rng(1)
     root, tail = np.linalg.cholesky(top.covariance), 8.0
@@ -204,7 +214,7 @@ def no_u_turn(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draw
                 out.append(p.a * np_.exp(p.b * z[i]))
             else:
                 low, high = (np.log(p.a), np.log(p.b)) if p.law == "loguniform" else (p.a, p.b)
-                inner = low + (high - low) * jax.nn.sigmoid(z[i])
+                inner = low + (high - low) * jax.scipy.stats.norm.cdf(z[i])
                 out.append(np_.exp(inner) if p.law == "loguniform" else inner)
         return out
 
@@ -230,9 +240,7 @@ def no_u_turn(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draw
             innovation = np_.sum((r[1:] - phi * r[:-1]) ** 2) / (1 - phi**2)
             total += 0.5 * (r[0] ** 2 + innovation) / sigma**2
             total += since.size * np_.log(sigma) + 0.5 * (since.size - 1) * np_.log1p(-(phi**2))
-        for i, p in enumerate(prior):
-            smooth = p.law in ("normal", "lognormal")
-            total += 0.5 * z[i] ** 2 if smooth else -jax.nn.log_sigmoid(z[i]) - jax.nn.log_sigmoid(-z[i])
+        total += 0.5 * np_.sum(z**2)
         return total
 
     kernel = infer.NUTS(potential_fn=potential)
@@ -249,7 +257,8 @@ def no_u_turn(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draw
 
 SAMPLERS: dict[str, Callable[[Problem, NumpyPosterior, Start], Draws]] = {
     "shj-bayes": own,
-    "Laplace + importance sampling": laplace_importance,
+    "Laplace + importance sampling": laplace_alone,
+    "the same, from our coarse grid": laplace_from_our_grid,
     "emcee, differential evolution": ensembles(
         lambda: [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     ),
