@@ -118,7 +118,7 @@ def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     test = float(time[-1])
     low, high = found["begin"] * test, min((found["begin"] + found["length"]) * test, test)
     shared = max(0.0, min(end, high) - max(begin, low)) / (max(end, high) - min(begin, low))
-    out = [Judged(shared >= 0.5, f"{truth}; diagnosed from {low:.1f} to {high:.1f} s ({shared:.0%} shared)")]
+    out = [Judged(shared >= 0.5, f"{truth}; diagnosed from {low:.1f} to {high:.1f} s ({shared:.1%} shared)")]
     for side, q in (("push", 1.0), ("pull", -1.0)):
         own = found["size"] * (1 + found["side"] * q)
         near = abs(own - change[side]) <= max(0.1, 0.5 * abs(change[side]))
@@ -233,7 +233,7 @@ def _backlash(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judge
     """Compare the free travel with the published backlash."""
     low, high = BACKLASH_MM
     found = effect(answer, "slack")
-    own = f"diagnosed {found['size']:.2f} mm" if found else "no free travel was named"
+    own = f"diagnosed {found['size']:.3f} mm" if found else "no free travel was named"
     return [Judged(found is not None and low <= found["size"] <= high, f"backlash {low} to {high} mm; {own}")]
 
 
