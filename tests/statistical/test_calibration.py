@@ -100,6 +100,7 @@ def test_the_law_with_effects_is_sampled(calibrate, tmp_path):
 
 
 def test_the_command_line_answers(monkeypatch):
+    monkeypatch.syspath_prepend(SCRIPT.parent)  # as python does for a script; else only after the tests above
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), "--help"])
     with pytest.raises(SystemExit, match="0"):
         runpy.run_path(str(SCRIPT), run_name="__main__")
