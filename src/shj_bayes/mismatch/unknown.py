@@ -67,7 +67,11 @@ def describe_unknown(
         size, region = line.amplitude_kN, None
         period = {"coordinate": "time", "length": line.period_s, "unit": "s", "share": None}
     left = "What is left after them" if result.found else "The misfit"
-    words = f"{left} reaches {size:.2g} kN{where}; it is most regular over {coordinate}"
+    how_much = f"reaches {size:.2g} kN{where}"
+    if size == 0.0:  # too few half-cycles to be sure of any region, and yet more than noise
+        size = result.final.rmse_kN
+        how_much = f"is {size:.2g} kN, root mean square"
+    words = f"{left} {how_much}; it is most regular over {coordinate}"
     words += f", with a period of {period['length']:.3g} {period['unit']} of {period['coordinate']}." if period else "."
     return {
         "coordinate": coordinate,

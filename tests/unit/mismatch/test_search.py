@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.problem import Run
-from shj_bayes.mismatch import search
+from shj_bayes.mismatch import search, unknown
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.name import Candidate, _simplest, compare
 from shj_bayes.mismatch.refit import extend_starts, make_model, refit
@@ -134,6 +134,20 @@ def test_what_no_load_cell_would_do_is_not_explained(left_kN: float, word: str) 
     judged = judge(result, 2.0, 0.6)  # type: ignore[arg-type]
     assert judged.word == word
     assert ("3.2 kN root mean square" in judged.reason) == (word == "unknown")
+
+
+def test_what_is_left_has_a_size_where_no_region_is_sure(
+    fitted: tuple[search.Setting, search.Refit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setting, fit = fitted
+    formula = SimpleNamespace(coordinate="", text=None, words="", share=None)
+    monkeypatch.setattr(unknown, "largest_region", lambda *_: (0.0, None))
+    monkeypatch.setattr(unknown, "find_formula", lambda *_, **__: formula)
+    quiet = SimpleNamespace(alarm=None, repeat=SimpleNamespace(p_value=0.5), line=SimpleNamespace(p_value=0.5))
+    result = SimpleNamespace(base=fit, final=fit, found=("wear",), steps=(quiet,))
+    said = unknown.describe_unknown(setting.evidence, result, setting.regions)  # type: ignore[arg-type]
+    assert said["size_kN"] == fit.rmse_kN > 0.5
+    assert f"is {fit.rmse_kN:.2g} kN, root mean square" in said["words"]
 
 
 def test_thinning_keeps_the_way_to_each_turning_point_beside_the_evidence() -> None:
