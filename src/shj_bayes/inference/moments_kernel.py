@@ -283,10 +283,10 @@ def shape_of(beta):  # type: ignore[no-untyped-def]
     out[2] = (NEGLIGIBLE * beta) ** (1.0 / beta)
     out[3] = out[2] * out[2]
     out[4] = calm_below(beta)
-    sharpness = (SHARP_ENOUGH / beta) ** (1.0 / 16.0)
+    sharpness = (SHARP_ENOUGH / beta) ** (1.0 / N_NODES)
     out[5] = 0.5 * (sharpness + 1.0 / sharpness)
     for i in range(TAIL_REACH.size):
-        height = 0.25 * TAIL * beta * TAIL_SHARPNESS[i] ** 15 * (TAIL_SHARPNESS[i] - 1.0)
+        height = 0.25 * TAIL * beta * TAIL_SHARPNESS[i] ** (N_NODES - 1) * (TAIL_SHARPNESS[i] - 1.0)
         out[6 + i] = min(height, 0.5) ** (1.0 / beta)
     return out
 

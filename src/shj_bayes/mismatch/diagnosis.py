@@ -147,7 +147,7 @@ def diagnose(
         "next_test": content.next_test(result, judgement),
         "candidates": content.candidates(result),
         "energy": content.energy(evidence, base, shown),
-        "fy_kN": base.model.values(base.z)["Fy"],
+        "fy_kN": base.capacity_kN,
         "seed": seed,
         "quick": quick,
         "sampling": how,

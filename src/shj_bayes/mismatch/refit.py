@@ -98,6 +98,11 @@ class Refit:
         n = max(int(np.count_nonzero(self.residual_kN)), 1)
         return float(np.sqrt(np.sum(self.residual_kN**2) / n))
 
+    @property
+    def capacity_kN(self) -> float:
+        """Sliding force Fy of the first run, kN."""
+        return self.model.values(self.z)["Fy"]
+
     def held_out_residual(self, evidence: Evidence, *, check: bool = True) -> FloatArray:
         """Residual of each block under the parameters fitted without that block, shape (n,), kN.
 

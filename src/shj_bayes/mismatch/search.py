@@ -168,7 +168,7 @@ def search(setting: Setting, base: Refit) -> Search:
         else:
             why = _objection(setting, base, current, best, float(ranking.elpd_gain[0]))
         known = current
-        if why and best.size_kN < PRACTICAL * _capacity(current) and _beyond_chance(best, float(ranking.elpd_gain[0])):
+        if why and best.size_kN < PRACTICAL * current.capacity_kN and _beyond_chance(best, float(ranking.elpd_gain[0])):
             known = best.fit
             again = repeats(setting.evidence, known.residual_kN, setting.rng(6, number))
         taken, reason = ("", why) if why else (best.effect.id, "best on held-out cycles")
@@ -190,7 +190,7 @@ def _p_of_gains(setting: Setting, ranking: Ranking, current: Refit) -> float:
     chance below exp(-g) (Wasserman, Ramdas, Balakrishnan 2020, universal inference); it sees what a t over a few
     half-cycles cannot.
     """
-    floor = PRACTICAL * _capacity(current)
+    floor = PRACTICAL * current.capacity_kN
     pairs = zip(ranking.candidates, ranking.elpd_gain, strict=True)
     tails = [
         min(float(stats.t.sf(c.t, setting.evidence.n_blocks - 1)), float(np.exp(-max(nats, 0.0))))
@@ -198,11 +198,6 @@ def _p_of_gains(setting: Setting, ranking: Ranking, current: Refit) -> float:
         if c.size_kN >= floor
     ]
     return min(1.0, len(ranking.candidates) * min(tails, default=1.0))
-
-
-def _capacity(current: Refit) -> float:
-    """Sliding force of the first run, kN."""
-    return current.model.values(current.z)["Fy"]
 
 
 def _rank(
@@ -239,14 +234,14 @@ def _objection(setting: Setting, base: Refit, current: Refit, candidate: Candida
     name = candidate.effect.id
     if not _beyond_chance(candidate, nats):
         return f"the best effect ({name}) gains t = {candidate.t:.1f} on held-out cycles: not beyond chance"
-    if candidate.size_kN < PRACTICAL * _capacity(current):
+    if candidate.size_kN < PRACTICAL * current.capacity_kN:
         return f"the best effect ({name}) is {candidate.size_kN:.2g} kN, below {100 * PRACTICAL:.0f} % of Fy"
     part = share(setting.evidence, setting.fine, base, current, candidate.fit)
     fall = float(np.sqrt(max(current.rmse_kN**2 - candidate.fit.rmse_kN**2, 0.0)))
-    large = candidate.size_kN >= LARGE * _capacity(current) and part >= PART
+    large = candidate.size_kN >= LARGE * current.capacity_kN and part >= PART
     of_rest = share(setting.evidence, setting.fine, current, current, candidate.fit)
     clear = candidate.t >= GAIN_SE and (large or of_rest >= OF_REST)
-    if part < WORTH and fall < NOTABLE * _capacity(current) and not clear:
+    if part < WORTH and fall < NOTABLE * current.capacity_kN and not clear:
         return f"the best effect ({name}) would take up {100 * part:.1f} % of the misfit of the base law, {fall:.2g} kN"
     return ""
 

@@ -50,7 +50,7 @@ def describe_unknown(
     again = result.steps[-1].repeat
     if again.p_value < REPEAT_P and again.size_kN > size:  # waves along a stroke have no region of their own
         size, region = again.size_kN, None
-    capacity = result.base.model.values(result.base.z)["Fy"]
+    capacity = result.base.capacity_kN
     line = result.steps[-1].line
     formula = find_formula(evidence, residual, capacity, line, seed=seed, quick=quick)
     taken = {name: _taken(evidence, residual, name) for name in COORDINATES}

@@ -47,7 +47,7 @@ def judge(result: Search, left_kN: float, explained: float) -> Judgement:
     -------
     Judgement
     """
-    capacity = result.base.model.values(result.base.z)["Fy"]
+    capacity = result.base.capacity_kN
     last = result.steps[-1]
     alarm = last.why and not last.why.startswith("p =")
     rivals = {name: _rivals(ranking) for name, ranking in result.rankings.items()}
@@ -69,7 +69,7 @@ def judge(result: Search, left_kN: float, explained: float) -> Judgement:
 
 def _unexplained(result: Search, left_kN: float, explained: float) -> str:
     """Say how much the effects take up and what they leave, when that is too much; `left_kN` is 0 without an alarm."""
-    capacity = result.base.model.values(result.base.z)["Fy"]
+    capacity = result.base.capacity_kN
     again = result.steps[-1].repeat
     repeated = repeating_share(result.steps[0].repeat, again)
     if left_kN and again.p_value < REPEAT_P and again.size_kN >= PRACTICAL * capacity and repeated < REPEATED:

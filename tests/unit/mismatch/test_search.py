@@ -128,7 +128,7 @@ def test_what_no_load_cell_would_do_is_not_explained(left_kN: float, word: str) 
     """Over few half-cycles nothing is beyond chance; 7 % of Fy on which neighbours agree is still not noise."""
     repeat = SimpleNamespace(p_value=0.5, size_kN=0.1, rms_kN=0.1)
     step = SimpleNamespace(why="p = 0.0628: nothing more than noise explains", repeat=repeat)
-    base = SimpleNamespace(model=SimpleNamespace(values=lambda _: {"Fy": 45.0}), z=None)
+    base = SimpleNamespace(capacity_kN=45.0)
     known = SimpleNamespace(rmse_kN=left_kN)
     result = SimpleNamespace(base=base, known=known, steps=(step, step), rankings={}, found=("two_stage",))
     judged = judge(result, 2.0, 0.6)  # type: ignore[arg-type]

@@ -25,12 +25,12 @@ def _temperature(heat: FloatArray, step: FloatArray, decays: FloatArray, weights
     for i in range(1, heat.size):
         if abs(step[i - 1] - last) > 1e-9 * last:  # sampling is even for long stretches, and exponentials are dear
             last = step[i - 1]
-            for k in range(decays.size):
+            for k in range(N_MODES):
                 share = last / decays[k]
                 left[k] = np.exp(-share)
                 kept[k] = (1.0 - left[k]) / share if share > 1e-5 else 1.0 - 0.5 * share
         total = 0.0
-        for k in range(N_MODES):  # a number that the compiler knows
+        for k in range(N_MODES):
             warm[k] = left[k] * warm[k] + kept[k] * heat[i]
             total += weights[k] * warm[k]
         out[i] = total
