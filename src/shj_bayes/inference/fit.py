@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,14 @@ import pandas as pd
 from shj_bayes.inference import store
 from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
-from shj_bayes.inference.displacement import of_displacement
-from shj_bayes.inference.problem import Problem, Run
+from shj_bayes.inference.floor import Floor, floor_of
+from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.quiet_arviz import az
+from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
-from shj_bayes.model.parameters import Layout
-from shj_bayes.model.priors import Priors, read_priors
-from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.recording import Recording
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.parameters import FloatArray
 
 CHECKPOINT = "checkpoint.h5"
 
@@ -32,7 +30,7 @@ class Fit:
 
     Parameters
     ----------
-    problem : Problem
+    posterior : Posterior
         What was asked.
     data : arviz.InferenceData
         Posterior and what goes with it.
@@ -40,57 +38,31 @@ class Fit:
         One row for each parameter.
     figures : Diagnostics
         Convergence.
+    floor : Floor
+        How the intervals compare with the scatter from cycle to cycle.
     verdict : Verdict
         Can the numbers be used.
     record : dict
         Content of ``fit.json``.
     """
 
-    problem: Problem
+    posterior: Posterior
     data: az.InferenceData
     summary: pd.DataFrame
     figures: Diagnostics
+    floor: Floor
     verdict: Verdict
     record: dict[str, Any]
 
 
-def make_problem(
-    recordings: Sequence[Recording],
-    *,
-    priors: Priors | None = None,
-    noise: str = "ar1",
-    free: tuple[str, ...] = (),
-    variant: str = "seed",
-) -> Problem:
-    """Bind consecutive runs of one device, the law, the noise and the priors.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Runs in the order they were made.
-    priors : Priors, optional
-        Prior laws; the shipped family ``afc`` by default.
-    noise : {"ar1", "independent", "student"}
-        Noise model.
-    free : tuple of str
-        Which of K, beta, gamma may differ between runs.
-    variant : {"seed", "continuous"}
-        Reversal rule.
-
-    Returns
-    -------
-    Problem
-    """
-    runs = tuple(Run(recording, motion_of(recording)) for recording in recordings)
-    return Problem(runs, Layout(len(runs), noise, free), priors or read_priors("afc"), variant)
-
-
 def fit(
-    problem: Problem,
+    runs: tuple[Run, ...],
+    model: DeviceModel,
     *,
     name: str = "device",
     key: str = "",
     plan: Plan | None = None,
+    tops: tuple[FloatArray, ...] = (),
     folder: Path | None = None,
     progress: bool = False,
     threads: int = 0,
@@ -99,14 +71,18 @@ def fit(
 
     Parameters
     ----------
-    problem : Problem
-        What is asked.
+    runs : tuple of Run
+        Consecutive runs.
+    model : DeviceModel
+        What is believed of the device: law, effects, noise, priors.
     name : str
         Name of the device, for the files and the page.
     key : str
         Digest of everything the result depends on, stored with it so that an unchanged fit can be recognised.
     plan : Plan, optional
         Seed, number of ensembles, when to stop.
+    tops : tuple of array, shape (n_law,)
+        Points to climb from besides those that the search finds, in the unbounded space.
     folder : Path, optional
         Where the files of the fit and the checkpoint go; nothing is written without it. A checkpoint found there is
         gone on from.
@@ -125,27 +101,39 @@ def fit(
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / CHECKPOINT
     with told_when_slow(progress):
-        problem.log_likelihood(problem.natural(np.zeros((1, len(problem.layout.names)))))
-    start = find_start(problem, threads=threads)
+        posterior, start = find_start(make_posterior(runs, model), threads=threads, tops=tops)
     states, figures = run_ensembles(
-        problem,
-        problem.layout.names,
+        posterior,
+        posterior.names,
         start,
         plan,
-        fingerprint=problem.fingerprint,
+        fingerprint=posterior.fingerprint,
         path=path,
         progress=progress,
         threads=threads,
     )
-    displacement = of_displacement(problem, start, plan.seed)
-    states = displacement.spread(states, plan.seed)
-    verdict = judge(figures)
-    verdict = Verdict(verdict.word, (*verdict.reasons, *displacement.words))
-    table = store.summary(figures, store.natural_chains(problem, states, figures.n_burn))
-    data = store.inference_data(problem, states, figures, plan.seed)
-    record = store.fit_record(problem, figures, verdict, table, name=name, seed=plan.seed, key=key)
-    record["sampling"]["displacement_noise_over_force_noise"] = displacement.ratio
-    record["sampling"]["displacement_copies"] = int(displacement.moves.shape[0])
+    floor = floor_of(posterior, start)
+    kept = np.stack([state.chain[figures.n_burn :] for state in states])
+    verdict = with_floor(judge(figures), floor)
+    shown = floor.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
+    table = store.summary(posterior.model, figures, store.natural_chains(posterior, shown))
+    heights = np.stack([state.log_posterior[figures.n_burn :] for state in states])
+    data = store.inference_data(posterior, shown, kept, heights, plan.seed)
+    record = store.fit_record(posterior, figures, floor, verdict, table, name=name, seed=plan.seed, key=key)
     if folder is not None:
         store.write_fit(folder, data, table, record)
-    return Fit(problem, data, table, figures, verdict, record)
+    return Fit(posterior, data, table, figures, floor, verdict, record)
+
+
+def with_floor(verdict: Verdict, floor: Floor) -> Verdict:
+    """Verdict of a fit whose intervals were held against the scatter from cycle to cycle."""
+    if not floor.widened:
+        return verdict
+    worst = int(np.argmax(floor.factor))
+    reason = (
+        f"the cycles scatter more than the model and its noise allow ({floor.names[worst]} {floor.factor[worst]:.1f} times, "
+        f"over {floor.n_pieces} cycles): the intervals of {', '.join(floor.widened)} are as wide as that scatter; "
+        "`shj-bayes diagnose` looks for what the model leaves out"
+    )
+    word = "tentative" if verdict.word == "reliable" else verdict.word
+    return Verdict(word, (*verdict.reasons, reason))

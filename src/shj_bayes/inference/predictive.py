@@ -1,21 +1,21 @@
-"""What the posterior predicts: loops with and without noise, energy per cycle, and likelihood per half-cycle."""
+"""What the posterior predicts: the force of all runs, without noise and as it would be measured."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from shj_bayes.inference.problem import Problem
-from shj_bayes.model.noise import log_density_terms, simulate_noise
+from shj_bayes.inference.posterior import Posterior
+from shj_bayes.model.noise.filter import simulate
 from shj_bayes.model.parameters import FloatArray
 
 
-def modelled_force(problem: Problem, theta: FloatArray) -> FloatArray:
-    """Force of all runs one after the other, without noise.
+def modelled_force(posterior: Posterior, theta: FloatArray) -> FloatArray:
+    """Force of all runs one after the other, without noise, at all samples.
 
     Parameters
     ----------
-    problem : Problem
-        Recordings and law.
+    posterior : Posterior
+        Recordings and model.
     theta : array, shape (m, d)
         Parameters in natural units.
 
@@ -24,47 +24,18 @@ def modelled_force(problem: Problem, theta: FloatArray) -> FloatArray:
     array, shape (m, n_samples of all runs)
         Force, kN.
     """
-    return np.concatenate([problem.modelled_force(theta, run) for run in range(1, len(problem.runs) + 1)], axis=1)
+    return np.concatenate([posterior.modelled_force(theta, run) for run in range(1, len(posterior.runs) + 1)], axis=1)
 
 
-def add_noise(problem: Problem, theta: FloatArray, force: FloatArray, rng: np.random.Generator) -> FloatArray:
+def add_noise(posterior: Posterior, theta: FloatArray, force: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Force as it would be measured: one noise series for each parameter set, shape as `force`, kN."""
     out = force.copy()
-    noise = problem.layout.noise_parameters(theta)
+    noise = posterior.model.noise_values(theta)
     for j in range(theta.shape[0]):
         own = {name: float(values[j]) for name, values in noise.items()}
-        series = [simulate_noise(problem.layout.noise, run.stretches, rng, **own) for run in problem.runs]
+        series = [
+            simulate(posterior.model.noise, own, run.recording.time_s, run.recording.restarts, rng)
+            for run in posterior.runs
+        ]
         out[j] += np.concatenate(series)
     return out
-
-
-def log_likelihood_of_half_cycles(problem: Problem, theta: FloatArray) -> FloatArray:
-    """Log likelihood summed over each half-cycle, given the samples before it.
-
-    Parameters
-    ----------
-    problem : Problem
-        Recordings, law and noise.
-    theta : array, shape (m, d)
-        Parameters in natural units.
-
-    Returns
-    -------
-    array, shape (m, n_half of all runs)
-        The terms add up to the log likelihood. Neighbouring half-cycles share the noise correlation across their
-        border, so they are nearly, not exactly, independent.
-    """
-    noise = problem.layout.noise_parameters(theta)
-    rows = []
-    for number, run in enumerate(problem.runs, start=1):
-        residual = run.recording.force_kN - problem.modelled_force(theta, number)
-        terms = np.stack(
-            [
-                log_density_terms(
-                    problem.layout.noise, residual[j], run.stretches, **{n: float(v[j]) for n, v in noise.items()}
-                )
-                for j in range(theta.shape[0])
-            ]
-        )
-        rows.append(np.add.reduceat(terms, run.motion.start[:-1], axis=1))
-    return np.concatenate(rows, axis=1)

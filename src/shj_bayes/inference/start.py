@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference.coarse import Coarse
-from shj_bayes.inference.moments import BY_SUMS
-from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.shared import Density, Shared, n_threads
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.inference.squares import best_of, descend, extended, jacobian, promising
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.parameters import FloatArray, base_and_run
+
+N_DESCENTS = 3  # laws of the grid that are improved
+CHUNK = 16  # parameter sets evaluated in one call
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,34 +40,152 @@ class Start:
     log_posterior: float
 
 
-def find_start(problem: Problem, n_polish: int = 3, *, threads: int = 1) -> Start:
-    """Search a coarse grid of laws, improve the best few by least squares, climb to the top from each.
+@dataclass(frozen=True, eq=False)
+class LawOnly:
+    """A posterior as least squares sees it: the parameters of its law, and the residual of its blocks.
 
     Parameters
     ----------
-    problem : Problem
-        Posterior to search.
-    n_polish : int
-        Number of grid points that are improved.
+    posterior : Posterior
+        What is fitted.
+    """
+
+    posterior: Posterior
+
+    @property
+    def model(self) -> DeviceModel:
+        """Model that is fitted."""
+        return self.posterior.model
+
+    def residual(self, z: FloatArray) -> FloatArray:
+        """Residual of all blocks, shape (n,), kN."""
+        return self.residuals(z[None])[0]
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        """Residual of all blocks for many parameter sets, shape (m, n_law) to (m, n), kN."""
+        rest = np.zeros((z.shape[0], len(self.model.names) - z.shape[1]))
+        theta = self.model.natural(np.concatenate([z, rest], axis=1))
+        runs = range(1, len(self.posterior.runs) + 1)
+        return np.concatenate([self.posterior.residual_and_slope(theta, run)[0] for run in runs], axis=1)
+
+
+def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatArray] = ()) -> tuple[Posterior, Start]:
+    """Find the most probable parameters: a grid of laws, least squares, effects one by one, then the posterior's top.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        As made from the recordings, in blocks for a first look.
     threads : int
         Points that are evaluated at the same time, 0 for as many as there are processors.
+    tops : sequence of array, shape (n_law,)
+        Further points to climb from, in the unbounded space: where a search has been already.
 
     Returns
     -------
-    Start
+    Posterior, Start
+        The posterior with blocks that follow the bends of its force, and its top.
 
     Raises
     ------
     InferenceError
         If no parameters give a finite posterior density.
     """
+    model = posterior.model
+    plain = replace(posterior, model=model.with_effects(()))
+    found = best_laws(plain)
+    for k in range(len(model.effects)):
+        larger = replace(posterior, model=model.with_effects(model.effects[: k + 1]))
+        found = [_with_next_effect(replace(posterior, model=model.with_effects(model.effects[:k])), larger, found[0])]
+    law = LawOnly(posterior)
+    candidates = [*tops, *found]
+    sizes = [float(np.std(law.residual(z))) for z in candidates]
+    refined = posterior.refined(model.natural(_with_noise(law, candidates[int(np.argmin(sizes))])[None])[0])
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
-        by_sums = problem.runs if n > 1 and problem.layout.noise in BY_SUMS else ()
-        made = pool.map(lambda run: run.moments, by_sums)  # beside the coarse search, which needs none of them
-        found = [problem.free(_with_noise(problem, theta)[None])[0] for theta in Coarse(problem).best_laws(n_polish)]
-        list(made)
-        return polish(Shared(problem, pool, n), found)
+        full = [_best_noise(refined, z) for z in candidates]
+        return refined, polish(Shared(refined, pool, n), full)
+
+
+def best_laws(posterior: Posterior) -> list[FloatArray]:
+    """Take the best laws of a coarse grid to where the squares are least, best first.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Of a model without effects.
+
+    Returns
+    -------
+    list of array, shape (n_law,)
+        In the unbounded space.
+    """
+    law = LawOnly(posterior)
+    grid = _grid(posterior)
+    with np.errstate(over="ignore", invalid="ignore"):
+        scores = [np.sum(law.residuals(grid[i : i + CHUNK]) ** 2, axis=1) for i in range(0, len(grid), CHUNK)]
+    order = np.argsort(np.concatenate(scores), kind="stable")
+    ends = [
+        descend(law, np.clip(z, -8.0, 8.0), max(float(np.std(law.residual(z))), 1e-9)) for z in grid[order[:N_DESCENTS]]
+    ]
+    return sorted(ends, key=lambda z: float(np.sum(law.residual(z) ** 2)))
+
+
+def _with_next_effect(smaller: Posterior, larger: Posterior, z: FloatArray) -> FloatArray:
+    """Least squares of a model with one more effect, from the best of the smaller one."""
+    before, after = LawOnly(smaller), LawOnly(larger)
+    effect = larger.model.effects[-1]
+    residual, slopes = before.residual(z), jacobian(before, z)
+    starts = promising(after, residual, slopes, extended(z, smaller.model, larger.model, effect))
+    return best_of(after, starts, max(float(np.std(residual)), 1e-9))
+
+
+def _grid(posterior: Posterior) -> FloatArray:
+    """List laws on a coarse grid, in the unbounded space, shape (n, n_law)."""
+    runs, model = posterior.runs, posterior.model
+    peak = [float(np.percentile(np.abs(run.recording.force_kN), 97)) for run in runs]
+    stroke = float(np.ptp(runs[0].motion.displacement_mm))
+    speed = float(np.percentile(runs[0].motion.speed_mm_s, 95))
+    if not (peak[0] > 0 and stroke > 0 and speed > 0):
+        raise InferenceError(
+            f"nothing to fit: largest force {peak[0]:.3g} kN, stroke {stroke:.3g} mm, speed "
+            f"{speed:.3g} mm/s; all must be above 0"
+        )
+    names = model.names[: model.n_law]
+    rows = []
+    for share, knee, beta, effect in product(
+        (0.5, 0.7, 0.85, 1.0), (3, 8, 20, 60, 200), (3.0, 12.0, 80.0), (-0.2, 0.0, 0.25)
+    ):
+        values = {"K": knee * peak[0] / stroke, "Fy": share * peak[0], "beta": beta, "gamma": effect / speed}
+        row = []
+        for name in names:
+            base, run = base_and_run(name)
+            row.append(peak[run - 1] / peak[0] if base == "ratio" else values[base])
+        rows.append([float(p.to_free(np.asarray(v))) for p, v in zip(model.laws_of_parameters, row, strict=False)])
+    return np.array(rows)
+
+
+def _with_noise(law: LawOnly, z: FloatArray) -> FloatArray:
+    """Complete law parameters with noise parameters in the middle of their priors."""
+    return np.concatenate([z, np.zeros(len(law.model.names) - z.size)])
+
+
+def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
+    """Complete law parameters with the most probable noise parameters of a grid around the size of the residual."""
+    model, law = posterior.model, LawOnly(posterior)
+    size = max(float(np.std(law.residual(z))), 1e-9)
+    grids = {
+        "sigma": np.array([0.5, 1.0, 2.0]) * size,
+        "sigma_white": np.array([0.3, 1.0, 3.0, 10.0]) * size,
+        "sigma_slow": np.array([0.05, 0.4, 1.0]) * size,
+        "tau_slow": np.array([0.2, 1.0, 5.0, 30.0]),
+        "phi": np.array([-0.3, 0.3, 0.8, 0.98]),
+        "nu": np.array([4.0, 30.0]),
+    }
+    own = dict(zip(model.names[model.n_law :], model.laws_of_parameters[model.n_law :], strict=True))
+    rows = np.array(list(product(*([float(own[n].to_free(v)) for v in grids[n]] for n in own))))
+    points = np.concatenate([np.tile(z, (rows.shape[0], 1)), np.clip(rows, -8.0, 8.0)], axis=1)
+    return np.asarray(points[int(np.argmax(posterior.log_posterior_free(points)))])
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
@@ -118,22 +240,6 @@ def _distance(start: Start, z: FloatArray, origin: FloatArray) -> float:
     """Distance of two points in standard deviations at the top."""
     gap = z - origin
     return float(np.sqrt(gap @ np.linalg.solve(start.covariance, gap)))
-
-
-def _with_noise(problem: Problem, theta: FloatArray) -> FloatArray:
-    """Complete a parameter set with sigma and phi read off its residuals."""
-    residual = np.concatenate(
-        [r.recording.force_kN - problem.modelled_force(theta[None], i)[0] for i, r in enumerate(problem.runs, start=1)]
-    )
-    out = theta.copy()
-    scale = float(np.std(residual))
-    for name, value in (
-        ("sigma", max(scale, 1e-12)),
-        ("phi", float(np.clip(np.corrcoef(residual[:-1], residual[1:])[0, 1], -0.9, 0.9999)) if scale > 0 else 0.0),
-    ):
-        if name in problem.layout.names:
-            out[problem.layout.index(name)] = value
-    return out
 
 
 def _negative_with_gradient(

@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 import shj_bayes
 from shj_bayes.errors import InferenceError
 from shj_bayes.files import check_seal, file_digest, read_json, replacing, reserve, sealed, write_text
-from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import Diagnostics, Verdict
-from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles, modelled_force
-from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.floor import Floor
+from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.predictive import add_noise, modelled_force
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.model.parameters import FloatArray, describe
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.parameters import FloatArray
 
 _read_netcdf: Any = az.from_netcdf  # carries no types
 SCHEMA = "shj-bayes/fit/1"
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
-N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 2000, 25, 4000, 60  # draws; the first two for each ensemble
+N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 500, 25, 4000, 60  # draws; the first two for each ensemble
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
 KINDS: dict[str, type] = {
     **{"device": str, "verdict": str, "reasons": list, "versions": dict, "model": dict},
@@ -37,25 +38,26 @@ KINDS: dict[str, type] = {
 PACKAGES = ("arviz", "emcee", "h5py", "numba", "numpy", "pandas", "scipy", "xarray")
 
 
-def natural_chains(problem: Problem, states: Sequence[EnsembleState], n_burn: int) -> FloatArray:
-    """Kept steps in natural units, shape (n_ensembles, n_steps, n_walkers, d)."""
-    kept = np.stack([state.chain[n_burn:] for state in states])
-    return problem.natural(kept.reshape(-1, kept.shape[-1])).reshape(kept.shape)
+def natural_chains(posterior: Posterior, chains: FloatArray) -> FloatArray:
+    """Draws of shape (..., d) from the unbounded space to natural units."""
+    return posterior.natural(chains.reshape(-1, chains.shape[-1])).reshape(chains.shape)
 
 
 def inference_data(
-    problem: Problem, states: Sequence[EnsembleState], figures: Diagnostics, seed: int
+    posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int
 ) -> az.InferenceData:
     """Everything a reader of the fit needs, as one ArviZ object.
 
     Parameters
     ----------
-    problem : Problem
+    posterior : Posterior
         What was asked.
-    states : sequence of EnsembleState
-        Ensembles as sampled.
-    figures : Diagnostics
-        Convergence; says how many steps to drop.
+    shown : array, shape (n_ensembles, n_steps, n_walkers, d)
+        Kept steps in the unbounded space, no narrower than the cycles scatter.
+    sampled : array of the same shape
+        The same as they were sampled.
+    heights : array, shape (n_ensembles, n_steps, n_walkers)
+        Log posterior of the latter.
     seed : int
         Seed of the fit; the predictive draws have a stream of their own.
 
@@ -66,20 +68,21 @@ def inference_data(
         Groups: posterior, prior, posterior_predictive, prior_predictive, log_likelihood, sample_stats,
         observed_data, constant_data.
     """
-    names = problem.layout.names
-    chains = natural_chains(problem, states, figures.n_burn)
-    n_ensembles, n_steps, n_walkers, d = chains.shape
+    names = posterior.names
+    n_ensembles, n_steps, n_walkers, d = shown.shape
     step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED)))
-    flat = chains[:, ::step].reshape(n_ensembles, -1, d)
-    lp = np.stack([s.log_posterior[figures.n_burn :] for s in states])[:, ::step].reshape(n_ensembles, -1)
+    flat = natural_chains(posterior, shown[:, ::step].reshape(n_ensembles, -1, d))
+    lp = heights[:, ::step].reshape(n_ensembles, -1)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
 
     loops = flat[:, np.linspace(0, flat.shape[1] - 1, N_LOOPS).astype(int)].reshape(-1, d)
-    clean = modelled_force(problem, loops)
-    noisy = add_noise(problem, loops, clean, rng)
+    clean = modelled_force(posterior, loops)
+    noisy = add_noise(posterior, loops, clean, rng)
     shape = (n_ensembles, N_LOOPS, -1)
-    prior = np.stack([problem.priors.of(n).distribution.rvs(N_PRIOR, random_state=rng) for n in names], axis=1)
-    prior_loops = _prior_loops(problem, prior)
+    laws = posterior.model.laws_of_parameters
+    prior = np.stack([law.distribution.rvs(N_PRIOR, random_state=rng) for law in laws], axis=1)
+    prior_loops = _prior_loops(posterior, prior)
+    by_half_cycle = posterior.log_likelihood_by_half_cycle(natural_chains(posterior, sampled[:, ::step]).reshape(-1, d))
 
     sample = np.arange(clean.shape[1])
     data: az.InferenceData = az.from_dict(
@@ -90,11 +93,11 @@ def inference_data(
             "force_model": _short(clean).reshape(shape),
         },
         prior_predictive={"force_model": _short(prior_loops)[None]},
-        log_likelihood={"force_of_half_cycle": log_likelihood_of_half_cycles(problem, loops).reshape(shape)},
+        log_likelihood={"force_of_half_cycle": by_half_cycle.reshape(*lp.shape, -1)},
         sample_stats={"lp": lp},
-        observed_data={"force": np.concatenate([r.recording.force_kN for r in problem.runs])},
-        constant_data=_constant(problem),
-        coords={"sample": sample, "half_cycle": np.arange(sum(r.motion.n_half for r in problem.runs))},
+        observed_data={"force": np.concatenate([r.recording.force_kN for r in posterior.runs])},
+        constant_data=_constant(posterior),
+        coords={"sample": sample, "half_cycle": np.arange(sum(r.motion.n_half for r in posterior.runs))},
         dims={
             "force": ["sample"],
             "force_model": ["sample"],
@@ -106,16 +109,18 @@ def inference_data(
         },
     )
     for group in ("posterior", "prior"):
-        for name in names:
-            data[group][name].attrs.update(unit=describe(name).unit, meaning=describe(name).meaning)
+        for parameter in posterior.model.parameters:
+            data[group][parameter.name].attrs.update(unit=parameter.unit, meaning=parameter.meaning)
     return data
 
 
-def summary(figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
+def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
     """Table of the parameters.
 
     Parameters
     ----------
+    model : DeviceModel
+        Says the units.
     figures : Diagnostics
         Convergence figures.
     chains : array, shape (..., d)
@@ -130,7 +135,7 @@ def summary(figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
     q05, q50, q95 = np.quantile(flat, [0.05, 0.5, 0.95], axis=0)
     columns = (
         list(figures.names),
-        [describe(n).unit for n in figures.names],
+        [parameter.unit for parameter in model.parameters],
         flat.mean(axis=0),
         flat.std(axis=0, ddof=1),
         q05,
@@ -144,9 +149,18 @@ def summary(figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
 
 
 def fit_record(
-    problem: Problem, figures: Diagnostics, verdict: Verdict, table: pd.DataFrame, *, name: str, seed: int, key: str
+    posterior: Posterior,
+    figures: Diagnostics,
+    floor: Floor,
+    verdict: Verdict,
+    table: pd.DataFrame,
+    *,
+    name: str,
+    seed: int,
+    key: str,
 ) -> dict[str, Any]:
     """Content of ``fit.json``: verdict, reasons, seeds, versions, digests, data quality and convergence."""
+    pairs = zip(posterior.averages, posterior.runs, strict=True)
     return {
         "schema": SCHEMA,
         "device": name,
@@ -157,17 +171,18 @@ def fit_record(
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
         "model": {
-            "variant": problem.variant,
-            "noise": problem.layout.noise,
-            "free_between_runs": list(problem.layout.free),
-            "priors": problem.priors.family,
-            "priors_statement": problem.priors.statement,
-            "priors_sha256": problem.priors.sha256,
+            "variant": posterior.model.variant,
+            "effects": [effect.id for effect in posterior.model.effects],
+            "speed": posterior.model.speed,
+            "noise": posterior.model.noise.id,
+            "free_between_runs": list(posterior.model.free),
+            "priors": posterior.model.priors.family,
+            "priors_statement": posterior.model.priors.statement,
+            "priors_sha256": posterior.model.priors.sha256,
         },
         "prior_laws": [
-            {"name": n, "unit": describe(n).unit, "law": p.law, "a": p.a, "b": p.b, "source": p.source}
-            for n in problem.layout.names
-            for p in [problem.priors.of(n)]
+            {"name": n, "unit": p.unit, "law": p.law, "a": p.a, "b": p.b, "source": p.source}
+            for n, p in zip(posterior.names, posterior.model.laws_of_parameters, strict=True)
         ],
         "inputs": [
             {
@@ -185,7 +200,7 @@ def fit_record(
                 "displacement_noise_mm": run.motion.noise_mm,
                 "findings": [vars(finding) for finding in run.recording.findings],
             }
-            for run in problem.runs
+            for run in posterior.runs
         ],
         "sampling": {
             "n_ensembles": int(figures.acceptance.shape[0]),
@@ -196,6 +211,12 @@ def fit_record(
             "acceptance": figures.acceptance.mean(axis=1).tolist(),
             "n_failed_evaluations": figures.n_failed,
         },
+        "cycles": {
+            "n_pieces": floor.n_pieces,
+            "scatter_over_posterior": dict(zip(floor.names, floor.scatter.tolist(), strict=True)),
+            "widening": dict(zip(floor.names, floor.factor.tolist(), strict=True)),
+        },
+        "reduction": [{"n_blocks": part.n, "n_samples": run.recording.n_samples} for part, run in pairs],
         "parameters": json.loads(table.to_json(orient="records", double_precision=15)),
     }
 
@@ -330,21 +351,21 @@ def versions() -> dict[str, str]:
     return out
 
 
-def _prior_loops(problem: Problem, prior: FloatArray) -> FloatArray:
+def _prior_loops(posterior: Posterior, prior: FloatArray) -> FloatArray:
     """Loops under the prior, without noise; sets whose law overflows are left out."""
     with np.errstate(over="ignore", invalid="ignore"):
-        loops = modelled_force(problem, prior[: 2 * N_PRIOR_LOOPS])
+        loops = modelled_force(posterior, prior[: 2 * N_PRIOR_LOOPS])
     return loops[np.all(np.isfinite(loops), axis=1)][:N_PRIOR_LOOPS]
 
 
-def _constant(problem: Problem) -> dict[str, Any]:
+def _constant(posterior: Posterior) -> dict[str, Any]:
     """Channels that the law and the pages need, runs one after the other."""
-    runs = problem.runs
+    runs = posterior.runs
     return {
         "time_s": np.concatenate([r.recording.time_s for r in runs]),
         "displacement_mm": np.concatenate([r.motion.displacement_mm for r in runs]),
         "speed_mm_s": np.concatenate([r.motion.speed_mm_s for r in runs]),
         "run": np.concatenate([np.full(r.recording.n_samples, i) for i, r in enumerate(runs, start=1)]),
         "half_cycle_of_sample": np.concatenate([r.motion.half_cycle for r in runs]),
-        "used": np.concatenate([r.stretches.used for r in runs]).astype(np.int8),
+        "used": np.concatenate([r.used for r in runs]).astype(np.int8),
     }

@@ -89,15 +89,37 @@ class History:
         """Speed, mm/s."""
         return self.motion.speed_mm_s
 
-    def thinned(self, keep: NDArray[np.int64], motion: Motion) -> History:
-        """History at some of its samples; `motion` is that of these. What is left out near turning points is `way`."""
-        rows, begins = self.way
-        out = np.setdiff1d(_near_turning(self.motion), keep)
-        half = np.concatenate([np.repeat(np.arange(motion.n_half), np.diff(begins)), self.motion.half_cycle[out]])
-        both = np.concatenate([rows, self.rows[:, out]], axis=1)
+    def reduced(self, rows: FloatArray, motion: Motion, kept: NDArray[np.int64] | None = None) -> History:
+        """Give the history at fewer points, which need not be samples.
+
+        Parameters
+        ----------
+        rows : array, shape (9, n)
+            Channels at those points, in the order of `course.ROWS`.
+        motion : Motion
+            Motion of these points.
+        kept : array of int, optional
+            Samples of this history that are among the points.
+        """
+        way, begins = self.way
+        left_out = np.setdiff1d(_near_turning(self.motion), np.zeros(0, dtype=np.int64) if kept is None else kept)
+        half = np.concatenate([np.repeat(np.arange(motion.n_half), np.diff(begins)), self.motion.half_cycle[left_out]])
+        both = np.concatenate([way, self.rows[:, left_out]], axis=1)
         order = np.lexsort((both[0], half))
-        way = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(motion.n_half + 1)))
-        return replace(self, motion=motion, near_turns=way, **{name: getattr(self, name)[keep] for name in ARRAYS})
+        turns = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(motion.n_half + 1)))
+        middle = self.motion.displacement_mm[0] - self.position_mm[0]
+        channels = dict(zip(ROWS, rows, strict=True))
+        return replace(
+            self,
+            motion=motion,
+            near_turns=turns,
+            position_mm=rows[1] - middle,
+            **{name: channels[name] for name in ARRAYS if name in channels},
+        )
+
+    def thinned(self, keep: NDArray[np.int64], motion: Motion) -> History:
+        """History at some of its samples; `motion` is that of these."""
+        return self.reduced(self.rows[:, keep], motion, keep)
 
     @cached_property
     def course(self) -> FloatArray:

@@ -6,7 +6,7 @@ that way; the likelihood never sees either.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 from shj_bayes.errors import PriorError
 from shj_bayes.files import read_toml
 from shj_bayes.model.law import BETA_RANGE
-from shj_bayes.model.parameters import BASE, FloatArray, describe
+from shj_bayes.model.parameters import BASE, FloatArray, base_and_run, describe
 from shj_bayes.resources import shipped
 from shj_bayes.suggest import did_you_mean
 
@@ -116,6 +116,9 @@ class Prior:
         return (np.log(self.a), np.log(self.b)) if self.law == "loguniform" else (self.a, self.b)
 
 
+TAU_SLOW = Prior("tau_slow", "s", "lognormal", 2.0, 1.5, "As in the shipped families, for files that hold no law of it.")
+
+
 @dataclass(frozen=True)
 class Priors:
     """Priors of one device family.
@@ -138,11 +141,18 @@ class Priors:
     sha256: str
 
     def of(self, name: str) -> Prior:
-        """Prior of a sampled parameter; ``K_2`` and ``ratio_3`` use the law of ``K`` and ``ratio``."""
-        base = name.partition("_")[0]
-        if base not in self.priors:
-            raise PriorError(f"priors '{self.family}' hold no law for {name}; add a table [{base}] to the file")
-        return self.priors[base]
+        """Prior of a sampled parameter; ``K_2`` and ``ratio_3`` use the law of ``K`` and ``ratio``.
+
+        A file that holds only the law of one noise scale, ``sigma``, serves for both parts of the noise.
+        """
+        base, _ = base_and_run(name)
+        if base in self.priors:
+            return self.priors[base]
+        if base in ("sigma_white", "sigma_slow") and "sigma" in self.priors:
+            return replace(self.priors["sigma"], name=base)
+        if base == "tau_slow":
+            return TAU_SLOW
+        raise PriorError(f"priors '{self.family}' hold no law for {name}; add a table [{base}] to the file")
 
 
 def read_priors(which: str | Path = "afc") -> Priors:

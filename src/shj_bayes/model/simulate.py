@@ -9,7 +9,8 @@ import numpy as np
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.law import force
-from shj_bayes.model.noise import Stretches, simulate_noise
+from shj_bayes.model.noise.catalogue import noise_model
+from shj_bayes.model.noise.filter import simulate
 from shj_bayes.recording.protocol import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Finding, Recording, Source
 
@@ -34,6 +35,8 @@ class Truth:
         Force noise scale, kN.
     phi : float
         Lag-one correlation of the force noise at the sampling rate.
+    sigma_slow, tau_slow : float
+        Slow noise on top of it, kN, and its correlation time, s.
     displacement_noise_mm : float
         Standard deviation of independent displacement noise, mm.
     """
@@ -45,6 +48,8 @@ class Truth:
     ratio: float = 0.875
     sigma: float = 1.0
     phi: float = 0.8
+    sigma_slow: float = 0.0
+    tau_slow: float = 3.0
     displacement_noise_mm: float = 0.02
 
     def __post_init__(self) -> None:
@@ -52,13 +57,12 @@ class Truth:
         for name, value in asdict(self).items():
             if not math.isfinite(value):
                 raise ModelError(f"{name} = {value}: it must be a finite number")
-        for name in ("K", "Fy", "ratio"):
+        for name in ("K", "Fy", "ratio", "tau_slow"):
             if getattr(self, name) <= 0:
                 raise ModelError(f"{name} = {getattr(self, name):g}: allowed is above 0")
-        if self.sigma < 0 or self.displacement_noise_mm < 0:
-            raise ModelError(
-                f"noise scales must be 0 or more; got {self.sigma:g} kN and {self.displacement_noise_mm:g} mm"
-            )
+        for name, unit in (("sigma", "kN"), ("sigma_slow", "kN"), ("displacement_noise_mm", "mm")):
+            if getattr(self, name) < 0:
+                raise ModelError(f"{name} = {getattr(self, name):g} {unit}: a noise scale must be 0 or more")
         if not -1 < self.phi < 1:
             raise ModelError(f"phi = {self.phi:g}: allowed is above -1 and below 1")
 
@@ -88,8 +92,8 @@ def simulate_device(
         Same seed, same recordings.
     rate_Hz : float
         Sampling rate, Hz.
-    n_runs : {1, 2}
-        Number of runs.
+    n_runs : int
+        Number of runs, 1 to 9; those after the second slide at the second one's force times ratio, and so on.
     blocks : tuple of Block, optional
         Displacement regime; Table 1 by default.
     variant : {"seed", "continuous"}
@@ -101,29 +105,30 @@ def simulate_device(
     -------
     tuple of Recording
     """
-    if n_runs not in (1, 2):
-        raise ModelError(f"{n_runs} runs asked for; simulate makes 1 or 2")
+    if not 1 <= n_runs <= 9:
+        raise ModelError(f"{n_runs} runs asked for; simulate makes 1 to 9")
     if seed < 0:
         raise ModelError(f"seed = {seed}: allowed is 0 or more")
     time, motion = exact_motion(blocks or table_1(), rate_Hz)
-    stretches = Stretches(np.ones(time.size, dtype=np.bool_), np.zeros(1, dtype=np.int64))
+    restarts = np.arange(time.size) == 0
     recordings = []
     for run, stream in enumerate(np.random.SeedSequence(seed).spawn(n_runs), start=1):
         rng = np.random.default_rng(stream)
-        capacity = truth.Fy * (truth.ratio if run == 2 else 1.0)
-        clean = force(motion, K=truth.K, Fy=capacity, beta=truth.beta, gamma=truth.gamma, variant=variant)
-        noise = (
-            simulate_noise("ar1", stretches, rng, sigma=truth.sigma, phi=truth.phi)
-            if truth.sigma
-            else np.zeros(time.size)
-        )
+        capacity = truth.Fy * truth.ratio ** (run - 1)
+        force_kN = force(motion, K=truth.K, Fy=capacity, beta=truth.beta, gamma=truth.gamma, variant=variant)
+        if truth.sigma:
+            values = {"sigma": truth.sigma, "phi": truth.phi}
+            force_kN = force_kN + simulate(noise_model("ar1"), values, time, restarts, rng)
         wobble = truth.displacement_noise_mm * rng.standard_normal(time.size)
+        if truth.sigma_slow:
+            slow = {"sigma_white": 0.0, "sigma_slow": truth.sigma_slow, "tau_slow": truth.tau_slow}
+            force_kN = force_kN + simulate(noise_model("slow"), slow, time, restarts, rng)
         finding = Finding("simulated", "note", f"Simulated with seed {seed}; not a measurement.")
         recordings.append(
             Recording(
                 time,
                 motion.displacement_mm + wobble,
-                clean + noise,
+                force_kN,
                 source=Source(f"{name}-run{run}", units={"time": "s", "displacement": "mm", "force": "kN"}),
                 findings=(finding,),
             )

@@ -1,0 +1,124 @@
+"""Intervals that do not trust the noise model: how much the parameters scatter from cycle to cycle.
+
+The infinitesimal jackknife (Giordano, Stephenson, Liu, Jordan and Broderick 2019, AISTATS; the sandwich of Huber 1967):
+with the score g_c of cycle c and the covariance S of the posterior, the parameters scatter as S (sum g_c g_c') S,
+whatever the noise is. Where the model holds this is S again. A law that is a little wrong is wrong alike in all cycles of
+one amplitude, so stretches of equal amplitude are left out as well; the wider of both counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from shj_bayes.arrays import frozen
+from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.start import Start
+from shj_bayes.model.parameters import FloatArray
+
+CHANCE = 0.01  # of calling the intervals of a right model too narrow, over all its parameters
+SAME_AMPLITUDE = 0.05  # of the largest: cycles of one stretch
+FEWEST = 6  # pieces; fewer say too little of their scatter
+STEP = 0.1  # of a posterior standard deviation, for the scores
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """By how much the intervals of a posterior must be wider for what the cycles scatter.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Parameters.
+    factor : array, shape (d,)
+        Widening of each parameter's interval, 1 or more.
+    scatter : array, shape (d,)
+        Standard deviation from cycle to cycle over that of the posterior, as it was found.
+    n_pieces : int
+        Pieces that were left out one at a time; 0 where there are too few to say.
+    """
+
+    names: tuple[str, ...]
+    factor: FloatArray
+    scatter: FloatArray
+    n_pieces: int
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for name in ("factor", "scatter"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def widened(self) -> tuple[str, ...]:
+        """Parameters whose intervals are wider than the posterior."""
+        return tuple(name for name, factor in zip(self.names, self.factor, strict=True) if factor > 1.0)
+
+    def spread(self, chains: FloatArray, centre: FloatArray) -> FloatArray:
+        """Widen draws in the unbounded space, shape (..., d), around a centre of shape (d,)."""
+        return np.asarray(centre + (chains - centre) * self.factor)
+
+
+def floor_of(posterior: Posterior, start: Start) -> Floor:
+    """Compare the posterior's width with the scatter from cycle to cycle.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        What was fitted.
+    start : Start
+        Its top.
+
+    Returns
+    -------
+    Floor
+    """
+    scores = _scores(posterior, start)
+    sd = np.sqrt(np.diag(start.covariance))
+    told = posterior.model.predicted
+    scatter, factor = np.zeros(sd.size), np.ones(sd.size)
+    n_pieces = 0
+    for pieces in (_cycles(posterior), _stretches(posterior)):
+        n = int(pieces[-1]) + 1
+        if n < FEWEST:
+            continue
+        n_pieces = max(n_pieces, n)
+        of_piece = np.stack([np.bincount(pieces, weights=column, minlength=n) for column in scores.T], axis=1)
+        moves = (of_piece - of_piece.mean(axis=0)) @ start.covariance
+        ratio = np.sqrt(n / (n - 1) * np.sum(moves**2, axis=0)) / sd
+        limit = float(np.sqrt(stats.chi2.ppf(1.0 - CHANCE / told.sum() / 2.0, n - 1) / (n - 1)))
+        scatter = np.maximum(scatter, ratio)
+        factor = np.maximum(factor, np.where(told & (ratio > limit), ratio, 1.0))
+    # The prior holds what the cycles do not: no interval need be wider than its own.
+    factor = np.minimum(factor, np.maximum(1.0, 1.0 / sd))
+    return Floor(posterior.names, factor, scatter, n_pieces)
+
+
+def _scores(posterior: Posterior, start: Start) -> FloatArray:
+    """Derivatives of the log likelihood of each half-cycle after the unbounded parameters, shape (n_half, d)."""
+    width = STEP * np.sqrt(np.diag(start.covariance))
+    points = np.concatenate([start.free + np.diag(width), start.free - np.diag(width)])
+    value = posterior.log_likelihood_by_half_cycle(posterior.natural(points))
+    above, below = np.split(value, 2)
+    return np.asarray(((above - below) / (2.0 * width[:, None])).T)
+
+
+def _cycles(posterior: Posterior) -> NDArray[np.int64]:
+    """Cycle of each half-cycle of all runs; the first half-cycle of a run is a quarter and joins the cycle after it."""
+    out, count = [], 0
+    for run in posterior.runs:
+        own = np.maximum(np.arange(run.motion.n_half) - 1, 0) // 2
+        out.append(count + own)
+        count += int(own[-1]) + 1
+    return np.concatenate(out)
+
+
+def _stretches(posterior: Posterior) -> NDArray[np.int64]:
+    """Stretch of neighbouring half-cycles of equal amplitude that each half-cycle belongs to."""
+    amplitudes = [history.amplitude_mm[history.motion.start[:-1]] for history in posterior.histories]
+    largest = posterior.histories[0].half_stroke_mm
+    run = np.concatenate([np.full(a.size, i) for i, a in enumerate(amplitudes)])
+    place = np.round(np.concatenate(amplitudes) / (SAME_AMPLITUDE * largest))
+    return np.concatenate([[0], np.cumsum((np.diff(place) != 0) | (np.diff(run) != 0))])

@@ -1,0 +1,177 @@
+"""The posterior of one device: its model held against its averaged recordings. Fit, diagnosis and proof all use this one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+import shj_bayes
+from shj_bayes.errors import InferenceError, PriorError
+from shj_bayes.inference.reduction import Averages, reduce_runs
+from shj_bayes.inference.run import Run, histories_of
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.history import History
+from shj_bayes.model.noise.filter import log_density
+from shj_bayes.model.parameters import FloatArray
+
+FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Posterior density of one device.
+
+    Parameters
+    ----------
+    runs : tuple of Run
+        Consecutive runs.
+    model : DeviceModel
+        What is believed of the device.
+    averages : tuple of Averages
+        The runs in blocks.
+    """
+
+    runs: tuple[Run, ...]
+    model: DeviceModel
+    averages: tuple[Averages, ...]
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit together and that the priors can hold the data."""
+        if len(self.runs) != self.model.n_runs:
+            raise InferenceError(f"{len(self.runs)} runs given, the model has {self.model.n_runs}")
+        law = self.model.priors.of("Fy").distribution
+        peak = float(np.percentile(np.abs(self.runs[0].recording.force_kN), 99))
+        low, high = law.ppf([1e-4, 1 - 1e-4])
+        if not low <= peak <= 2 * high:
+            raise PriorError(
+                f"{self.runs[0].recording.source.name}: the force reaches {peak:.3g} kN, but priors "
+                f"'{self.model.priors.family}' are for sliding forces from {low:.3g} to {high:.3g} kN; check the unit "
+                "(--units), or choose other priors (--priors general ships with shj-bayes)"
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sampled parameters."""
+        return self.model.names
+
+    @cached_property
+    def histories(self) -> tuple[History, ...]:
+        """Histories of the runs at all samples."""
+        return histories_of(self.runs)
+
+    @property
+    def n_blocks(self) -> int:
+        """Averages of all runs."""
+        return sum(part.n for part in self.averages)
+
+    def natural(self, z: FloatArray) -> FloatArray:
+        """Unbounded vectors, shape (m, d), to parameters in natural units, shape (m, d)."""
+        return self.model.natural(z)
+
+    def unbounded(self, theta: FloatArray) -> FloatArray:
+        """Parameters in natural units, shape (m, d), to unbounded vectors."""
+        return self.model.unbounded(theta)
+
+    def refined(self, theta: FloatArray) -> Posterior:
+        """Average the recordings anew, with blocks that follow the bends of the force at one parameter set.
+
+        Parameters
+        ----------
+        theta : array, shape (d,)
+            Parameters in natural units, near the data.
+        """
+        still = theta[None].copy()
+        if self.model.speed:  # the speed is noisy, and its share of the force is straight
+            for i, name in enumerate(self.names):
+                still[0, i] *= 0.0 if name.partition("_")[0] == "gamma" else 1.0
+
+        def force_at(history: History, start_force_kN: float) -> FloatArray:
+            return np.asarray(self.model.force(still, history, start_force_kN)[0])
+
+        return replace(self, averages=reduce_runs(self.runs, force_at))
+
+    def modelled_force(self, theta: FloatArray, run: int) -> FloatArray:
+        """Force of run ``run`` (1 for the first) without noise, at all its samples, shape (m, n_samples), kN."""
+        return self.model.force(theta, self.histories[run - 1], self.runs[run - 1].start_force_kN)
+
+    def residual_and_slope(self, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
+        """Measured less modelled force of each block of a run, and the slope of the latter, shape (m, n_blocks)."""
+        part = self.averages[run - 1]
+        return part.residual_and_slope(self.model.force(theta, part.history, part.start_force_kN))
+
+    def log_likelihood_by_half_cycle(self, theta: FloatArray) -> FloatArray:
+        """Log likelihood of each half-cycle given those before it, shape (m, d) to (m, n_half of all runs)."""
+        noise = self.model.noise_values(theta)
+        rows = []
+        for run, part in enumerate(self.averages, start=1):
+            residual, slope = self.residual_and_slope(theta, run)
+            rows.append(log_density(self.model.noise, noise, residual, slope, part.timing))
+        return np.concatenate(rows, axis=1)
+
+    def log_likelihood(self, theta: FloatArray) -> FloatArray:
+        """Log likelihood of parameters in natural units, shape (m, d) to (m,)."""
+        return np.asarray(self.log_likelihood_by_half_cycle(theta).sum(axis=1))
+
+    def log_posterior_free(self, z: FloatArray) -> FloatArray:
+        """Log posterior density (up to a constant) in the unbounded space, shape (m, d) to (m,).
+
+        Points outside the space that doubles can hold, and points where the law overflows, are ``-inf``;
+        NaN is a bug and raises with the parameter set.
+        """
+        out = np.full(z.shape[0], -np.inf)
+        inside = np.all(np.abs(z) < FREE_LIMIT, axis=1)
+        if not inside.any():
+            return out
+        theta = self.natural(z[inside])
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = self.log_likelihood(theta) + self.model.log_prior(z[inside])
+        if np.isnan(value).any():
+            if self.model.effects:  # far out in the prior an effect may leave no force at all
+                value = np.where(np.isnan(value), -np.inf, value)
+            else:
+                bad = theta[np.flatnonzero(np.isnan(value))[0]]
+                pairs = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.names, bad, strict=True))
+                raise InferenceError(f"the likelihood is not a number at {pairs}; this is a bug, please report it")
+        out[inside] = value
+        return out
+
+    @property
+    def fingerprint(self) -> dict[str, str]:
+        """What identifies this posterior: name of each field to a digest or a word."""
+        digest = hashlib.sha256()
+        for run in self.runs:
+            r, m = run.recording, run.motion
+            channels = (r.time_s, r.force_kN, r.used, m.displacement_mm, m.speed_mm_s, m.start, m.turning_mm)
+            for array in (*channels, m.direction, m.unsure):
+                digest.update(np.ascontiguousarray(array).tobytes())
+        laws = [[p.name, p.law, p.a, p.b] for p in self.model.laws_of_parameters]
+        return {
+            "recordings": digest.hexdigest(),
+            "version": shj_bayes.__version__,
+            "parameters": ",".join(self.names),
+            "noise": self.model.noise.id,
+            "model": self.model.variant,
+            "priors": hashlib.sha256(json.dumps(laws).encode()).hexdigest(),
+        }
+
+
+def make_posterior(runs: Sequence[Run], model: DeviceModel) -> Posterior:
+    """Hold a model against the runs of a device, in blocks for a first look; `start.find_start` refines them.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Consecutive runs.
+    model : DeviceModel
+        What is believed of the device.
+
+    Returns
+    -------
+    Posterior
+    """
+    return Posterior(tuple(runs), model, reduce_runs(runs))

@@ -1,0 +1,299 @@
+"""Recordings are averaged once, before anything is fitted: few blocks where the force is straight, many where it bends.
+
+A block holds neighbouring samples of one half-cycle. It ends where its time, its slip or the bend of the modelled force
+within it has grown to a limit, so that the number of blocks does not grow with the sampling rate. The force of a block
+is the mean of the model at two points that have the mean and the variance of its samples in every channel (for a force
+that is a cubic of the displacement this is exact for evenly spread samples); a block of one sample has one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from shj_bayes.arrays import frozen
+from shj_bayes.inference.run import Run, histories_of
+from shj_bayes.model.history import History
+from shj_bayes.model.noise.filter import Timing
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import Motion
+
+IntArray = NDArray[np.int64]
+Force = Callable[[History, float], FloatArray]
+PER_STROKE = 64.0  # blocks that a whole stroke is divided into at least
+LONGEST_S, LEAST_BLOCKS = 0.25, 3000  # a block lasts no longer than this, or than this part of the run
+PER_BEND = 24.0  # blocks at least that the bends of a typical half-cycle are divided into
+FIRST_LOOK = 400.0  # blocks to a stroke where the bend is not known yet
+FINEST = 2000.0  # points to a stroke at which the bend is looked for
+SAME = 64.0  # spacings that differ by less than 1/64 in the binary logarithm count as equal
+# Variance of a quartic's value in the middle of n points, times n (Savitzky and Golay 1964): reversals are placed so.
+QUARTIC = 225.0 / 64.0
+NEAR_TURN = 0.125  # of the shorter neighbouring stroke: the points of that quartic
+
+
+@dataclass(frozen=True, eq=False)
+class Averages:
+    """One run in blocks.
+
+    Parameters
+    ----------
+    history : History
+        At the points of all blocks.
+    first : array of int, shape (n + 1,)
+        Block i has the points ``first[i]:first[i+1]``, one or two.
+    force_kN : array, shape (n,)
+        Measured force, mean of each block.
+    count : array, shape (n,)
+        Samples in each block; 0 for one that only keeps a half-cycle from being empty.
+    timing : Timing
+        When the blocks were taken.
+    start_force_kN : float
+        Rate-free force at the first sample of the run.
+    """
+
+    history: History
+    first: IntArray
+    force_kN: FloatArray
+    count: FloatArray
+    timing: Timing
+    start_force_kN: float
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        object.__setattr__(self, "first", frozen(self.first, np.int64))
+        for name in ("force_kN", "count"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return int(self.force_kN.size)
+
+    def residual_and_slope(self, force_kN: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measured less modelled force of each block, and the slope of the modelled force over the displacement.
+
+        Parameters
+        ----------
+        force_kN : array, shape (m, n_points)
+            Modelled force at the points.
+
+        Returns
+        -------
+        residual, slope : array, shape (m, n)
+            kN and kN/mm; the residual of a block without samples is 0.
+        """
+        motion = self.history.motion
+        residual, slope = np.empty((force_kN.shape[0], self.n)), np.empty((force_kN.shape[0], self.n))
+        _gather(residual, slope, force_kN, motion.displacement_mm, self.first, motion.start, self.force_kN, self.count)
+        return residual, slope
+
+
+def reduce_runs(runs: Sequence[Run], force_at: Force | None = None) -> tuple[Averages, ...]:
+    """Average the runs of a device.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Consecutive runs.
+    force_at : callable, optional
+        ``force_at(history, start_force_kN)`` gives the force (kN) at the points of a history in a model that is near
+        the data: it tells where the force bends. Without it the blocks are of even and small slip, for a first look.
+
+    Returns
+    -------
+    tuple of Averages
+    """
+    whole = histories_of(runs)
+    bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)
+    return tuple(_reduce(run, history, bend) for run, history, bend in zip(runs, whole, bends, strict=True))
+
+
+def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> list[FloatArray]:
+    """How far each sample lies along the bends of the force, in blocks, from the beginning of its half-cycle."""
+    raw, totals = [], []
+    for run, history in zip(runs, whole, strict=True):
+        x, start = run.motion.displacement_mm, run.motion.start
+        keep = np.empty(x.size, dtype=np.int64)
+        keep = keep[: _spaced(keep, x, run.motion.turning_mm, start, float(np.ptp(x)) / FINEST)]
+        place = np.searchsorted(keep, start)
+        motion = Motion(x[keep], run.motion.speed_mm_s[keep], place, run.motion.turning_mm, run.motion.direction)
+        force = force_at(history.thinned(keep, motion), run.start_force_kN)
+        along = np.empty(keep.size)
+        _bend_along(along, force, x[keep], place)
+        totals.append(along[place[1:] - 1])
+        raw.append(np.interp(np.arange(x.size), keep, along + np.repeat(_before(along, place), np.diff(place))))
+    typical = float(np.median(np.concatenate(totals)))
+    return [at * (PER_BEND / typical) if typical > 0.0 else np.zeros_like(at) for at in raw]
+
+
+def _before(along: FloatArray, place: IntArray) -> FloatArray:
+    """Bends of all half-cycles before each one."""
+    return np.concatenate([[0.0], np.cumsum(along[place[1:] - 1])[:-1]])
+
+
+def _reduce(run: Run, history: History, bend: FloatArray | None) -> Averages:
+    """Average one run."""
+    recording, motion = run.recording, run.motion
+    time, x = recording.time_s, motion.displacement_mm
+    stroke, n_half = float(np.ptp(x)), motion.n_half
+    longest = max(LONGEST_S, recording.duration_s / LEAST_BLOCKS)
+    slip = stroke / (FIRST_LOOK if bend is None else PER_STROKE)
+    flat = np.zeros(time.size) if bend is None else bend
+    block = np.empty(time.size, dtype=np.int64)
+    n = _cut(block, run.used, recording.restarts, motion.start, time, x, flat, longest, slip)
+    order = np.flatnonzero(block >= 0)
+    of = block[order]
+    begin = np.searchsorted(of, np.arange(n))
+    count = np.where(run.used[order[begin]], np.diff(np.append(begin, of.size)), 0).astype(np.float64)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values[order], begin) / np.maximum(count, 1.0))
+
+    rows = history.rows
+    centre = np.stack([mean(row) for row in rows])
+    away = x[order] - centre[1][of]
+    spread = np.sqrt(np.add.reduceat(away**2, begin) / np.maximum(count, 1.0))
+    double = (count > 1) & (spread > 1e-9 * stroke)
+    lean = np.stack([np.add.reduceat(away * (row[order] - c[of]), begin) for row, c in zip(rows, centre, strict=True)])
+    lean = np.where(double, lean / np.maximum(count * spread, 1e-300), 0.0)
+    half = motion.half_cycle[order[begin]]
+    sense = motion.direction[half]
+    first = np.concatenate([[0], np.cumsum(1 + double)])
+    of_point = np.repeat(np.arange(n), 1 + double)
+    later = np.zeros(of_point.size, dtype=np.bool_)
+    later[first[1:] - 1] = double
+    sign = np.where(double[of_point], np.where(later, 1.0, -1.0) * sense[of_point], 0.0)
+    points = centre[:, of_point] + sign * lean[:, of_point]
+    points[2] = np.maximum(points[2], 0.0)
+    place = np.searchsorted(half[of_point], np.arange(n_half + 1))
+    reduced = history.reduced(points, Motion(points[1], points[2], place, motion.turning_mm, motion.direction))
+    timing = _timing(run, order, begin, count, np.searchsorted(half, np.arange(n_half + 1)))
+    force = np.where(count > 0, mean(recording.force_kN), 0.0)
+    return Averages(reduced, first, force, count, timing, run.start_force_kN)
+
+
+def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half: IntArray) -> Timing:
+    """When the blocks were taken; equal spacings share a kind."""
+    time, restarts = run.recording.time_s, run.recording.restarts
+    step = 1.0 / run.recording.rate_Hz
+    first = order[begin]
+    last = order[np.append(begin[1:], order.size) - 1]
+    within = np.where(count > 1, (time[last] - time[first]) / np.maximum(count - 1, 1), step)
+    own = np.flatnonzero(count > 0)
+    gap = np.full(first.size, np.inf)
+    gap[own[1:]] = time[first[own[1:]]] - time[last[own[:-1]]]
+    # A restart between two blocks, or at the first sample of a block, forgets what was before.
+    passed = np.cumsum(restarts)
+    gap[own[1:]] = np.where(passed[first[own[1:]]] > passed[last[own[:-1]]], np.inf, gap[own[1:]])
+
+    def rounded(seconds: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            return np.asarray(step * np.exp2(np.rint(SAME * np.log2(seconds / step)) / SAME))
+
+    table = np.stack([count[own], rounded(within[own]), rounded(gap[own])], axis=1)
+    kinds, place = np.unique(table, axis=0, return_inverse=True)
+    kind = np.full(first.size, -1, dtype=np.int64)
+    kind[own] = place.ravel()
+    return Timing(kind, kinds, half, step, run.motion.noise_mm, _turning_noise(run))
+
+
+def _turning_noise(run: Run) -> FloatArray:
+    """Standard deviation of the error of each turning point, mm: that of a quartic through the samples near it."""
+    motion = run.motion
+    x, edges = motion.displacement_mm, motion.start
+    ends = np.append(motion.turning_mm[1:], x[-1])
+    stroke = np.abs(ends - motion.turning_mm)
+    out = np.zeros(motion.n_half)
+    for k in range(1, motion.n_half):
+        reach = NEAR_TURN * min(stroke[k - 1], stroke[k])
+        near = np.abs(x[edges[k - 1] : edges[k + 1]] - motion.turning_mm[k]) <= reach
+        out[k] = motion.noise_mm * min(1.0, float(np.sqrt(QUARTIC / max(int(np.count_nonzero(near)), 1))))
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _cut(block, used, restarts, start, time, x, bend, longest, slip):  # type: ignore[no-untyped-def]
+    """Number the block of each sample, -1 for none; a half-cycle without evidence keeps its first sample."""
+    n = 0
+    for k in range(start.size - 1):
+        begin, some = -1, False
+        for i in range(start[k], start[k + 1]):
+            if not used[i]:
+                block[i] = -1
+                begin = -1
+                continue
+            over = begin >= 0 and (
+                restarts[i]
+                or time[i] - time[begin] > longest
+                or abs(x[i] - x[begin]) > slip
+                or bend[i] - bend[begin] > 1.0
+            )
+            if begin < 0 or over:
+                begin = i
+                n += 1
+            block[i] = n - 1
+            some = True
+        if not some:
+            block[start[k]] = n
+            n += 1
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def _spaced(keep, x, turning, start, least):  # type: ignore[no-untyped-def]
+    """Fill `keep` with the first sample of each half-cycle and those `least` of slip behind the one before; say how many."""
+    n = 0
+    for k in range(turning.size):
+        keep[n] = start[k]
+        n += 1
+        reached = abs(x[start[k]] - turning[k])
+        for i in range(start[k] + 1, start[k + 1]):
+            slip = abs(x[i] - turning[k])
+            if slip - reached >= least:
+                keep[n] = i
+                n += 1
+                reached = slip
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def _bend_along(along, force, x, start):  # type: ignore[no-untyped-def]
+    """Fill `along` with the integral of sqrt |F''| over the slip of each half-cycle."""
+    for k in range(start.size - 1):
+        a, b = start[k], start[k + 1]
+        along[a] = 0.0
+        for i in range(a + 1, b):
+            j = min(max(i, a + 2), b - 1)  # the first step bends as the second does
+            bend = 0.0
+            if j - a >= 2:
+                here, last = x[j] - x[j - 1], x[j - 1] - x[j - 2]
+                change = (force[j] - force[j - 1]) / here - (force[j - 1] - force[j - 2]) / last
+                bend = math.sqrt(abs(change) * abs(here))
+            along[i] = along[i - 1] + bend
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gather(residual, slope, force, x, first, start, measured, count):  # type: ignore[no-untyped-def]
+    """Means over the points of each block, and the slope of the force over its points or, for one, its neighbours."""
+    for j in range(force.shape[0]):
+        f = force[j]
+        k = 0
+        for i in range(first.size - 1):
+            a, b = first[i], first[i + 1]
+            while a >= start[k + 1]:
+                k += 1
+            if b - a == 2:
+                residual[j, i] = measured[i] - 0.5 * (f[a] + f[a + 1])
+                low, high = a, a + 1
+            else:
+                residual[j, i] = measured[i] - f[a]
+                low, high = max(a - 1, start[k]), min(a + 1, start[k + 1] - 1)
+            moved = x[high] - x[low]
+            slope[j, i] = (f[high] - f[low]) / moved if moved != 0.0 else 0.0
+            if count[i] == 0.0:
+                residual[j, i] = 0.0

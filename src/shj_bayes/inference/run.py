@@ -1,0 +1,72 @@
+"""One run as evidence: the recording, its motion, and which of its samples count."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.errors import InferenceError
+from shj_bayes.model.history import History, histories
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run as evidence.
+
+    Parameters
+    ----------
+    recording : Recording
+        The measured channels.
+    motion : Motion
+        Half-cycles, turning points and speed of its displacement.
+    """
+
+    recording: Recording
+    motion: Motion
+
+    def __post_init__(self) -> None:
+        """Refuse a motion that belongs to another recording."""
+        if self.motion.displacement_mm.size != self.recording.n_samples:
+            raise InferenceError(
+                f"{self.recording.source.name}: motion has {self.motion.displacement_mm.size} samples, "
+                f"the recording {self.recording.n_samples}"
+            )
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """Samples that are evidence: neither repaired nor so near a reversal that their side of it is not known."""
+        used, unsure = self.recording.used, self.motion.unsure
+        assert used is not None
+        assert unsure is not None
+        return np.asarray(used & ~unsure)
+
+    @cached_property
+    def start_force_kN(self) -> float:
+        """Force with which the law starts: 0 for an unloaded device, else the median measured before it moves.
+
+        A device counts as unloaded when that median is below 10 % of the largest force or within the noise: taking a
+        noisy reading as the state would shift every loop that does not slide fully.
+        """
+        force, x = self.recording.force_kN, self.motion.displacement_mm
+        moved = np.abs(x - x[0]) > 2e-3 * np.ptp(x)
+        n_rest = max(1, int(np.argmax(moved)))
+        first = float(np.median(force[:n_rest]))
+        noise = 1.4826 * float(np.median(np.abs(np.diff(force))))
+        return first if abs(first) > max(0.1 * float(np.abs(force).max()), 6 * noise) else 0.0
+
+
+def runs_of(recordings: Sequence[Recording]) -> tuple[Run, ...]:
+    """Consecutive runs of a device, with their motion."""
+    return tuple(Run(recording, motion_of(recording)) for recording in recordings)
+
+
+def histories_of(runs: Sequence[Run]) -> tuple[History, ...]:
+    """Histories of the runs of one device, at all samples."""
+    return histories([run.recording.time_s for run in runs], [run.motion for run in runs])

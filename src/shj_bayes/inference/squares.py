@@ -1,0 +1,148 @@
+"""Least squares of the force, held by the priors: where every search for the most probable parameters begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior
+
+STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
+Z_LIMIT = 12.0  # of the standardised parameters
+N_STARTS = 5
+
+
+class Scene(Protocol):
+    """What least squares needs: the residual of a model at parameters of its law."""
+
+    @property
+    def model(self) -> DeviceModel:
+        """Model that is fitted."""
+        ...
+
+    def residual(self, z: FloatArray) -> FloatArray:
+        """Measured less modelled force at unbounded law parameters, shape (n_law,) to (n,), kN; 0 without evidence."""
+        ...
+
+
+def descend(scene: Scene, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
+    """Go to where the squares and the priors are least.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is fitted.
+    z : array, shape (n_law,)
+        Where to start, in the unbounded space.
+    sigma_kN : float
+        Noise scale against which the priors count.
+    rounds : int
+        Largest number of steps.
+
+    Returns
+    -------
+    array, shape (n_law,)
+    """
+
+    def misfit(z: FloatArray) -> FloatArray:
+        inside = np.clip(z, -Z_LIMIT, Z_LIMIT)
+        return np.concatenate([scene.residual(inside) / sigma_kN, z])
+
+    def slope(z: FloatArray) -> FloatArray:
+        return np.vstack([jacobian(scene, np.clip(z, -Z_LIMIT, Z_LIMIT)) / -sigma_kN, np.eye(z.size)])
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        if not np.isfinite(misfit(z)).all():
+            return z
+        found = least_squares(misfit, z, jac=slope, method="lm", ftol=1e-5, xtol=1e-6, max_nfev=rounds)
+    return np.clip(found.x, -Z_LIMIT, Z_LIMIT) if np.isfinite(found.cost) else z
+
+
+def jacobian(scene: Scene, z: FloatArray) -> FloatArray:
+    """Derivative of the force after each unbounded law parameter, shape (n, n_law), 0 without evidence."""
+    before = scene.residual(z)
+    columns = []
+    for i in range(z.size):
+        moved = z.copy()
+        moved[i] += STEP
+        columns.append((before - scene.residual(moved)) / STEP)
+    return np.stack(columns, axis=1)
+
+
+def cost(residual: FloatArray, z: FloatArray, sigma_kN: float) -> float:
+    """Sum of squares in units of the noise, with the priors as springs on the standardised parameters."""
+    value = float(residual @ residual) / sigma_kN**2 + float(z @ z)
+    return value if np.isfinite(value) else np.inf
+
+
+def best_of(scene: Scene, starts: Sequence[FloatArray], sigma_kN: float, *, rounds: int = 40) -> FloatArray:
+    """Descend from several starts: all for a few steps, the best two to the end; give the better end."""
+    short = [descend(scene, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
+    costs = [cost(scene.residual(z), z, sigma_kN) for z in short]
+    ends = [descend(scene, short[i], sigma_kN, rounds=rounds) for i in np.argsort(costs, kind="stable")[:2]]
+    return ends[int(np.argmin([cost(scene.residual(end), end, sigma_kN) for end in ends]))]
+
+
+def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: Effect) -> list[FloatArray]:
+    """List starts of a model with one more effect: the smaller model's parameters and the effect's start values."""
+    tails = [dict(zip(effect.names, values, strict=True)) for values in product(*_grids(effect))]
+    known = dict(zip(smaller.names[: smaller.n_law], z, strict=True))
+    names = larger.names[: larger.n_law]
+    return [
+        np.array([known[n] if n in known else tail[n.removeprefix(f"{effect.id}.")] for n in names]) for tail in tails
+    ]
+
+
+def promising(scene: Scene, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]) -> list[FloatArray]:
+    """Choose at most `N_STARTS` starts: those whose change of the force goes best with the residual.
+
+    A moment in time or a wave length has a narrow basin; its grid is scanned to first order, not descended from.
+
+    Parameters
+    ----------
+    scene : Scene
+        The model that the starts belong to; its last effect is the new one.
+    before : array, shape (n,)
+        Residual without the effect, kN.
+    slopes : array, shape (n, k)
+        Derivatives after the parameters without the effect: what they can follow counts for none.
+    starts : sequence of array, shape (n_law,)
+        To choose from.
+    """
+    if len(starts) <= N_STARTS:
+        return list(starts)
+    changes = np.stack([before - scene.residual(z) for z in starts], axis=1)
+    own = orthogonal_to(slopes, changes)
+    along = own.T @ before / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+    size = scene.model.effects[-1].parameters[0]
+    score = np.abs(along) if size.law == "normal" else along  # a size of one sign must go along
+    return [starts[i] for i in np.argsort(-score, kind="stable")[:N_STARTS]]
+
+
+def orthogonal_to(slopes: FloatArray, columns: FloatArray) -> FloatArray:
+    """Reduce columns to what is left when all that the fitted parameters can follow is taken out."""
+    scale = np.linalg.norm(slopes, axis=0)
+    q = np.linalg.qr(slopes[:, scale > 0] / scale[scale > 0])[0]
+    return np.asarray(columns - q @ (q.T @ columns))
+
+
+def _grids(effect: Effect) -> list[list[float]]:
+    """Free start values of each parameter of an effect."""
+    return [_start_values(effect, prior) for prior in effect.parameters]
+
+
+def _start_values(effect: Effect, prior: Prior) -> list[float]:
+    """Free start values of one parameter of an effect."""
+    given = effect.start.get(prior.name)
+    if given:
+        return [float(prior.to_free(np.asarray(float(value)))) for value in given]
+    if prior.name in effect.neutral and prior.law == "normal":
+        return [0.05 / prior.b]
+    return [0.0]

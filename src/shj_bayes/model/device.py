@@ -1,0 +1,207 @@
+"""The model of one device: the published law, the effects that are added to it, and the noise, as one parameter vector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.errors import ModelError
+from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Base, Effect
+from shj_bayes.model.history import History
+from shj_bayes.model.law import VARIANTS, force_of_laws
+from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
+from shj_bayes.model.noise.noise import Noise
+from shj_bayes.model.parameters import SHAREABLE, FloatArray, Parameter, describe, run_name
+from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.suggest import did_you_mean
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceModel:
+    """What is believed of one device before its test: parameters with priors, the force they make, the noise.
+
+    The published law is the one without effects.
+
+    Parameters
+    ----------
+    n_runs : int
+        Consecutive runs of the device, 1 to 9.
+    priors : Priors
+        Laws of the base parameters and of the noise.
+    effects : tuple of Effect
+        What is added to the base law.
+    noise : Noise
+        Noise model; white and slow by default.
+    free : tuple of str
+        Those of K, beta, gamma that each run has for itself (``K_2`` for the second run); the others are shared.
+    variant : {"seed", "continuous"}
+        Reversal rule.
+    speed : bool
+        False fixes gamma at 0.
+    """
+
+    n_runs: int
+    priors: Priors
+    effects: tuple[Effect, ...] = ()
+    noise: Noise = noise_model(DEFAULT)
+    free: tuple[str, ...] = ()
+    variant: str = "seed"
+    speed: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse choices that no device could have."""
+        if not 1 <= self.n_runs <= 9:
+            raise ModelError(f"a device has {self.n_runs} runs; allowed are 1 to 9 consecutive runs")
+        if self.variant not in VARIANTS:
+            raise ModelError(
+                f"model '{self.variant}' is not known; choose one of {', '.join(VARIANTS)}"
+                f"{did_you_mean(self.variant, VARIANTS)}"
+            )
+        wrong = [name for name in self.free if name not in SHAREABLE]
+        if wrong:
+            raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}")
+        twice = [e.id for i, e in enumerate(self.effects) if e.id in [other.id for other in self.effects[:i]]]
+        if twice:
+            raise ModelError(f"effect '{twice[0]}' is named twice; name each effect once")
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Sampled parameters in order: law, ratios, freed parameters, those of the effects (``slack.size``), noise."""
+        runs = range(2, self.n_runs + 1)
+        law = [name for name in ("K", "Fy", "beta", "gamma") if self.speed or name != "gamma"]
+        ratios = [run_name("ratio", run) for run in runs]
+        freed = [f"{name}_{run}" for run in runs for name in SHAREABLE if name in self.free and name in law]
+        added = [f"{effect.id}.{prior.name}" for effect in self.effects for prior in effect.parameters]
+        return (*law, *ratios, *freed, *added, *self.noise.parameters)
+
+    @cached_property
+    def laws_of_parameters(self) -> tuple[Prior, ...]:
+        """Prior of each sampled parameter."""
+        own = {f"{effect.id}.{prior.name}": prior for effect in self.effects for prior in effect.parameters}
+        return tuple(own[name] if name in own else self.priors.of(name) for name in self.names)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Sampled parameters with unit and meaning."""
+        own = {
+            f"{effect.id}.{prior.name}": Parameter(f"{effect.id}.{prior.name}", prior.unit, f"{effect.title.lower()}")
+            for effect in self.effects
+            for prior in effect.parameters
+        }
+        return tuple(own[name] if name in own else describe(name) for name in self.names)
+
+    @property
+    def n_law(self) -> int:
+        """Number of parameters that the force depends on: all but those of the noise, which come last."""
+        return len(self.names) - len(self.noise.parameters)
+
+    @cached_property
+    def predicted(self) -> NDArray[np.bool_]:
+        """For each parameter, whether other cycles tell of it: not of the state in which a test began, shape (d,)."""
+        initial = {f"{effect.id}.{name}" for effect in self.effects for name in effect.initial}
+        return np.array([name not in initial for name in self.names])
+
+    def with_effects(self, effects: Sequence[Effect]) -> DeviceModel:
+        """Give the same device with other effects."""
+        return replace(self, effects=tuple(effects))
+
+    def index(self, name: str) -> int:
+        """Position of a parameter in a vector."""
+        return self.names.index(name)
+
+    def natural(self, z: FloatArray) -> FloatArray:
+        """Unbounded vectors, shape (m, d), to parameters in natural units, shape (m, d)."""
+        return np.stack([prior.from_free(z[:, i]) for i, prior in enumerate(self.laws_of_parameters)], axis=1)
+
+    def unbounded(self, theta: FloatArray) -> FloatArray:
+        """Parameters in natural units, shape (m, d), to unbounded vectors."""
+        return np.stack([prior.to_free(theta[:, i]) for i, prior in enumerate(self.laws_of_parameters)], axis=1)
+
+    def log_prior(self, z: FloatArray) -> FloatArray:
+        """Log prior density in the unbounded space, shape (m, d) to (m,)."""
+        terms = [prior.log_density_free(z[:, i]) for i, prior in enumerate(self.laws_of_parameters)]
+        return np.asarray(np.sum(terms, axis=0))
+
+    def run_laws(self, theta: FloatArray, run: int) -> FloatArray:
+        """K (kN/mm), Fy of that run (kN), beta and gamma (s/mm) of parameter sets, shape (m, d) to (m, 4).
+
+        Parameters
+        ----------
+        theta : array, shape (m, d)
+            Parameter sets in natural units.
+        run : int
+            Run number, 1 for the first.
+        """
+        at = {
+            name: self.index(f"{name}_{run}" if run > 1 and name in self.free else name)
+            for name in SHAREABLE
+            if self.speed or name != "gamma"
+        }
+        gamma = theta[:, at["gamma"]] if self.speed else np.zeros(theta.shape[0])
+        capacity = theta[:, self.index("Fy")]
+        if run > 1:
+            capacity = capacity * theta[:, self.index(run_name("ratio", run))]
+        return np.ascontiguousarray(np.stack([theta[:, at["K"]], capacity, theta[:, at["beta"]], gamma], axis=1))
+
+    def force(
+        self, theta: FloatArray, history: History, start_force_kN: float, out: FloatArray | None = None
+    ) -> FloatArray:
+        """Force of one run without noise.
+
+        Parameters
+        ----------
+        theta : array, shape (m, d)
+            Parameter sets in natural units.
+        history : History
+            The run, at any of its samples.
+        start_force_kN : float
+            Rate-free force at the first sample of the run, kN.
+        out : array, shape (m, n), optional
+            Where to put the result.
+
+        Returns
+        -------
+        array, shape (m, n)
+            Force, kN.
+        """
+        laws = self.run_laws(theta, history.run)
+        if not self.effects:
+            return force_of_laws(
+                history.motion, laws, variant=self.variant, start_force_kN=start_force_kN, out=out
+            )
+        if out is None:
+            out = np.empty((theta.shape[0], history.time_s.size))
+        first = theta[:, self.index("Fy")]
+        places = {e.id: [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters] for e in self.effects}
+        for j in range(theta.shape[0]):
+            own = {name: {p: float(theta[j, i]) for p, i in of_effect} for name, of_effect in places.items()}
+            base = Base(*laws[j].tolist(), Fy_first=float(first[j]))
+            out[j] = force_with_effects(
+                history, base, self.effects, own, variant=self.variant, start_force_kN=start_force_kN
+            )
+        return out
+
+    def noise_values(self, theta: FloatArray) -> dict[str, FloatArray]:
+        """Noise parameters by name, each of shape (m,)."""
+        return {name: np.ascontiguousarray(theta[:, self.index(name)]) for name in self.noise.parameters}
+
+
+def effects_named(words: Sequence[str]) -> tuple[Effect, ...]:
+    """Effects by their ids, in the order of the catalogue.
+
+    Raises
+    ------
+    ModelError
+        If there is no such effect, with those that there are.
+    """
+    known = catalogue()
+    for word in words:
+        if word not in known:
+            raise ModelError(f"'{word}' is not an effect; known are {', '.join(known)}{did_you_mean(word, known)}")
+    return tuple(effect for effect in known.values() if effect.id in words)

@@ -1,0 +1,28 @@
+"""First-order autoregressive noise at the recorded rate, for comparison with the literature."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.model.noise.noise import Noise, Parts, Values, gaussian
+from shj_bayes.model.parameters import FloatArray
+
+
+def parts(values: Values) -> Parts:
+    """All of it is slow."""
+    return gaussian(np.zeros_like(values["sigma"]), values["sigma"])
+
+
+def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
+    """Correlation phi^k after k samples; gaps count in whole samples."""
+    return np.asarray(np.power(values["phi"], np.rint(seconds[:, None] / step_s)))
+
+
+NOISE = Noise(
+    id="ar1",
+    statement="Correlated from one recorded sample to the next; its parameters hold for this sampling rate only.",
+    equation="r_i = phi r_(i-1) + sigma sqrt(1 - phi^2) z_i,  z ~ N(0, 1)",
+    parameters=("sigma", "phi"),
+    parts=parts,
+    decay=decay,
+)

@@ -1,0 +1,247 @@
+"""Likelihood of averaged residuals: a scalar Kalman recursion, exact for even sampling and over gaps, in O(n).
+
+A block is the mean of m samples d seconds apart; g seconds lie between the last sample of the block before and its
+first. With the decay r over d and a over g of the slow part s (unit variance here), and s at the last sample of the
+block before as state,
+
+    mean = h s + e,   last = f s + w,   h = a A,   f = a r^(m-1),
+    var e = V - h^2,  var w = 1 - f^2,  cov(e, w) = A - h f,
+
+where A = (1 - r^m) / (m (1 - r)) and V = (m (1 - r^2) - 2 r (1 - r^m)) / (m^2 (1 - r)^2) are the covariance of a block's
+mean with its last sample and the variance of its mean. The white part adds sigma_white^2 / m.
+
+The displacement is known to its noise only. To first order a block's force is then off by F'(x) times the mean error of
+its displacement (variance of one sample over m), and all blocks behind one reversal by F'(x) times the error of its
+turning point. The first is part of the block's variance; the second is one unknown number for each half-cycle, which is
+integrated out in closed form. What the memory of the slow part carries of it beyond the half-cycle is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from shj_bayes.arrays import frozen
+from shj_bayes.errors import ModelError
+from shj_bayes.model.noise.noise import Noise, Values
+from shj_bayes.model.parameters import FloatArray
+
+IntArray = NDArray[np.int64]
+_LOG_2PI = math.log(2 * math.pi)
+SHORT = 1e-4  # of the memory: a block for which the series is the more exact
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """When the averages of one run were taken, and how well their displacement is known.
+
+    Parameters
+    ----------
+    kind : array of int, shape (n,)
+        Row of `kinds` of each block; -1 for blocks that are no evidence.
+    kinds : array, shape (n_kinds, 3)
+        Number of samples m, spacing d within the block (s), gap g before it (s; infinity where the noise begins anew).
+    half : array of int, shape (n_half + 1,)
+        Half-cycle k holds the blocks ``half[k]:half[k+1]``.
+    step_s : float
+        Sampling interval of the recording, s.
+    displacement_noise_mm : float
+        Standard deviation of the error of one sample's displacement, mm.
+    turning_noise_mm : array, shape (n_half,)
+        Standard deviation of the error of each half-cycle's turning point, mm.
+    """
+
+    kind: IntArray
+    kinds: FloatArray
+    half: IntArray
+    step_s: float
+    displacement_noise_mm: float
+    turning_noise_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        object.__setattr__(self, "kind", frozen(self.kind, np.int64))
+        object.__setattr__(self, "kinds", frozen(self.kinds))
+        object.__setattr__(self, "half", frozen(self.half, np.int64))
+        object.__setattr__(self, "turning_noise_mm", frozen(self.turning_noise_mm))
+        if self.half[-1] != self.kind.size or self.turning_noise_mm.size != self.half.size - 1:
+            raise ModelError("the blocks, half-cycles and turning points of a run do not belong together")
+
+
+def log_density(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing) -> FloatArray:
+    """Log density of averaged residuals, by half-cycle.
+
+    Parameters
+    ----------
+    noise : Noise
+        The model.
+    values : mapping of str to array, shape (m,)
+        Its parameters.
+    residual : array, shape (m, n)
+        Measured minus modelled force of each block, kN.
+    slope : array, shape (m, n)
+        Derivative of the modelled force after the displacement in each block, kN/mm.
+    timing : Timing
+        When the blocks were taken.
+
+    Returns
+    -------
+    array, shape (m, n_half)
+        Natural-log density of each half-cycle given those before it; they add up to the log likelihood.
+    """
+    parts = noise.parts(values)
+    seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
+    decay = noise.decay(values, seconds, timing.step_s)
+    within, before = np.split(decay, 2)
+    # Differences from 1 with all their digits: a memory of minutes at 1 kHz leaves 1 - r at 1e-5.
+    table = _coefficients(timing.kinds[:, :1], within, before)
+    out = np.empty((residual.shape[0], timing.half.size - 1))
+    _filter(
+        out,
+        residual,
+        slope,
+        timing.kind,
+        1.0 / timing.kinds[:, 0],
+        table,
+        timing.half,
+        parts.white_kN**2,
+        parts.slow_kN**2,
+        parts.nu,
+        _student_constant(parts.nu),
+        timing.displacement_noise_mm**2,
+        timing.turning_noise_mm**2,
+    )
+    return out
+
+
+def simulate(
+    noise: Noise,
+    values: dict[str, float],
+    time_s: FloatArray,
+    restarts: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Draw one noise series, sample by sample.
+
+    Parameters
+    ----------
+    noise : Noise
+        The model.
+    values : dict of str to float
+        Its parameters.
+    time_s : array, shape (n,)
+        Sampling times, s.
+    restarts : array of bool, shape (n,)
+        Samples at which the slow part begins anew.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    array, shape (n,)
+        Noise, kN.
+    """
+    rows = {name: np.array([value]) for name, value in values.items()}
+    parts = noise.parts(rows)
+    steps = np.diff(time_s, prepend=time_s[0])
+    decay = np.where(restarts, 0.0, noise.decay(rows, steps, float(np.median(steps[1:])))[:, 0])
+    decay[0] = 0.0
+    nu, n = float(parts.nu[0]), time_s.size
+    out = np.zeros(n)
+    for scale, memory in ((parts.white_kN[0], np.zeros(n)), (parts.slow_kN[0], decay)):
+        if scale > 0.0:
+            draw = rng.standard_t(nu, n) if math.isfinite(nu) else rng.standard_normal(n)
+            out += scale * _recurse(memory, draw)
+    return out
+
+
+def _student_constant(nu: FloatArray) -> FloatArray:
+    """Log of the normalising constant of a standard t density; 0 where it is normal."""
+    return np.array(
+        [
+            math.lgamma((n + 1) / 2) - math.lgamma(n / 2) - 0.5 * math.log(n * math.pi) if math.isfinite(n) else 0.0
+            for n in nu
+        ]
+    )
+
+
+def _coefficients(m: FloatArray, r: FloatArray, a: FloatArray) -> FloatArray:
+    """h, f, V - h^2, 1 - f^2 and A - h f of each kind and parameter set, shape (n_sets, n_kinds, 5)."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        x = np.minimum(-np.log(np.abs(r)), 745.0)  # beyond it r is 0 in double precision
+        negative = r < 0.0
+        less = np.where(negative, 1.0 - r, -np.expm1(-x))  # 1 - r
+        power = np.where(negative & (np.mod(m, 2.0) == 1.0), -1.0, 1.0) * np.exp(-m * x)  # r^m
+        less_power = np.where(power < 0.5, 1.0 - power, -np.expm1(-m * x))
+        average = less_power / (m * less)
+        variance = (m * less * (1.0 + r) - 2.0 * r * less_power) / (m * less) ** 2
+        last = np.where(r == 0.0, 0.0, power / r)
+    # A memory far longer than the block: the closed form loses its digits.
+    short = ~negative & (m * x < SHORT)
+    average = np.where(short, 1.0 - x * (m - 1.0) / 2.0 + x**2 * (m - 1.0) * (2.0 * m - 1.0) / 12.0, average)
+    variance = np.where(short, 1.0 - x * (m**2 - 1.0) / (3.0 * m) + x**2 * (m**2 - 1.0) / 12.0, variance)
+    average, variance, last = (np.where(m == 1.0, 1.0, values) for values in (average, variance, last))
+    h, f = a * average, a * last
+    table = np.stack([h, f, np.maximum(variance - h**2, 0.0), 1.0 - f**2, average - h * f], axis=-1)
+    return np.ascontiguousarray(table.transpose(1, 0, 2))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0913
+    out, residual, slope, kind, share, table, half, white, slow, nu, constant, noise_x, noise_turn
+):
+    """Fill `out` with the log density of each half-cycle; arrays as in `log_density`, variances in place of sds."""
+    for j in range(residual.shape[0]):
+        s, p, u = 0.0, slow[j], 0.0
+        heavy = np.isfinite(nu[j])
+        for k in range(half.size - 1):
+            total, product, n = 0.0, 1.0, 0
+            along, across, own = 0.0, 0.0, 0.0
+            u = 0.0
+            for i in range(half[k], half[k + 1]):
+                c = kind[i]
+                if c < 0:
+                    continue
+                h, f = table[j, c, 0], table[j, c, 1]
+                steep = slope[j, i]
+                variance = h * h * p + slow[j] * table[j, c, 2] + (white[j] + noise_x * steep * steep) * share[c]
+                if heavy:
+                    variance += noise_turn[k] * steep * steep
+                inverse = 1.0 / variance
+                new = residual[j, i] - h * s
+                also = steep - h * u
+                gain = (h * f * p + slow[j] * table[j, c, 4]) * inverse
+                s = f * s + gain * new
+                u = f * u + gain * also
+                p = max(f * f * p + slow[j] * table[j, c, 3] - gain * gain * variance, 0.0)
+                n += 1
+                product *= variance
+                if product < 1e-200 or product > 1e200:
+                    total -= 0.5 * math.log(product)
+                    product = 1.0
+                if heavy:
+                    total += constant[j] - 0.5 * (nu[j] + 1.0) * math.log1p(new * new * inverse / nu[j])
+                else:
+                    across += new * new * inverse
+                    along += new * also * inverse
+                    own += also * also * inverse
+            total -= 0.5 * math.log(product)
+            if not heavy:
+                spread = 1.0 + noise_turn[k] * own
+                total -= 0.5 * (n * _LOG_2PI + across + math.log(spread) - noise_turn[k] * along * along / spread)
+            out[j, k] = total
+
+
+@njit(cache=True, error_model="numpy")
+def _recurse(decay, draw):  # type: ignore[no-untyped-def]
+    """Series of unit variance whose correlation with the sample before is `decay`."""
+    out = np.empty(draw.size)
+    before = 0.0
+    for i in range(draw.size):
+        before = decay[i] * before + math.sqrt(1.0 - decay[i] * decay[i]) * draw[i]
+        out[i] = before
+    return out

@@ -1,0 +1,28 @@
+"""White noise alone, for comparison with least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes.model.noise.noise import Noise, Parts, Values, gaussian
+from shj_bayes.model.parameters import FloatArray
+
+
+def parts(values: Values) -> Parts:
+    """No slow part."""
+    return gaussian(values["sigma"], np.zeros_like(values["sigma"]))
+
+
+def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:  # noqa: ARG001  same signature for all
+    """Nothing is remembered."""
+    return np.zeros((seconds.size, values["sigma"].size))
+
+
+NOISE = Noise(
+    id="independent",
+    statement="Independent from sample to sample, as least squares takes it; intervals are too narrow for real noise.",
+    equation="r_i ~ N(0, sigma^2)",
+    parameters=("sigma",),
+    parts=parts,
+    decay=decay,
+)

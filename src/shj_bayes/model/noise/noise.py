@@ -1,0 +1,80 @@
+"""What a noise model is: a white part, a slow part that forgets, and how heavy its tails are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.errors import ModelError
+from shj_bayes.model.parameters import NOISE_PARAMETERS, FloatArray
+
+Values = Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The two parts of the noise for m parameter sets; all arrays have shape (m,).
+
+    Parameters
+    ----------
+    white_kN : array
+        Standard deviation of the part that is new in each sample.
+    slow_kN : array
+        Standard deviation of the part that is correlated in time.
+    nu : array
+        Degrees of freedom of what is new; infinity is Gaussian.
+    """
+
+    white_kN: FloatArray
+    slow_kN: FloatArray
+    nu: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """One noise model.
+
+    Parameters
+    ----------
+    id : str
+        Word for ``--noise``; the file carries it.
+    statement : str
+        What it says, in one sentence.
+    equation : str
+        Plain-text equation.
+    parameters : tuple of str
+        Its parameters, in the order in which they are sampled; each has a prior in the prior files.
+    parts : callable
+        ``parts(values)`` gives the `Parts` from parameters by name, each of shape (m,).
+    decay : callable
+        ``decay(values, seconds, step_s)`` gives the correlation of the slow part after each of n times (s), shape
+        (n, m), for a channel sampled every ``step_s`` seconds.
+    """
+
+    id: str
+    statement: str
+    equation: str
+    parameters: tuple[str, ...]
+    parts: Callable[[Values], Parts]
+    decay: Callable[[Values, FloatArray, float], FloatArray]
+
+    def __post_init__(self) -> None:
+        """Refuse parameters without a unit and a meaning."""
+        unknown = [name for name in self.parameters if name not in NOISE_PARAMETERS]
+        if unknown:
+            raise ModelError(
+                f"noise model {self.id}: '{unknown[0]}' is not a noise parameter; known are "
+                f"{', '.join(NOISE_PARAMETERS)} (add it to model/parameters.py, with a law in each prior file)"
+            )
+
+
+def gaussian(white_kN: FloatArray, slow_kN: FloatArray) -> Parts:
+    """Parts of a noise model without heavy tails."""
+    return Parts(white_kN, slow_kN, np.full(white_kN.shape, np.inf))
+
+
+def exponential(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:  # noqa: ARG001  same signature for all
+    """Correlation exp(-t / tau_slow) of an Ornstein-Uhlenbeck process, whatever the sampling rate."""
+    return np.exp(-seconds[:, None] / values["tau_slow"])

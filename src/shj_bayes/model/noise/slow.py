@@ -1,0 +1,20 @@
+"""White noise and a slow part with a memory of seconds: means the same at any sampling rate."""
+
+from __future__ import annotations
+
+from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential, gaussian
+
+
+def parts(values: Values) -> Parts:
+    """White from sample to sample, slow as it is."""
+    return gaussian(values["sigma_white"], values["sigma_slow"])
+
+
+NOISE = Noise(
+    id="slow",
+    statement="White noise from sample to sample and a slow part that forgets exponentially (Ornstein-Uhlenbeck).",
+    equation="r(t) = w(t) + s(t), sd(w) = sigma_white, cov(s(t), s(t')) = sigma_slow^2 exp(-|t - t'| / tau_slow)",
+    parameters=("sigma_white", "sigma_slow", "tau_slow"),
+    parts=parts,
+    decay=exponential,
+)

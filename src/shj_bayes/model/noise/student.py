@@ -1,0 +1,20 @@
+"""White and slow noise whose news has heavy tails: single readings that are far off count less."""
+
+from __future__ import annotations
+
+from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential
+
+
+def parts(values: Values) -> Parts:
+    """As `slow`, with Student's t for what is new in each sample."""
+    return Parts(values["sigma_white"], values["sigma_slow"], values["nu"])
+
+
+NOISE = Noise(
+    id="student",
+    statement="As `slow`, but what is new in each average of samples follows Student's t, so that outliers count less.",
+    equation="(r_i - E[r_i | before]) / sd[r_i | before] ~ t_nu",
+    parameters=("sigma_white", "sigma_slow", "tau_slow", "nu"),
+    parts=parts,
+    decay=exponential,
+)
