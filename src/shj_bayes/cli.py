@@ -8,13 +8,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import shj_bayes
 from shj_bayes.errors import CampaignError, ShjError
 from shj_bayes.examples import EXAMPLES
+
+if TYPE_CHECKING:
+    from shj_bayes.pipeline import Options
 
 Command = Callable[..., Any]
 
@@ -127,11 +130,9 @@ def _shared(options: dict[str, Any]) -> Options:
     """Options of a fit, with lists where the command line has words between commas."""
     from shj_bayes.pipeline import Options
 
-    lists = {
-        name: tuple(part.strip() for part in options.pop(name).split(",") if part.strip())
-        for name in ("free", "effects")
-    }
-    return Options(**lists, **options)
+    for name in ("free", "effects"):
+        options[name] = tuple(part.strip() for part in options[name].split(",") if part.strip())
+    return Options(**options)
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from shj_bayes.errors import ModelError
 from shj_bayes.files import write_text
-from shj_bayes.model.parameters import describe
+from shj_bayes.model.parameters import BASE, describe
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import table_1
 from shj_bayes.recording.writer import write_csv
@@ -73,9 +73,7 @@ def write_simulated(
         "rate_Hz": rate_Hz,
         "blocks": [asdict(block) for block in blocks],
         "truth": asdict(device),
-        "units": {
-            p: describe(p).unit for p in ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi", "sigma_slow", "tau_slow")
-        },
+        "units": {name: describe(name).unit for name in asdict(device) if name in BASE},
     }
     path = stem.with_name(f"{stem.name}.json")
     write_text(path, json.dumps(content, indent=1))

@@ -158,8 +158,8 @@ def with_floor(verdict: Verdict, floor: Floor) -> Verdict:
         return verdict
     worst = int(np.argmax(floor.factor))
     reason = (
-        f"the cycles scatter more than the model and its noise allow ({floor.names[worst]} {floor.factor[worst]:.1f} times, "
-        f"over {floor.n_pieces} cycles): the intervals of {', '.join(floor.widened)} are as wide as that scatter; "
+        f"the cycles scatter more than the model and its noise allow ({floor.names[worst]} {floor.factor[worst]:.1f} "
+        f"times, over {floor.n_pieces} cycles): the intervals of {', '.join(floor.widened)} are as wide as that; "
         "`shj-bayes diagnose` looks for what the model leaves out"
     )
     word = "tentative" if verdict.word == "reliable" else verdict.word

@@ -1,4 +1,4 @@
-"""The posterior of one device: its model held against its averaged recordings. Fit, diagnosis and proof all use this one."""
+"""The posterior of one device: its model held against its averaged recordings."""
 
 from __future__ import annotations
 

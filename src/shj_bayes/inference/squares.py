@@ -66,7 +66,7 @@ def descend(scene: Scene, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -
 
 
 def jacobian(scene: Scene, z: FloatArray) -> FloatArray:
-    """Derivative of the force after each unbounded law parameter, shape (n, n_law), 0 without evidence."""
+    """Give the derivatives of the force after the unbounded law parameters, shape (n, n_law), 0 without evidence."""
     before = scene.residual(z)
     columns = []
     for i in range(z.size):

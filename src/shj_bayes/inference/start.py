@@ -59,7 +59,7 @@ class LawOnly:
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Residual of all blocks, shape (n,), kN."""
-        return self.residuals(z[None])[0]
+        return np.asarray(self.residuals(z[None])[0])
 
     def residuals(self, z: FloatArray) -> FloatArray:
         """Residual of all blocks for many parameter sets, shape (m, n_law) to (m, n), kN."""
@@ -102,7 +102,7 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
 
 
 def law_starts(posterior: Posterior) -> list[FloatArray]:
-    """Least-squares fits of a model's law, best first: of the base law from a grid, then with one effect more at a time.
+    """Fit a model's law by least squares, best first: the base law from a grid, then with one effect more at a time.
 
     Parameters
     ----------

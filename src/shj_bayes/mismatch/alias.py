@@ -56,12 +56,7 @@ def alias_table(evidence: Evidence, device: DeviceModel, effects: Sequence[Effec
     base = replace(device, speed=False)
     capacity = device.priors.of("Fy").distribution.median()
     plain = {"Fy": capacity, "K": capacity / (0.1 * evidence.histories[0].half_stroke_mm), "beta": 10.0}
-    z = np.array(
-        [
-            float(p.to_free(np.asarray(plain.get(n, 0.9))))
-            for n, p in zip(base.law_names, base.laws_of_parameters, strict=False)
-        ]
-    )
+    z = base.unbounded(np.array([[plain.get(name, 0.9) for name in base.names]]))[0, : base.n_law]
     fit = linearise(evidence, base, z)
     left: dict[str, FloatArray] = {}
     out = []

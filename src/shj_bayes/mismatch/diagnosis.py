@@ -121,10 +121,14 @@ def diagnose(
     noise = result.final.rmse_kN
     judgement = judge(result, left, share(evidence, fine, base, base, result.known))
     shown = result.final if result.found else base
-    before = first_look(runs, base.model, tops=[base.z], seed=seed)
+    before: Mapping[str, FloatArray] = first_look(runs, base.model, tops=[base.z], seed=seed)
     if sample is None:
         after = before if shown is base else first_look(runs, shown.model, tops=[shown.z], seed=seed)
-        draws, how = after, {"how": "Gaussian around the most probable parameters (first look)", "verdict": "tentative"}
+        draws: Mapping[str, FloatArray] = after
+        how: dict[str, Any] = {
+            "how": "Gaussian around the most probable parameters (first look)",
+            "verdict": "tentative",
+        }
     else:
         tell("sampling the posterior")
         draws, how = sample(shown.model, shown.z)

@@ -134,9 +134,8 @@ def effect_size(evidence: Evidence, fit: Refit, effect: Effect) -> float:
     for i, name in enumerate(fit.model.law_names):
         owner, _, parameter = name.partition(".")
         if owner == effect.id and parameter in effect.neutral:
-            without[i] = float(
-                fit.model.laws_of_parameters[i].to_free(np.asarray(_inside(fit, i, effect.neutral[parameter])))
-            )
+            neutral = np.asarray(_inside(fit, i, effect.neutral[parameter]))
+            without[i] = float(fit.model.laws_of_parameters[i].to_free(neutral))
     change = np.abs(fit.force_kN - View(evidence, fit.model).force(np.clip(without, -FREE_LIMIT, FREE_LIMIT)))
     return float(np.percentile(change[evidence.weight > 0], 99))
 

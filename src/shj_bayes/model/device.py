@@ -1,9 +1,9 @@
-"""The model of one device: the published law, the effects that are added to it, and the noise, as one parameter vector."""
+"""The model of one device: the published law, effects that are added to it and the noise, as one parameter vector."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -49,7 +49,7 @@ class DeviceModel:
     n_runs: int
     priors: Priors
     effects: tuple[Effect, ...] = ()
-    noise: Noise = noise_model(DEFAULT)
+    noise: Noise = field(default_factory=lambda: noise_model(DEFAULT))
     free: tuple[str, ...] = ()
     variant: str = "published"
     speed: bool = True
@@ -181,7 +181,8 @@ class DeviceModel:
         places = {e.id: [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters] for e in self.effects}
         for j in range(theta.shape[0]):
             own = {name: {p: float(theta[j, i]) for p, i in of_effect} for name, of_effect in places.items()}
-            base = Base(*laws[j].tolist(), Fy_first=float(first[j]))
+            stiffness, capacity, beta, gamma = laws[j].tolist()
+            base = Base(stiffness, capacity, beta, gamma, float(first[j]))
             out[j] = force_with_effects(
                 history, base, self.effects, own, variant=self.variant, start_force_kN=start_force_kN
             )

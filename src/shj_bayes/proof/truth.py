@@ -142,8 +142,5 @@ def _fit_perfect(made: list[Made], key: Key, priors: Priors) -> tuple[Evidence, 
     model = DeviceModel(len(perfect), priors, variant="continuous")
     device = {"K": key.device.K, "Fy": key.device.Fy, "beta": key.device.beta, "gamma": key.device.gamma}
     device["ratio"] = key.device.ratio
-    z = [
-        float(law.to_free(np.asarray(device[name])))
-        for name, law in zip(model.law_names, model.laws_of_parameters, strict=False)
-    ]
-    return scene, refit(scene, model, [np.array(z)], sigma_kN=key.nuisance.noise_kN)
+    z = model.unbounded(np.array([[device.get(name, 1.0) for name in model.names]]))[0, : model.n_law]
+    return scene, refit(scene, model, [z], sigma_kN=key.nuisance.noise_kN)

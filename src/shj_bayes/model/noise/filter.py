@@ -7,8 +7,8 @@ block before as state,
     mean = h s + e,   last = f s + w,   h = a A,   f = a r^(m-1),
     var e = V - h^2,  var w = 1 - f^2,  cov(e, w) = A - h f,
 
-where A = (1 - r^m) / (m (1 - r)) and V = (m (1 - r^2) - 2 r (1 - r^m)) / (m^2 (1 - r)^2) are the covariance of a block's
-mean with its last sample and the variance of its mean. The white part adds sigma_white^2 / m.
+where A = (1 - r^m) / (m (1 - r)) and V = (m (1 - r^2) - 2 r (1 - r^m)) / (m^2 (1 - r)^2) are the covariance of a
+block's mean with its last sample and the variance of its mean. The white part adds sigma_white^2 / m.
 
 The displacement is known to its noise only. To first order a block's force is then off by F'(x) times the mean error of
 its displacement (variance of one sample over m), and all blocks behind one reversal by F'(x) times the error of its
@@ -108,10 +108,7 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
         1.0 / timing.kinds[:, 0],
         table,
         timing.half,
-        parts.white_kN**2,
-        parts.slow_kN**2,
-        parts.nu,
-        _student_constant(parts.nu),
+        np.stack([parts.white_kN**2, parts.slow_kN**2, parts.nu, _student_constant(parts.nu)], axis=1),
         timing.displacement_noise_mm**2,
         timing.turning_noise_mm**2,
     )
@@ -191,13 +188,12 @@ def _coefficients(m: FloatArray, r: FloatArray, a: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0913
-    out, residual, slope, kind, share, table, half, white, slow, nu, constant, noise_x, noise_turn
-):
+def _filter(out, residual, slope, kind, share, table, half, scales, noise_x, noise_turn):  # type: ignore[no-untyped-def]
     """Fill `out` with the log density of each half-cycle; arrays as in `log_density`, variances in place of sds."""
     for j in range(residual.shape[0]):
-        s, p, u = 0.0, slow[j], 0.0
-        heavy = np.isfinite(nu[j])
+        white, slow, nu, constant = scales[j, 0], scales[j, 1], scales[j, 2], scales[j, 3]
+        s, p, u = 0.0, slow, 0.0
+        heavy = np.isfinite(nu)
         for k in range(half.size - 1):
             total, product, n = 0.0, 1.0, 0
             along, across, own = 0.0, 0.0, 0.0
@@ -208,23 +204,23 @@ def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0913
                     continue
                 h, f = table[j, c, 0], table[j, c, 1]
                 steep = slope[j, i]
-                variance = h * h * p + slow[j] * table[j, c, 2] + (white[j] + noise_x * steep * steep) * share[c]
+                variance = h * h * p + slow * table[j, c, 2] + (white + noise_x * steep * steep) * share[c]
                 if heavy:
                     variance += noise_turn[k] * steep * steep
                 inverse = 1.0 / variance
                 new = residual[j, i] - h * s
                 also = steep - h * u
-                gain = (h * f * p + slow[j] * table[j, c, 4]) * inverse
+                gain = (h * f * p + slow * table[j, c, 4]) * inverse
                 s = f * s + gain * new
                 u = f * u + gain * also
-                p = max(f * f * p + slow[j] * table[j, c, 3] - gain * gain * variance, 0.0)
+                p = max(f * f * p + slow * table[j, c, 3] - gain * gain * variance, 0.0)
                 n += 1
                 product *= variance
                 if product < 1e-200 or product > 1e200:
                     total -= 0.5 * math.log(product)
                     product = 1.0
                 if heavy:
-                    total += constant[j] - 0.5 * (nu[j] + 1.0) * math.log1p(new * new * inverse / nu[j])
+                    total += constant - 0.5 * (nu + 1.0) * math.log1p(new * new * inverse / nu)
                 else:
                     across += new * new * inverse
                     along += new * also * inverse
