@@ -2,8 +2,8 @@
 
 The infinitesimal jackknife (Giordano, Stephenson, Liu, Jordan and Broderick 2019, AISTATS; the sandwich of Huber
 1967): with the score g_c of cycle c and the covariance S of the posterior, the parameters scatter as
-S (sum g_c g_c') S, whatever the noise is. Where the model holds this is S again. A law that is a little wrong is wrong alike in all cycles
-of one amplitude, so stretches of equal amplitude are left out as well; the wider of both counts.
+S (sum g_c g_c') S, whatever the noise is. Where the model holds this is S again. A law that is a little wrong is wrong
+alike in all cycles of one amplitude, so stretches of equal amplitude are left out as well; the wider of both counts.
 """
 
 from __future__ import annotations
