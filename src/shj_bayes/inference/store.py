@@ -34,7 +34,8 @@ if TYPE_CHECKING:  # whoever only reads files need not wait for ArviZ
 
 SCHEMA, READABLE = "shj-bayes/fit/2", ("shj-bayes/fit/1", "shj-bayes/fit/2")
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
-N_STORED, N_LOOPS, N_PRIOR = 500, 25, 4000  # draws; the first two for each ensemble
+N_STORED, N_LOOPS = 500, 25  # draws of each ensemble, and those of them with the force of every sample
+N_PRIOR, N_FORESEEN = 4000, 100  # draws of the prior, and those of them with forces of half-cycles
 N_POINTS = 12_000  # of each run in the file, about
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
 KINDS: dict[str, type] = {
@@ -107,7 +108,7 @@ def inference_data(
 
     likely, predicted, measured = half_cycles(posterior, own.reshape(-1, d), rng)
     with np.errstate(over="ignore", invalid="ignore"):
-        foreseen = half_cycles(posterior, prior[:N_STORED], rng)[1]
+        foreseen = half_cycles(posterior, prior[:N_FORESEEN], rng)[1]
     some = np.flatnonzero(np.isfinite(measured))
     possible = np.flatnonzero(np.isfinite(foreseen[:, some]).all(axis=1))
     n_half = [run.motion.n_half for run in posterior.runs]
