@@ -121,6 +121,17 @@ class Diagnosis(_Result):
         return str(self.record["verdict"])
 
     @property
+    def fit(self) -> FitResult:
+        """Posterior of the device as it was found to be; there is none after a first look.
+
+        Raises
+        ------
+        InferenceError
+            If the diagnosis was a first look.
+        """
+        return FitResult(self.folder, read_record(self.folder), self._held)
+
+    @property
     def effects(self) -> tuple[str, ...]:
         """Ids of the effects that were named."""
         return tuple(str(effect["id"]) for effect in self.record["effects"])
@@ -324,7 +335,7 @@ def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = Fal
 
 
 def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
-    """Read a finished result; of a folder that holds both a fit and a diagnosis, the fit.
+    """Read a finished result; of a folder that holds a diagnosis, the diagnosis, whose ``fit`` is beside it.
 
     Parameters
     ----------
@@ -341,7 +352,7 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
         If it holds no result.
     """
     place = Path(folder)
-    if (place / "fit.json").is_file():
+    if (place / "fit.json").is_file() and not (place / "diagnosis.json").is_file():
         return FitResult(place, read_record(place))
     for name, kind in (("diagnosis", Diagnosis), ("campaign", CampaignResult), ("population", CampaignResult)):
         if (place / f"{name}.json").is_file():

@@ -31,6 +31,7 @@ OPTION_KINDS: dict[str, Any] = {
     "priors": str,
     "model": str,
     "noise": str,
+    "effects": list,
     "free": list,
     "seed": int,
     "max_steps": int,

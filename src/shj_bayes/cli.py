@@ -8,13 +8,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import shj_bayes
 from shj_bayes.errors import CampaignError, ShjError
 from shj_bayes.examples import EXAMPLES
+
+if TYPE_CHECKING:
+    from shj_bayes.pipeline import Options
 
 Command = Callable[..., Any]
 
@@ -85,10 +88,19 @@ READING = _options(
     click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Sampling rate of files without time, Hz."),
 )
 RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REC...")
+
+
+class _Variant(click.Choice[str]):
+    """Reversal rules; the old name of the published one is still taken."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return super().convert("published" if value == "seed" else value, param, ctx)
+
+
 MODEL = click.option(
     "--model",
-    type=click.Choice(["seed", "continuous"]),
-    default="seed",
+    type=_Variant(["published", "continuous"]),
+    default="published",
     show_default=True,
     help="Eq. 1 as published, or without its jump at reversals.",
 )
@@ -97,11 +109,12 @@ MODELLING = _options(
     MODEL,
     click.option(
         "--noise",
-        type=click.Choice(["ar1", "independent", "student"]),
-        default="ar1",
+        type=click.Choice(["slow", "ar1", "independent", "student"]),
+        default="slow",
         show_default=True,
-        help="Noise model.",
+        help="White and slow noise; for comparison ar1 (at the recorded rate), independent; student has heavy tails.",
     ),
+    click.option("--effects", default="", metavar="slack,wear", help="Physical effects that are known to be there."),
     click.option("--free", default="", metavar="K,beta,gamma", help="Parameters that each run has for itself."),
     click.option(
         "--max-steps",
@@ -111,6 +124,15 @@ MODELLING = _options(
         help="Steps after which sampling stops even if it has not converged.",
     ),
 )
+
+
+def _shared(options: dict[str, Any]) -> Options:
+    """Options of a fit, with lists where the command line has words between commas."""
+    from shj_bayes.pipeline import Options
+
+    for name in ("free", "effects"):
+        options[name] = tuple(part.strip() for part in options[name].split(",") if part.strip())
+    return Options(**options)
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -168,13 +190,12 @@ def fit(
     workers: int | None,
     as_json: bool,
     quiet: bool,
-    free: str,
     **options: Any,
 ) -> None:
     """Posterior of one device; several recordings are its consecutive runs."""
-    from shj_bayes.pipeline import Options, fit_device
+    from shj_bayes.pipeline import fit_device
 
-    shared = Options(free=tuple(part.strip() for part in free.split(",") if part.strip()), **options)
+    shared = _shared(options)
     speak = not (as_json or quiet)
     result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0)
     if as_json:
@@ -189,8 +210,7 @@ def fit(
 @RECORDINGS
 @_out()
 @READING
-@click.option("--priors", default="afc", show_default=True, help="Family that ships (afc, general) or TOML file.")
-@MODEL
+@MODELLING
 @click.option("--without", multiple=True, metavar="EFFECT", help="velocity: base law without it; others: not tried.")
 @click.option("--quick", is_flag=True, help="A first look: approximate intervals, no sampling.")
 @SEED
@@ -209,13 +229,13 @@ def diagnose(
     **options: Any,
 ) -> None:
     """Fit, then locate, name, model and show what the base law leaves out."""
-    from shj_bayes.pipeline import Options, diagnose_device
+    from shj_bayes.pipeline import diagnose_device
 
     speak = not (as_json or quiet)
     result = diagnose_device(
         recordings,
         out,
-        Options(**options),
+        _shared(options),
         without=without,
         name=name,
         quick=quick,
@@ -370,6 +390,8 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
 @click.option("--ratio", type=float, default=0.875, show_default=True, help="Fy of the second run / first.")
 @click.option("--sigma", type=float, default=1.0, show_default=True, help="Force noise scale, kN.")
 @click.option("--phi", type=float, default=0.8, show_default=True, help="Lag-one correlation of the force noise.")
+@click.option("--sigma-slow", type=float, default=0.0, show_default=True, help="Slow noise on top of it, kN.")
+@click.option("--tau-slow", type=float, default=3.0, show_default=True, help="Its correlation time, s.")
 @click.option("--displacement-noise", type=float, default=0.02, show_default=True, help="Displacement noise, mm.")
 @click.option("--rate", "rate_Hz", type=float, default=20.0, show_default=True, help="Sampling rate, Hz.")
 @click.option("--last-cycles", type=int, default=5, show_default=True, help="Cycles in the last block of Table 1.")

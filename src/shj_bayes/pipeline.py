@@ -15,15 +15,16 @@ import numpy as np
 import shj_bayes
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text
 from shj_bayes.files import plain_name
-from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
+from shj_bayes.inference.fit import CHECKPOINT, fit
+from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
-from shj_bayes.inference.store import check_files, read_record
+from shj_bayes.inference.store import check_files, read_group, read_record
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.intervals import Effort
-from shj_bayes.model.law import VARIANTS
-from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE
-from shj_bayes.model.parameters import describe as parameter_meaning
-from shj_bayes.model.priors import read_priors
+from shj_bayes.model.device import DeviceModel, effects_named, meaning_of
+from shj_bayes.model.law import variant_named
+from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
+from shj_bayes.model.parameters import BASE, FloatArray
+from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.recording.check import describe, to_dict
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
@@ -31,7 +32,6 @@ from shj_bayes.recording.recording import Recording
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
-from shj_bayes.suggest import did_you_mean
 
 SURE_P = 1e-3  # below it, digits of a p value say nothing to a reader; diagnosis.json keeps them
 
@@ -48,10 +48,12 @@ class Options:
         Sampling rate of files without time, Hz.
     priors : str
         Shipped family or TOML file.
-    model : {"seed", "continuous"}
+    model : {"published", "continuous"}
         Reversal rule.
-    noise : {"ar1", "independent", "student"}
-        Noise model.
+    noise : str
+        Noise model: ``slow``, ``ar1``, ``independent``, ``student``.
+    effects : tuple of str
+        Physical effects that are known to be there, by their ids.
     free : tuple of str
         Parameters that each run has for itself.
     seed : int
@@ -64,23 +66,32 @@ class Options:
     units: str | None = None
     rate_Hz: float | None = None
     priors: str = "afc"
-    model: str = "seed"
-    noise: str = "ar1"
+    model: str = "published"
+    noise: str = DEFAULT
+    effects: tuple[str, ...] = ()
     free: tuple[str, ...] = ()
     seed: int = 1
     max_steps: int = 10_000
 
     def __post_init__(self) -> None:
         """Refuse choices that no fit could take, before any device is read."""
-        for word, value, allowed in (("model", self.model, VARIANTS), ("noise", self.noise, NOISE_PARAMETERS)):
-            if value not in allowed:
-                raise ModelError(
-                    f"{word} '{value}' is not known; choose one of {', '.join(allowed)}{did_you_mean(value, allowed)}"
-                )
-        wrong = [name for name in self.free if name not in SHAREABLE]
-        if wrong:
-            hint = did_you_mean(wrong[0], SHAREABLE)
-            raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}{hint}")
+        object.__setattr__(self, "model", variant_named(self.model))
+        if "velocity" in self.effects:
+            raise ModelError(
+                "the base law depends on speed already; take 'velocity' out of the effects (or --without velocity)"
+            )
+        self.device_model(1, None)
+
+    def device_model(self, n_runs: int, priors: Priors | None) -> DeviceModel:
+        """Model of a device with so many runs; without priors those of the default family stand in."""
+        return DeviceModel(
+            n_runs,
+            priors or read_priors(),
+            effects=effects_named(self.effects),
+            noise=noise_model(self.noise),
+            free=self.free,
+            variant=self.model,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +124,7 @@ class DiagnosisResult:
         lines += ["", f"  {' -> '.join(stages)}" if len(stages) > 1 else "  base law"]
         for name, row in record["shift"].items():
             shown = " -> ".join(f"{row[stage]['mean']:11.5g} +- {row[stage]['sd']:<9.2g}" for stage in stages)
-            lines.append(f"  {name:8}{shown} {parameter_meaning(name).unit}")
+            lines.append(f"  {name:8}{shown} {meaning_of(name).unit}")
         errors = " -> ".join(f"{record[stage]['heldout_rmse_kN']:.3g}" for stage in stages)
         lines.append(f"  error on held-out cycles {errors} kN")
         return "\n".join([*lines, "", f"report: {self.page}"])
@@ -150,10 +161,11 @@ class DeviceResult:
         lines = [f"{record['device']}: {record['verdict']}"]
         lines += [f"  {reason}" for reason in record["reasons"]]
         lines += [f"  {extra}" for extra in (self.residual, self.note) if extra]
-        lines += ["", f"  {'':8}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
+        width = max(len(row["name"]) for row in record["parameters"]) + 1
+        lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in record["parameters"]:
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
-            lines.append(f"  {row['name']:8}{numbers}  {row['unit']}{dep_words(row)}")
+            lines.append(f"  {row['name']:{width}}{numbers}  {row['unit']}{dep_words(row)}")
         notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
         lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
         lines += ["", f"report: {self.folder / 'report.html'}"]
@@ -200,25 +212,38 @@ def fit_device(
     recordings = _usable(paths, options)
     name = plain_name(name) if name else _default_name(recordings[0])
     priors = read_priors(options.priors)
-    digests = [
-        _digest(recording) if isinstance(given, Recording) else recording.source.sha256
-        for given, recording in zip(paths, recordings, strict=True)
-    ]
-    key = _key(digests, options, priors.sha256, name)
+    key = _key(_digests(paths, recordings), options, priors.sha256, name)
     finished, note = _finished(folder, key)
     if finished is None:
-        problem = make_problem(recordings, priors=priors, noise=options.noise, free=options.free, variant=options.model)
-        plan = Plan(seed=options.seed, max_steps=options.max_steps)
-        result = fit(problem, name=name, key=key, plan=plan, folder=folder, progress=progress, threads=threads)
-        finished, fresh = result.record, True
-        if result.verdict.word == "reliable":
-            (folder / CHECKPOINT).unlink(missing_ok=True)
+        finished, fresh = _fit(runs_of(recordings), folder, options, priors, name, key, progress, threads), True
     else:
         fresh = False
     if fresh or _stale(folder):
         render_device(folder)
     left = read_residual(folder)
     return DeviceResult(folder, finished, fresh, left[1] if left else "", note)
+
+
+def _fit(
+    runs: Sequence[Run],
+    folder: Path,
+    options: Options,
+    priors: Priors,
+    name: str,
+    key: str,
+    progress: bool,
+    threads: int,
+    tops: Sequence[FloatArray] = (),
+) -> dict[str, Any]:
+    """Fit and write the files; give the record."""
+    plan = Plan(seed=options.seed, max_steps=options.max_steps)
+    model = options.device_model(len(runs), priors)
+    result = fit(
+        runs, model, name=name, key=key, plan=plan, tops=tops, folder=folder, progress=progress, threads=threads
+    )
+    if result.verdict.word == "reliable":
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+    return result.record
 
 
 def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
@@ -281,16 +306,28 @@ def diagnose_device(
     """
     recordings = _usable(paths, options)
     name = plain_name(name) if name else _default_name(recordings[0])
-    problem = make_problem(recordings, priors=read_priors(options.priors), variant=options.model)
+    priors, runs = read_priors(options.priors), runs_of(recordings)
+    digests = _digests(paths, recordings)
+
+    def sample(model: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+        """Fit what was found: the same files as those of `shj-bayes fit` with these effects."""
+        whole = replace(options, effects=tuple(effect.id for effect in model.effects))
+        key = _key(digests, whole, priors.sha256, name, model.speed)
+        record, _ = _finished(folder, key)
+        if record is None:
+            record = _fit(runs, folder, whole, priors, name, key, progress, threads, [top])
+        draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
+        render_device(folder)
+        return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
+
     diagnosis = diagnose(
-        problem.runs,
-        problem.priors,
+        runs,
+        options.device_model(len(runs), priors),
         name=name,
-        variant=options.model,
         without=without,
         seed=options.seed,
         quick=quick,
-        effort=None if quick else Effort(progress=progress, threads=threads),
+        sample=None if quick else sample,
         tell=tell,
     )
     findings = [finding.code for recording in recordings for finding in recording.findings]
@@ -332,17 +369,25 @@ def _default_name(recording: Recording) -> str:
     )
 
 
+def _digests(paths: Sequence[Path | Recording], recordings: Sequence[Recording]) -> list[str]:
+    """Digest of each file, or of what a recording holds that was given as such."""
+    return [
+        _digest(recording) if isinstance(given, Recording) else recording.source.sha256
+        for given, recording in zip(paths, recordings, strict=True)
+    ]
+
+
 def _digest(recording: Recording) -> str:
     """Digest of what a recording holds, for one that may have been changed since it was read."""
     arrays = (recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
     return hashlib.sha256(b"".join(np.asarray(values).tobytes() for values in arrays)).hexdigest()
 
 
-def _key(digests: list[str], options: Options, priors: str, name: str) -> str:
-    """Digest of all that the result depends on."""
+def _key(digests: list[str], options: Options, priors: str, name: str, speed: bool = True) -> str:
+    """Digest of all that the result depends on; `speed` is False where the law was run without speed dependence."""
     # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
     chosen = asdict(options) | {"priors": Path(options.priors).name}
-    content = [digests, chosen, priors, name, shj_bayes.__version__, sorted(BASE)]
+    content = [digests, chosen, priors, name, speed, shj_bayes.__version__, sorted(BASE)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from shj_bayes.errors import ModelError
 from shj_bayes.files import write_text
-from shj_bayes.model.parameters import describe
+from shj_bayes.model.parameters import BASE, describe
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import table_1
 from shj_bayes.recording.writer import write_csv
@@ -21,7 +21,7 @@ def write_simulated(
     seed: int,
     rate_Hz: float,
     last_cycles: int = 5,
-    model: str = "seed",
+    model: str = "published",
     displacement_noise: float = 0.02,
     digits: int = 7,
     **truth: float,
@@ -40,14 +40,14 @@ def write_simulated(
         Sampling rate, Hz.
     last_cycles : {5, 6}
         Cycles in the last block of Table 1.
-    model : {"seed", "continuous"}
+    model : {"published", "continuous"}
         Reversal rule.
     displacement_noise : float
         Standard deviation of the displacement noise, mm.
     digits : int
         Significant digits of the files.
     **truth : float
-        K, Fy, beta, ratio, sigma, phi in the units of INTERFACE.
+        K, Fy, beta, ratio, sigma, phi, sigma_slow, tau_slow in the units of INTERFACE.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def write_simulated(
         "rate_Hz": rate_Hz,
         "blocks": [asdict(block) for block in blocks],
         "truth": asdict(device),
-        "units": {p: describe(p).unit for p in ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi")},
+        "units": {name: describe(name).unit for name in asdict(device) if name in BASE},
     }
     path = stem.with_name(f"{stem.name}.json")
     write_text(path, json.dumps(content, indent=1))

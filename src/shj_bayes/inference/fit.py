@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 
 CHECKPOINT = "checkpoint.h5"
+N_DRAWS = 2000  # of a first look
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +58,13 @@ class Fit:
 
 
 def fit(
-    runs: tuple[Run, ...],
+    runs: Sequence[Run],
     model: DeviceModel,
     *,
     name: str = "device",
     key: str = "",
     plan: Plan | None = None,
-    tops: tuple[FloatArray, ...] = (),
+    tops: Sequence[FloatArray] = (),
     folder: Path | None = None,
     progress: bool = False,
     threads: int = 0,
@@ -71,7 +73,7 @@ def fit(
 
     Parameters
     ----------
-    runs : tuple of Run
+    runs : sequence of Run
         Consecutive runs.
     model : DeviceModel
         What is believed of the device: law, effects, noise, priors.
@@ -81,7 +83,7 @@ def fit(
         Digest of everything the result depends on, stored with it so that an unchanged fit can be recognised.
     plan : Plan, optional
         Seed, number of ensembles, when to stop.
-    tops : tuple of array, shape (n_law,)
+    tops : sequence of array, shape (n_law,)
         Points to climb from besides those that the search finds, in the unbounded space.
     folder : Path, optional
         Where the files of the fit and the checkpoint go; nothing is written without it. A checkpoint found there is
@@ -125,14 +127,39 @@ def fit(
     return Fit(posterior, data, table, figures, floor, verdict, record)
 
 
+def first_look(
+    runs: Sequence[Run], model: DeviceModel, *, tops: Sequence[FloatArray] = (), seed: int = 1, threads: int = 0
+) -> dict[str, FloatArray]:
+    """Draw from the Gaussian around the most probable parameters, no narrower than the cycles scatter.
+
+    Parameters
+    ----------
+    runs, model, tops, threads
+        As for `fit`.
+    seed : int
+        Same seed, same draws.
+
+    Returns
+    -------
+    dict of str to array, shape (n,)
+        Draws of each parameter in its unit.
+    """
+    posterior, start = find_start(make_posterior(runs, model), threads=threads, tops=tops)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+    root = np.linalg.cholesky(start.covariance + 1e-14 * np.eye(start.free.size))
+    z = start.free + rng.standard_normal((N_DRAWS, start.free.size)) @ root.T
+    theta = posterior.natural(floor_of(posterior, start).spread(z, start.free))
+    return dict(zip(posterior.names, theta.T, strict=True))
+
+
 def with_floor(verdict: Verdict, floor: Floor) -> Verdict:
     """Verdict of a fit whose intervals were held against the scatter from cycle to cycle."""
     if not floor.widened:
         return verdict
     worst = int(np.argmax(floor.factor))
     reason = (
-        f"the cycles scatter more than the model and its noise allow ({floor.names[worst]} {floor.factor[worst]:.1f} times, "
-        f"over {floor.n_pieces} cycles): the intervals of {', '.join(floor.widened)} are as wide as that scatter; "
+        f"the cycles scatter more than the model and its noise allow ({floor.names[worst]} {floor.factor[worst]:.1f} "
+        f"times, over {floor.n_pieces} cycles): the intervals of {', '.join(floor.widened)} are as wide as that; "
         "`shj-bayes diagnose` looks for what the model leaves out"
     )
     word = "tentative" if verdict.word == "reliable" else verdict.word

@@ -1,9 +1,9 @@
 """Intervals that do not trust the noise model: how much the parameters scatter from cycle to cycle.
 
-The infinitesimal jackknife (Giordano, Stephenson, Liu, Jordan and Broderick 2019, AISTATS; the sandwich of Huber 1967):
-with the score g_c of cycle c and the covariance S of the posterior, the parameters scatter as S (sum g_c g_c') S,
-whatever the noise is. Where the model holds this is S again. A law that is a little wrong is wrong alike in all cycles of
-one amplitude, so stretches of equal amplitude are left out as well; the wider of both counts.
+The infinitesimal jackknife (Giordano, Stephenson, Liu, Jordan and Broderick 2019, AISTATS; the sandwich of Huber
+1967): with the score g_c of cycle c and the covariance S of the posterior, the parameters scatter as
+S (sum g_c g_c') S, whatever the noise is. Where the model holds this is S again. A law that is a little wrong is wrong
+alike in all cycles of one amplitude, so stretches of equal amplitude are left out as well; the wider of both counts.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def floor_of(posterior: Posterior, start: Start) -> Floor:
 
 
 def _scores(posterior: Posterior, start: Start) -> FloatArray:
-    """Derivatives of the log likelihood of each half-cycle after the unbounded parameters, shape (n_half, d)."""
+    """Give the derivatives of each half-cycle's log likelihood after the unbounded parameters, shape (n_half, d)."""
     width = STEP * np.sqrt(np.diag(start.covariance))
     points = np.concatenate([start.free + np.diag(width), start.free - np.diag(width)])
     value = posterior.log_likelihood_by_half_cycle(posterior.natural(points))

@@ -116,7 +116,7 @@ def draw_noise(noise: Noise, values: Values, slope: FloatArray, timing: Timing, 
     """Draw averaged residuals whose density `log_density` gives; parameters as there, shape (m, n), kN."""
     parts = noise.parts(values)
     seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
-    table = _coefficients(timing.kinds[:, :1], *np.split(noise.decay(values, seconds, timing.step_s), 2))
+    table = _coefficients(timing.kinds[:, 0], *np.split(noise.decay(values, seconds, timing.step_s), 2))
     heavy = np.isfinite(parts.nu)
     out = rng.standard_normal(slope.shape)
     if heavy.any():

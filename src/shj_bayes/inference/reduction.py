@@ -203,7 +203,7 @@ def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half:
 
 
 def _turning_noise(run: Run) -> FloatArray:
-    """Standard deviation of the error of each turning point, mm: that of a quartic through the samples near it."""
+    """Give the standard deviation of each turning point's error, mm: of a quartic through the samples near it."""
     motion = run.motion
     x, edges = motion.displacement_mm, motion.start
     ends = np.append(motion.turning_mm[1:], x[-1])
@@ -218,7 +218,7 @@ def _turning_noise(run: Run) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def _cut(block, used, restarts, start, time, x, bend, longest, slip):  # type: ignore[no-untyped-def]
-    """Number the block of each sample, -1 for none; a half-cycle without evidence keeps its first sample."""
+    """Give each sample the number of its block, -1 for none; a half-cycle without evidence keeps its first sample."""
     n = 0
     for k in range(start.size - 1):
         begin, some = -1, False
@@ -246,7 +246,7 @@ def _cut(block, used, restarts, start, time, x, bend, longest, slip):  # type: i
 
 @njit(cache=True, error_model="numpy")
 def _spaced(keep, x, turning, start, least):  # type: ignore[no-untyped-def]
-    """Fill `keep` with the first sample of each half-cycle and those `least` of slip behind the one before; say how many."""
+    """Fill `keep` with the first sample of each half-cycle and those `least` of slip behind the last; count them."""
     n = 0
     for k in range(turning.size):
         keep[n] = start[k]

@@ -66,7 +66,7 @@ def descend(scene: Scene, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -
 
 
 def jacobian(scene: Scene, z: FloatArray) -> FloatArray:
-    """Derivative of the force after each unbounded law parameter, shape (n, n_law), 0 without evidence."""
+    """Give the derivatives of the force after the unbounded law parameters, shape (n, n_law), 0 without evidence."""
     before = scene.residual(z)
     columns = []
     for i in range(z.size):
@@ -93,8 +93,8 @@ def best_of(scene: Scene, starts: Sequence[FloatArray], sigma_kN: float, *, roun
 def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: Effect) -> list[FloatArray]:
     """List starts of a model with one more effect: the smaller model's parameters and the effect's start values."""
     tails = [dict(zip(effect.names, values, strict=True)) for values in product(*_grids(effect))]
-    known = dict(zip(smaller.names[: smaller.n_law], z, strict=True))
-    names = larger.names[: larger.n_law]
+    known = dict(zip(smaller.law_names, z, strict=True))
+    names = larger.law_names
     return [
         np.array([known[n] if n in known else tail[n.removeprefix(f"{effect.id}.")] for n in names]) for tail in tails
     ]

@@ -59,7 +59,7 @@ class LawOnly:
 
     def residual(self, z: FloatArray) -> FloatArray:
         """Residual of all blocks, shape (n,), kN."""
-        return self.residuals(z[None])[0]
+        return np.asarray(self.residuals(z[None])[0])
 
     def residuals(self, z: FloatArray) -> FloatArray:
         """Residual of all blocks for many parameter sets, shape (m, n_law) to (m, n), kN."""
@@ -91,14 +91,8 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
     InferenceError
         If no parameters give a finite posterior density.
     """
-    model = posterior.model
-    plain = replace(posterior, model=model.with_effects(()))
-    found = best_laws(plain)
-    for k in range(len(model.effects)):
-        larger = replace(posterior, model=model.with_effects(model.effects[: k + 1]))
-        found = [_with_next_effect(replace(posterior, model=model.with_effects(model.effects[:k])), larger, found[0])]
-    law = LawOnly(posterior)
-    candidates = [*tops, *found]
+    model, law = posterior.model, LawOnly(posterior)
+    candidates = [*tops, *law_starts(posterior)]
     sizes = [float(np.std(law.residual(z))) for z in candidates]
     refined = posterior.refined(model.natural(_with_noise(law, candidates[int(np.argmin(sizes))])[None])[0])
     n = n_threads(threads)
@@ -107,19 +101,32 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
         return refined, polish(Shared(refined, pool, n), full)
 
 
-def best_laws(posterior: Posterior) -> list[FloatArray]:
-    """Take the best laws of a coarse grid to where the squares are least, best first.
+def law_starts(posterior: Posterior) -> list[FloatArray]:
+    """Fit a model's law by least squares, best first: the base law from a grid, then with one effect more at a time.
 
     Parameters
     ----------
     posterior : Posterior
-        Of a model without effects.
+        In blocks for a first look.
 
     Returns
     -------
     list of array, shape (n_law,)
         In the unbounded space.
     """
+    model = posterior.model
+
+    def with_first(k: int) -> Posterior:
+        return replace(posterior, model=model.with_effects(model.effects[:k]))
+
+    found = _best_laws(with_first(0))
+    for k in range(len(model.effects)):
+        found = [_with_next_effect(with_first(k), with_first(k + 1), found[0])]
+    return found
+
+
+def _best_laws(posterior: Posterior) -> list[FloatArray]:
+    """Take the best laws of a coarse grid to where the squares are least, best first; the model has no effects."""
     law = LawOnly(posterior)
     grid = _grid(posterior)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -151,7 +158,7 @@ def _grid(posterior: Posterior) -> FloatArray:
             f"nothing to fit: largest force {peak[0]:.3g} kN, stroke {stroke:.3g} mm, speed "
             f"{speed:.3g} mm/s; all must be above 0"
         )
-    names = model.names[: model.n_law]
+    names = model.law_names
     rows = []
     for share, knee, beta, effect in product(
         (0.5, 0.7, 0.85, 1.0), (3, 8, 20, 60, 200), (3.0, 12.0, 80.0), (-0.2, 0.0, 0.25)

@@ -38,7 +38,7 @@ class Cycle:
     damping: FloatArray
 
 
-def steady_cycle(laws: FloatArray, amplitude_mm: float, peak_speed_mm_s: float, variant: str = "seed") -> Cycle:
+def steady_cycle(laws: FloatArray, amplitude_mm: float, peak_speed_mm_s: float, variant: str = "published") -> Cycle:
     """Run the law over the second cycle of a sine.
 
     Parameters
@@ -47,7 +47,7 @@ def steady_cycle(laws: FloatArray, amplitude_mm: float, peak_speed_mm_s: float, 
         K (kN/mm), Fy (kN), beta, gamma (s/mm); beta is kept inside what the law allows.
     amplitude_mm, peak_speed_mm_s : float
         Of the sine.
-    variant : {"seed", "continuous"}
+    variant : {"published", "continuous"}
         Reversal rule.
 
     Returns

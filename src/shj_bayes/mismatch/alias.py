@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from shj_bayes.inference.squares import orthogonal_to
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.refit import extend_starts, linearise, make_model, orthogonal_to
+from shj_bayes.mismatch.refit import View, extend_starts, linearise
 from shj_bayes.mismatch.thresholds import ALIAS
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Priors
 
 HIDDEN = 0.1  # share of an effect that must survive a refit of the base law for the history to show it at all
 
@@ -33,7 +34,7 @@ class Alias:
     correlation: float
 
 
-def alias_table(evidence: Evidence, priors: Priors, effects: Sequence[Effect], variant: str) -> list[Alias]:
+def alias_table(evidence: Evidence, device: DeviceModel, effects: Sequence[Effect]) -> list[Alias]:
     """Pairs that this displacement history cannot separate.
 
     The law is evaluated at K, Fy, beta that make a plain loop of the tested stroke; no force is used.
@@ -42,33 +43,28 @@ def alias_table(evidence: Evidence, priors: Priors, effects: Sequence[Effect], v
     ----------
     evidence : Evidence
         Only its displacement history is used.
-    priors : Priors
-        For the scale of the parameters.
+    device : DeviceModel
+        Model without effects; its priors give the scale of the parameters.
     effects : sequence of Effect
         The catalogue, with ``velocity``.
-    variant : {"seed", "continuous"}
-        Reversal rule.
 
     Returns
     -------
     list of Alias
         Strongest first.
     """
-    n_runs = len(evidence.histories)
-    base = make_model(priors, n_runs, (), variant=variant, speed=False)
-    capacity = priors.of("Fy").distribution.median()
+    base = replace(device, speed=False)
+    capacity = device.priors.of("Fy").distribution.median()
     plain = {"Fy": capacity, "K": capacity / (0.1 * evidence.histories[0].half_stroke_mm), "beta": 10.0}
-    z = np.array(
-        [float(p.to_free(np.asarray(plain.get(n, 0.9)))) for n, p in zip(base.names, base.priors, strict=True)]
-    )
+    z = base.unbounded(np.array([[plain.get(name, 0.9) for name in base.names]]))[0, : base.n_law]
     fit = linearise(evidence, base, z)
     left: dict[str, FloatArray] = {}
     out = []
     for effect in effects:
-        model = make_model(priors, n_runs, (effect,), variant=variant, speed=False)
+        model = base.with_effects((effect,))
         starts = extend_starts(fit, model, effect)
         start = starts[len(starts) // 2]
-        change = (model.force(evidence, start) - fit.force_kN) * evidence.weight
+        change = (View(evidence, model).force(start) - fit.force_kN) * evidence.weight
         rest = orthogonal_to(fit.jacobian, change[:, None])[:, 0]
         size, whole = float(np.linalg.norm(rest)), float(np.linalg.norm(change))
         if size <= HIDDEN * whole:

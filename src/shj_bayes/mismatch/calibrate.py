@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from shj_bayes.inference.squares import orthogonal_to
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.refit import Refit, orthogonal_to
+from shj_bayes.mismatch.refit import Refit
 from shj_bayes.model.parameters import FloatArray
 
 N_FLIPS = 1999

@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.intervals import around, jackknife
 from shj_bayes.mismatch.locate import locate
 from shj_bayes.mismatch.name import effect_size
 from shj_bayes.mismatch.refit import Refit
@@ -17,7 +16,7 @@ from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.search import Search
 from shj_bayes.mismatch.verdict import Judgement
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
 
 SCHEMA = "shj-bayes/diagnosis/1"
 
@@ -27,7 +26,7 @@ def effects(
 ) -> list[dict[str, Any]]:
     """Effects of the final model; under the verdict ``unknown`` they are a part of what was left out, and said so."""
     out = []
-    for effect in result.final.model.effects:
+    for effect in result.new:
         own = {p.name: draws[f"{effect.id}.{p.name}"] for p in effect.parameters}
         means = {key: float(values.mean()) for key, values in own.items()}
         out.append(
@@ -135,23 +134,10 @@ def heldout(evidence: Evidence, result: Search, shown: Refit) -> dict[str, Any]:
     }
 
 
-def shift(
-    evidence: Evidence, base: Refit, shown: Refit, draws: Mapping[str, FloatArray]
-) -> dict[str, dict[str, dict[str, float]]]:
-    """Say what the omission did to the base parameters: least squares as published, against the sampled model."""
-    wide = around(base, jackknife(evidence, base), 12345)  # the draws only carry the formula from free to natural
-    out = {}
-    for name in ("K", "Fy", "beta", "gamma", *(n for n in shown.model.names if n.startswith("ratio"))):
-        before = wide.get(name)
-        after = draws.get(name)
-        if before is None or after is None:
-            continue
-        value = base.model.values(base.z)[name]
-        out[name] = {
-            "before": {"mean": value, "sd": float(before.std(ddof=1))},
-            "after": _spread(after),
-        }
-    return out
+def shift(before: Mapping[str, FloatArray], after: Mapping[str, FloatArray]) -> dict[str, dict[str, dict[str, float]]]:
+    """Say what the omission did to the parameters of the base law, from draws without and with the effects found."""
+    shared = [name for name in before if name in after and base_and_run(name)[0] in LAW_PARAMETERS]
+    return {name: {"before": _spread(before[name]), "after": _spread(after[name])} for name in shared}
 
 
 def next_test(result: Search, judgement: Judgement) -> str | None:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference.problem import Run
-from shj_bayes.model.history import History, histories
+from shj_bayes.inference.run import Run, histories_of
+from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
 
@@ -94,7 +94,7 @@ def evidence_of(runs: Sequence[Run], max_samples: int = MAX_SAMPLES) -> Evidence
     total = sum(run.recording.n_samples for run in runs)
     stride = max(1, int(np.ceil(total / max_samples)))
     # Accelerations, rests and travel are those of the whole recording: they cannot be had from every tenth sample.
-    whole = histories([run.recording.time_s for run in runs], [run.motion for run in runs])
+    whole = histories_of(runs)
     thinned = [_thin(run, stride) for run in runs]
     motions = [motion for _, motion in thinned]
     n_half = sum(motion.n_half for motion in motions)
@@ -107,7 +107,7 @@ def evidence_of(runs: Sequence[Run], max_samples: int = MAX_SAMPLES) -> Evidence
         count += int(own[-1]) + 1
     if count < 4:
         raise InferenceError(f"{n_half} half-cycles are too few to tell misfit from noise; at least 5 are needed")
-    weight = [run.stretches.used[keep].astype(np.float64) for run, (keep, _) in zip(runs, thinned, strict=True)]
+    weight = [run.used[keep].astype(np.float64) for run, (keep, _) in zip(runs, thinned, strict=True)]
     return Evidence(
         histories=tuple(h.thinned(keep, motion) for h, (keep, motion) in zip(whole, thinned, strict=True)),
         force_kN=np.concatenate([run.recording.force_kN[keep] for run, (keep, _) in zip(runs, thinned, strict=True)]),

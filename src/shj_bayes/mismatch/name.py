@@ -8,13 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from shj_bayes.inference.problem import FREE_LIMIT
+from shj_bayes.inference.posterior import FREE_LIMIT
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.refit import Refit, linearise, make_model, promising_starts, refit
+from shj_bayes.mismatch.refit import Refit, View, linearise, promising_starts, refit
 from shj_bayes.mismatch.thresholds import AS_GOOD, RIVAL_PROBABILITY, RIVAL_SE
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Priors
 
 N_BOOTSTRAP = 2000
 ROUNDS, FEW_ROUNDS = 40, 3
@@ -87,9 +86,7 @@ class Ranking:
         return [False, *(_beats(best, other) and share < RIVAL_PROBABILITY for other, share in pairs)]
 
 
-def try_all(
-    evidence: Evidence, base: Refit, priors: Priors, effects: Sequence[Effect], *, variant: str, coarse: Evidence
-) -> list[Candidate]:
+def try_all(evidence: Evidence, base: Refit, effects: Sequence[Effect], *, coarse: Evidence) -> list[Candidate]:
     """Fit the current model with each further effect.
 
     Parameters
@@ -98,12 +95,8 @@ def try_all(
         The recordings.
     base : Refit
         The current model, fitted; it may hold effects already.
-    priors : Priors
-        Of the base parameters.
     effects : sequence of Effect
         To be tried one at a time.
-    variant : {"seed", "continuous"}
-        Reversal rule.
     coarse : Evidence
         The same recordings with fewer samples: starts are chosen on it.
 
@@ -114,9 +107,7 @@ def try_all(
     rough = linearise(coarse, base.model, base.z)
     ends = []
     for effect in effects:
-        model = make_model(
-            priors, len(evidence.histories), (*base.model.effects, effect), variant=variant, speed=base.model.speed
-        )
+        model = base.model.with_effects((*base.model.effects, effect))
         ends.append(refit(coarse, model, promising_starts(coarse, rough, model, effect), sigma_kN=base.rmse_kN))
     gains = [rough.rmse_kN**2 - end.rmse_kN**2 for end in ends]
     before = base.held_out_squares(evidence)
@@ -140,17 +131,18 @@ def compare(evidence: Evidence, before: FloatArray, fit: Refit, effect: Effect, 
 def effect_size(evidence: Evidence, fit: Refit, effect: Effect) -> float:
     """Force that an effect makes in a fitted model: 99th percentile of the change when it is taken out, kN."""
     without = fit.z.copy()
-    for i, name in enumerate(fit.model.names):
+    for i, name in enumerate(fit.model.law_names):
         owner, _, parameter = name.partition(".")
         if owner == effect.id and parameter in effect.neutral:
-            without[i] = float(fit.model.priors[i].to_free(np.asarray(_inside(fit, i, effect.neutral[parameter]))))
-    change = np.abs(fit.force_kN - fit.model.force(evidence, np.clip(without, -FREE_LIMIT, FREE_LIMIT)))
+            neutral = np.asarray(_inside(fit, i, effect.neutral[parameter]))
+            without[i] = float(fit.model.laws_of_parameters[i].to_free(neutral))
+    change = np.abs(fit.force_kN - View(evidence, fit.model).force(np.clip(without, -FREE_LIMIT, FREE_LIMIT)))
     return float(np.percentile(change[evidence.weight > 0], 99))
 
 
 def _inside(fit: Refit, i: int, value: float) -> float:
     """Neutral value moved just inside the law's support (a lognormal size is never quite 0)."""
-    prior = fit.model.priors[i]
+    prior = fit.model.laws_of_parameters[i]
     if prior.law in ("uniform", "loguniform"):
         width = 1e-9 * (prior.b - prior.a)
         return min(max(value, prior.a + width), prior.b - width)

@@ -1,73 +1,46 @@
-"""Least-squares fit of the base law with any set of effects, and what it predicts for blocks it has not seen."""
+"""Least squares of the thinned recordings, and what a model predicts for blocks that it has not seen."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from shj_bayes.inference.squares import Z_LIMIT, best_of, cost, extended, jacobian, promising
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.effects.effect import Base, Effect
-from shj_bayes.model.parameters import FloatArray, run_name
-from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.parameters import FloatArray
 
-STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
-Z_LIMIT = 12.0  # of the standardised parameters
 MAX_HALVINGS = 10
-N_STARTS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """The base law with effects, as a function of a vector of standardised free parameters.
+class View:
+    """A model as least squares sees it on the thinned recordings.
 
     Parameters
     ----------
-    effects : tuple of Effect
-        Added to the base law.
-    priors : tuple of Prior
-        Of the base parameters (named by `names`), then of the effects' parameters.
-    names : tuple of str
-        ``K``, ``Fy``, ``beta``, ``gamma``, ``ratio`` ..., then ``effect.parameter``.
-    variant : {"seed", "continuous"}
-        Reversal rule.
-    speed : bool
-        False fixes gamma at 0 (``--without velocity``).
+    evidence : Evidence
+        What is fitted.
+    model : DeviceModel
+        What to fit.
     """
 
-    effects: tuple[Effect, ...]
-    priors: tuple[Prior, ...]
-    names: tuple[str, ...]
-    variant: str
-    speed: bool
+    evidence: Evidence
+    model: DeviceModel
 
-    def values(self, z: FloatArray) -> dict[str, float]:
-        """Parameters in natural units by name."""
-        return {
-            name: float(prior.from_free(np.asarray(value)))
-            for name, prior, value in zip(self.names, self.priors, z, strict=True)
-        }
+    def force(self, z: FloatArray) -> FloatArray:
+        """Force of all runs at unbounded law parameters, shape (n_law,) to (n,), kN."""
+        theta = self.model.natural(np.append(z, np.zeros(len(self.model.names) - z.size))[None])
+        pairs = zip(self.evidence.histories, self.evidence.start_force_kN, strict=True)
+        return np.concatenate([self.model.force(theta, history, start)[0] for history, start in pairs])
 
-    @property
-    def predicted(self) -> NDArray[np.bool_]:
-        """For each parameter, whether other cycles tell of it: not of the state in which a test began, shape (d,)."""
-        initial = {f"{effect.id}.{name}" for effect in self.effects for name in effect.initial}
-        return np.array([name not in initial for name in self.names])
-
-    def force(self, evidence: Evidence, z: FloatArray) -> FloatArray:
-        """Force of all runs, shape (n,), kN."""
-        values = self.values(z)
-        own = {e.id: {p: values[f"{e.id}.{p}"] for p in e.names} for e in self.effects}
-        out = []
-        for history, start in zip(evidence.histories, evidence.start_force_kN, strict=True):
-            capacity = values["Fy"] * (values[run_name("ratio", history.run)] if history.run > 1 else 1.0)
-            base = Base(values["K"], capacity, values["beta"], values.get("gamma", 0.0), values["Fy"])
-            out.append(force_with_effects(history, base, self.effects, own, variant=self.variant, start_force_kN=start))
-        return np.concatenate(out)
+    def residual(self, z: FloatArray) -> FloatArray:
+        """Measured less modelled force, 0 where there is no evidence, shape (n_law,) to (n,), kN."""
+        return np.asarray((self.evidence.force_kN - self.force(z)) * self.evidence.weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +49,17 @@ class Refit:
 
     Parameters
     ----------
-    model : Model
+    model : DeviceModel
         What was fitted.
     z : array, shape (d,)
-        Standardised free parameters.
+        Unbounded parameters of the law.
     force_kN, residual_kN : array, shape (n,)
         Fitted force; measured minus fitted, 0 where there is no evidence.
     jacobian : array, shape (n, d)
         Derivative of the force after each free parameter, 0 where there is no evidence.
     """
 
-    model: Model
+    model: DeviceModel
     z: FloatArray
     force_kN: FloatArray
     residual_kN: FloatArray
@@ -101,7 +74,7 @@ class Refit:
     @property
     def capacity_kN(self) -> float:
         """Sliding force Fy of the first run, kN."""
-        return self.model.values(self.z)["Fy"]
+        return self.model.law_values(self.z)["Fy"]
 
     def held_out_residual(self, evidence: Evidence, *, check: bool = True) -> FloatArray:
         """Residual of each block under the parameters fitted without that block, shape (n,), kN.
@@ -117,7 +90,7 @@ class Refit:
         check : bool
             Whether a step that does not do for the other blocks what it promised is shortened.
         """
-        told = self.model.predicted
+        told = self.model.predicted[: self.z.size]
         jacobian = self.jacobian[:, told]
         gram = jacobian.T @ jacobian + _ridge(self) * np.eye(jacobian.shape[1])
         out = self.residual_kN.copy()
@@ -144,16 +117,16 @@ class Refit:
 
         def leave(length: float) -> tuple[float, FloatArray]:
             z = np.clip(self.z + length * step, -Z_LIMIT, Z_LIMIT)
-            residual = _residual(evidence, self.model, z)
-            return _cost(residual * rest, z, self.rmse_kN), residual
+            residual = View(evidence, self.model).residual(z)
+            return cost(residual * rest, z, self.rmse_kN), residual
 
-        cost, residual = leave(1.0)
+        least, residual = leave(1.0)
         if float((residual**2 - promised**2) @ rest) > _ridge(self):
             for halvings in range(1, MAX_HALVINGS):
                 shorter = leave(0.5**halvings)
-                if shorter[0] >= cost:
+                if shorter[0] >= least:
                     break
-                cost, residual = shorter
+                least, residual = shorter
         return residual
 
     def held_out_squares(self, evidence: Evidence, *, check: bool = True) -> FloatArray:
@@ -161,22 +134,13 @@ class Refit:
         return evidence.block_sums(self.held_out_residual(evidence, check=check) ** 2)
 
 
-def make_model(
-    priors: Priors, n_runs: int, effects: Sequence[Effect], *, variant: str = "seed", speed: bool = True
-) -> Model:
-    """Build the base law with effects for a device with `n_runs` runs; see `Model`."""
-    base = [name for name in ("K", "Fy", "beta", "gamma") if speed or name != "gamma"]
-    base += [run_name("ratio", run) for run in range(2, n_runs + 1)]
-    laws = [priors.of(name) for name in base]
-    names = list(base)
-    for effect in effects:
-        laws += effect.parameters
-        names += [f"{effect.id}.{p}" for p in effect.names]
-    return Model(tuple(effects), tuple(laws), tuple(names), variant, speed)
-
-
 def refit(
-    evidence: Evidence, model: Model, starts: Sequence[FloatArray], *, rounds: int = 40, sigma_kN: float | None = None
+    evidence: Evidence,
+    model: DeviceModel,
+    starts: Sequence[FloatArray],
+    *,
+    rounds: int = 40,
+    sigma_kN: float | None = None,
 ) -> Refit:
     """Least squares from several starts; the best is kept.
 
@@ -184,12 +148,12 @@ def refit(
     ----------
     evidence : Evidence
         What is fitted.
-    model : Model
+    model : DeviceModel
         What to fit.
-    starts : sequence of array, shape (d,)
-        Free parameters to start from; all get a few steps, the best two go to the end.
+    starts : sequence of array, shape (n_law,)
+        Unbounded law parameters to start from.
     rounds : int
-        Largest number of Levenberg-Marquardt steps.
+        Largest number of steps.
     sigma_kN : float, optional
         Noise scale against which the priors count; from the first start's residual by default.
 
@@ -197,113 +161,29 @@ def refit(
     -------
     Refit
     """
-    short = [_descend(evidence, model, z, 4, sigma_kN) if len(starts) > 2 else z for z in starts]
-    costs = [_cost(_residual(evidence, model, z), z, sigma_kN or 1.0) for z in short]
-    best = [short[i] for i in np.argsort(costs, kind="stable")[:2]]
-    ends = [_descend(evidence, model, z, rounds, sigma_kN) for z in best]
-    z = ends[int(np.argmin([_cost(_residual(evidence, model, end), end, sigma_kN or 1.0) for end in ends]))]
-    return linearise(evidence, model, z)
+    view = View(evidence, model)
+    sigma = sigma_kN or max(float(np.std(view.residual(starts[0]))), 1e-12)
+    return linearise(evidence, model, best_of(view, starts, sigma, rounds=rounds))
 
 
-def linearise(evidence: Evidence, model: Model, z: FloatArray) -> Refit:
+def linearise(evidence: Evidence, model: DeviceModel, z: FloatArray) -> Refit:
     """Evaluate a model at given parameters: force, residual and derivatives."""
-    force = model.force(evidence, z)
+    view = View(evidence, model)
+    force = view.force(z)
     residual = (evidence.force_kN - force) * evidence.weight
-    return Refit(model, z, force, residual, _jacobian(evidence, model, z, force))
+    return Refit(model, z, force, residual, jacobian(view, z))
 
 
-def extend_starts(base: Refit, model: Model, effect: Effect) -> list[FloatArray]:
-    """List starts of a larger model: the smaller model's parameters and the effect's own start values."""
-    head = base.z
-    grids = [_start_values(effect, prior) for prior in effect.parameters]
-    tails = [np.array(values) for values in product(*grids)]
-    assert model.names[: head.size] == base.model.names
-    return [np.concatenate([head, tail]) for tail in tails]
+def extend_starts(base: Refit, model: DeviceModel, effect: Effect) -> list[FloatArray]:
+    """List starts of a model with one more effect; see `squares.extended`."""
+    return extended(base.z, base.model, model, effect)
 
 
-def promising_starts(evidence: Evidence, base: Refit, model: Model, effect: Effect) -> list[FloatArray]:
-    """Choose starts of a larger model, at most `N_STARTS`: those whose change of the force goes best with the residual.
-
-    A moment in time or a wave length has a narrow basin; its grid is scanned to first order, not descended from.
-    """
-    starts = extend_starts(base, model, effect)
-    if len(starts) <= N_STARTS:
-        return starts
-    changes = np.stack([model.force(evidence, z) - base.force_kN for z in starts], axis=1)
-    own = orthogonal_to(base.jacobian, changes * evidence.weight[:, None])
-    along = own.T @ base.residual_kN / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    score = np.abs(along) if effect.parameters[0].law == "normal" else along  # a size of one sign must go along
-    return [starts[i] for i in np.argsort(-score, kind="stable")[:N_STARTS]]
-
-
-def _start_values(effect: Effect, prior: Prior) -> list[float]:
-    """Free start values of one parameter of an effect."""
-    given = effect.start.get(prior.name)
-    if given:
-        return [float(prior.to_free(np.asarray(float(value)))) for value in given]
-    if prior.name in effect.neutral and prior.law == "normal":
-        return [0.05 / prior.b]
-    return [0.0]
-
-
-def _residual(evidence: Evidence, model: Model, z: FloatArray) -> FloatArray:
-    return (evidence.force_kN - model.force(evidence, z)) * evidence.weight
-
-
-def _cost(residual: FloatArray, z: FloatArray, sigma: float) -> float:
-    """Sum of squares in units of the noise, and the priors as weak springs on the standardised parameters."""
-    value = float(residual @ residual) / sigma**2 + float(z @ z)
-    return value if np.isfinite(value) else np.inf
-
-
-def _jacobian(evidence: Evidence, model: Model, z: FloatArray, force: FloatArray) -> FloatArray:
-    columns = []
-    for i in range(z.size):
-        moved = z.copy()
-        moved[i] += STEP
-        columns.append((model.force(evidence, moved) - force) / STEP)
-    return np.stack(columns, axis=1) * evidence.weight[:, None]
-
-
-def _descend(evidence: Evidence, model: Model, z: FloatArray, rounds: int, sigma: float | None) -> FloatArray:
-    """Levenberg-Marquardt with the priors as weak springs on the standardised parameters."""
-    z = np.array(z, dtype=np.float64)
-    force = model.force(evidence, z)
-    r = (evidence.force_kN - force) * evidence.weight
-    scale = sigma or max(float(np.std(r)), 1e-12)
-    cost = _cost(r, z, scale)
-    damping = 1e-3
-    for _ in range(rounds):
-        jacobian = _jacobian(evidence, model, z, force)
-        gram = jacobian.T @ jacobian / scale**2 + np.eye(z.size)
-        slope = jacobian.T @ r / scale**2 - z
-        for _ in range(8):
-            step = np.linalg.solve(gram + damping * np.diag(np.diag(gram)), slope)
-            step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
-            trial = np.clip(z + step, -Z_LIMIT, Z_LIMIT)
-            new = model.force(evidence, trial)
-            new_r = (evidence.force_kN - new) * evidence.weight
-            new_cost = _cost(new_r, trial, scale)
-            if new_cost < cost:
-                break
-            damping *= 5.0
-        else:
-            return z
-        gain = cost - new_cost
-        z, force, r, cost = trial, new, new_r, new_cost
-        damping = max(damping / 5.0, 1e-9)
-        if gain < 1e-5 * cost + 1e-3:
-            return z
-    return z
+def promising_starts(evidence: Evidence, base: Refit, model: DeviceModel, effect: Effect) -> list[FloatArray]:
+    """Choose the starts whose change of the force goes best with the residual; see `squares.promising`."""
+    return promising(View(evidence, model), base.residual_kN, base.jacobian, extend_starts(base, model, effect))
 
 
 def _ridge(fit: Refit) -> float:
     """Weight of the priors in the units of the Gram matrix."""
     return max(fit.rmse_kN, 1e-12) ** 2
-
-
-def orthogonal_to(jacobian: FloatArray, columns: FloatArray) -> FloatArray:
-    """Reduce columns to what is left when all that the fitted parameters can follow is taken out."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    q: NDArray[np.float64] = np.linalg.qr(jacobian[:, scale > 0] / scale[scale > 0])[0]
-    return np.asarray(columns - q @ (q.T @ columns))

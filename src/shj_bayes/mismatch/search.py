@@ -11,7 +11,7 @@ from scipy import stats
 from shj_bayes.mismatch.calibrate import Alarm, Line, look, strongest_line
 from shj_bayes.mismatch.evidence import Evidence
 from shj_bayes.mismatch.name import Candidate, Ranking, ahead_beyond_chance, compare, rank, try_all
-from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
+from shj_bayes.mismatch.refit import Refit, View, extend_starts, refit
 from shj_bayes.mismatch.regions import Regions
 from shj_bayes.mismatch.repeats import Repeat, repeats
 from shj_bayes.mismatch.share import share
@@ -30,7 +30,6 @@ from shj_bayes.mismatch.thresholds import (
 )
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Priors
 
 Tell = Callable[[str], None]
 
@@ -95,9 +94,15 @@ class Search:
     known: Refit
 
     @property
+    def new(self) -> tuple[Effect, ...]:
+        """Effects of the final model that were not given from the start."""
+        given = self.base.model.effects
+        return tuple(effect for effect in self.final.model.effects if effect not in given)
+
+    @property
     def found(self) -> tuple[str, ...]:
-        """Ids of the effects in the final model."""
-        return tuple(effect.id for effect in self.final.model.effects)
+        """Their ids."""
+        return tuple(effect.id for effect in self.new)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +115,8 @@ class Setting:
         The recordings, and the same with fewer samples (to choose starts) and with more (to find the noise floor).
     regions : Regions
         Where to look.
-    priors : Priors
-        Of the base parameters.
     catalogue : tuple of Effect
         What to try.
-    variant : {"seed", "continuous"}
-        Reversal rule.
     seed : int
         Of the resampling.
     tell : callable
@@ -126,9 +127,7 @@ class Setting:
     coarse: Evidence
     fine: Evidence
     regions: Regions
-    priors: Priors
     catalogue: tuple[Effect, ...]
-    variant: str
     seed: int
     tell: Tell
 
@@ -178,7 +177,7 @@ def search(setting: Setting, base: Refit) -> Search:
         current = best.fit
         if number > 0:
             current = _revise(setting, current, base, number)
-    return Search(base, current, tuple(steps), _rivals(setting, steps[0].ranking, current), known)
+    return Search(base, current, tuple(steps), _rivals(setting, steps[0].ranking, current, base.model.effects), known)
 
 
 def _p_of_gains(setting: Setting, ranking: Ranking, current: Refit) -> float:
@@ -258,11 +257,14 @@ def _beyond_chance(candidate: Candidate, nats: float) -> bool:
 
 def _revise(setting: Setting, current: Refit, base: Refit, number: int) -> Refit:
     """Exchange or drop effects that entered earlier, when another one is better now."""
+    given = base.model.effects
     for k, effect in enumerate(current.model.effects[:-1]):
+        if effect in given:
+            continue
         without, tried = _in_place_of(setting, current, effect)
         ranking = _rank(setting, base, without, tried, setting.rng(3, number, k))
         if _objection(setting, base, without, ranking.candidates[0], float(ranking.elpd_gain[0])):
-            return _revise(setting, without, base, number) if len(without.model.effects) > 1 else without
+            return _revise(setting, without, base, number) if len(without.model.effects) > len(given) + 1 else without
         current = ranking.candidates[0].fit
     return current
 
@@ -279,14 +281,15 @@ def _in_place_of(setting: Setting, current: Refit, effect: Effect) -> tuple[Refi
     return without, [own if c.effect is effect and c.gain.sum() < own.gain.sum() else c for c in tried]
 
 
-def _rivals(setting: Setting, first: Ranking, final: Refit) -> dict[str, Ranking]:
+def _rivals(setting: Setting, first: Ranking, final: Refit, given: Sequence[Effect]) -> dict[str, Ranking]:
     """For each effect of the final model, how every other one would do in its place.
 
     In the place of the only effect stands the base law, and `first` holds every effect tried beside that already.
     """
     out = {}
-    alone = len(final.model.effects) == 1
-    for position, effect in enumerate(final.model.effects):
+    new = [effect for effect in final.model.effects if effect not in given]
+    alone = len(new) == 1
+    for position, effect in enumerate(new):
         tried = first.candidates if alone else _in_place_of(setting, final, effect)[1]
         out[effect.id] = rank(setting.evidence, tried, setting.rng(4, position))
     return out
@@ -296,20 +299,14 @@ def _try_rest(setting: Setting, current: Refit) -> list[Candidate]:
     """Fit a model with each effect that it does not hold yet."""
     own = {effect.id for effect in current.model.effects}
     rest = [effect for effect in setting.catalogue if effect.id not in own]
-    return try_all(setting.evidence, current, setting.priors, rest, variant=setting.variant, coarse=setting.coarse)
+    return try_all(setting.evidence, current, rest, coarse=setting.coarse)
 
 
 def _fit_with(setting: Setting, current: Refit, effects: Sequence[Effect]) -> Refit:
     """Fit the base law with some of the current effects, from the current parameters."""
-    model = make_model(
-        setting.priors,
-        len(setting.evidence.histories),
-        effects,
-        variant=setting.variant,
-        speed=current.model.speed,
-    )
-    values = dict(zip(current.model.names, current.z, strict=True))
-    start = np.array([values[name] for name in model.names])
+    model = current.model.with_effects(effects)
+    values = dict(zip(current.model.law_names, current.z, strict=True))
+    start = np.array([values[name] for name in model.law_names])
     return refit(setting.evidence, model, [start], sigma_kN=current.rmse_kN)
 
 
@@ -320,15 +317,9 @@ def _directions(setting: Setting, current: Refit) -> FloatArray:
     for effect in setting.catalogue:
         if effect.id in own:
             continue
-        model = make_model(
-            setting.priors,
-            len(setting.evidence.histories),
-            (*current.model.effects, effect),
-            variant=setting.variant,
-            speed=current.model.speed,
-        )
+        model = current.model.with_effects((*current.model.effects, effect))
         # All starts, not the promising ones: those were chosen by looking at the residual that is being tested.
         for start in extend_starts(current, model, effect):
-            change = model.force(setting.evidence, start) - current.force_kN
+            change = View(setting.evidence, model).force(start) - current.force_kN
             columns.append((change * setting.evidence.weight)[:, None])
     return np.concatenate(columns, axis=1)

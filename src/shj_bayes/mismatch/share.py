@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.refit import Refit
+from shj_bayes.mismatch.refit import Refit, View
 from shj_bayes.model.parameters import FloatArray
 
 
@@ -28,7 +28,7 @@ def share(evidence: Evidence, fine: Evidence, base: Refit, before: Refit, after:
         0 to 1; the noise floor is that of the larger model.
     """
     end = after.rmse_kN**2
-    close = (fine.force_kN - after.model.force(fine, after.z)) * fine.weight
+    close = View(fine, after.model).residual(after.z)
     floor = min(noise_variance(evidence, after.residual_kN), noise_variance(fine, close), end)
     return float(max(before.rmse_kN**2 - end, 0.0) / max(base.rmse_kN**2 - floor, 1e-300))
 

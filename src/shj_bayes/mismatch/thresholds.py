@@ -22,8 +22,6 @@ PART = 0.03  # of the misfit above noise
 REPEATED = 0.8  # of what comes again from cycle to cycle: taken up by less, and the catalogue has not explained it
 REPEAT_P = 0.01  # chance below which something comes again
 RIVAL_MASS = 0.99  # of the resampled cycle sets; rivals that win only in the rest are not listed
-FORMULA_SPREAD = 1.4  # of intervals beside a named effect: of 223 such, on devices that follow no formula, 80 % of the
-# 90 % intervals held the truth without it, 90 % with it; without an effect they hold it as they are
 ALIAS = 0.9  # cosine above which two effects cannot be told apart by this displacement history
 # A formula for what no effect explains is learnt on every other cycle and must, on the cycles between them,
 FORMULA_SHARE = (

@@ -20,7 +20,7 @@ def force_with_effects(
     effects: Sequence[Effect],
     values: Mapping[str, Mapping[str, float]],
     *,
-    variant: str = "seed",
+    variant: str = "published",
     start_force_kN: float = 0.0,
 ) -> FloatArray:
     """Force of one run with effects.
@@ -35,7 +35,7 @@ def force_with_effects(
         What is added to the base law; none gives `shj_bayes.model.law.force`.
     values : mapping of effect id to mapping of parameter name to value
         In the units of each effect.
-    variant : {"seed", "continuous"}
+    variant : {"published", "continuous"}
         Reversal rule of the base law.
     start_force_kN : float
         Rate-free force at the first sample, kN.

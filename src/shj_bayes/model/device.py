@@ -1,9 +1,9 @@
-"""The model of one device: the published law, the effects that are added to it, and the noise, as one parameter vector."""
+"""The model of one device: the published law, effects that are added to it and the noise, as one parameter vector."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, Effect
 from shj_bayes.model.history import History
-from shj_bayes.model.law import VARIANTS, force_of_laws
+from shj_bayes.model.law import force_of_laws, variant_named
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.noise.noise import Noise
 from shj_bayes.model.parameters import SHAREABLE, FloatArray, Parameter, describe, run_name
@@ -40,7 +40,7 @@ class DeviceModel:
         Noise model; white and slow by default.
     free : tuple of str
         Those of K, beta, gamma that each run has for itself (``K_2`` for the second run); the others are shared.
-    variant : {"seed", "continuous"}
+    variant : {"published", "continuous"}
         Reversal rule.
     speed : bool
         False fixes gamma at 0.
@@ -49,23 +49,20 @@ class DeviceModel:
     n_runs: int
     priors: Priors
     effects: tuple[Effect, ...] = ()
-    noise: Noise = noise_model(DEFAULT)
+    noise: Noise = field(default_factory=lambda: noise_model(DEFAULT))
     free: tuple[str, ...] = ()
-    variant: str = "seed"
+    variant: str = "published"
     speed: bool = True
 
     def __post_init__(self) -> None:
         """Refuse choices that no device could have."""
         if not 1 <= self.n_runs <= 9:
             raise ModelError(f"a device has {self.n_runs} runs; allowed are 1 to 9 consecutive runs")
-        if self.variant not in VARIANTS:
-            raise ModelError(
-                f"model '{self.variant}' is not known; choose one of {', '.join(VARIANTS)}"
-                f"{did_you_mean(self.variant, VARIANTS)}"
-            )
+        object.__setattr__(self, "variant", variant_named(self.variant))
         wrong = [name for name in self.free if name not in SHAREABLE]
         if wrong:
-            raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}")
+            hint = did_you_mean(wrong[0], SHAREABLE)
+            raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}{hint}")
         twice = [e.id for i, e in enumerate(self.effects) if e.id in [other.id for other in self.effects[:i]]]
         if twice:
             raise ModelError(f"effect '{twice[0]}' is named twice; name each effect once")
@@ -89,17 +86,22 @@ class DeviceModel:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sampled parameters with unit and meaning."""
-        own = {
-            f"{effect.id}.{prior.name}": Parameter(f"{effect.id}.{prior.name}", prior.unit, f"{effect.title.lower()}")
-            for effect in self.effects
-            for prior in effect.parameters
-        }
-        return tuple(own[name] if name in own else describe(name) for name in self.names)
+        return tuple(meaning_of(name) for name in self.names)
 
     @property
     def n_law(self) -> int:
         """Number of parameters that the force depends on: all but those of the noise, which come last."""
         return len(self.names) - len(self.noise.parameters)
+
+    @property
+    def law_names(self) -> tuple[str, ...]:
+        """Parameters that the force depends on."""
+        return self.names[: self.n_law]
+
+    def law_values(self, z: FloatArray) -> dict[str, float]:
+        """Parameters of the force in natural units by name, from their unbounded values, shape (n_law,)."""
+        pairs = zip(self.law_names, self.laws_of_parameters, z, strict=False)
+        return {name: float(prior.from_free(np.asarray(value))) for name, prior, value in pairs}
 
     @cached_property
     def predicted(self) -> NDArray[np.bool_]:
@@ -172,16 +174,15 @@ class DeviceModel:
         """
         laws = self.run_laws(theta, history.run)
         if not self.effects:
-            return force_of_laws(
-                history.motion, laws, variant=self.variant, start_force_kN=start_force_kN, out=out
-            )
+            return force_of_laws(history.motion, laws, variant=self.variant, start_force_kN=start_force_kN, out=out)
         if out is None:
             out = np.empty((theta.shape[0], history.time_s.size))
         first = theta[:, self.index("Fy")]
         places = {e.id: [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters] for e in self.effects}
         for j in range(theta.shape[0]):
             own = {name: {p: float(theta[j, i]) for p, i in of_effect} for name, of_effect in places.items()}
-            base = Base(*laws[j].tolist(), Fy_first=float(first[j]))
+            stiffness, capacity, beta, gamma = laws[j].tolist()
+            base = Base(stiffness, capacity, beta, gamma, float(first[j]))
             out[j] = force_with_effects(
                 history, base, self.effects, own, variant=self.variant, start_force_kN=start_force_kN
             )
@@ -190,6 +191,18 @@ class DeviceModel:
     def noise_values(self, theta: FloatArray) -> dict[str, FloatArray]:
         """Noise parameters by name, each of shape (m,)."""
         return {name: np.ascontiguousarray(theta[:, self.index(name)]) for name in self.noise.parameters}
+
+
+def meaning_of(name: str) -> Parameter:
+    """Give unit and meaning of any sampled parameter: of the law, of the noise, or of an effect (``slack.size``)."""
+    owner, dot, own = name.partition(".")
+    if not dot:
+        return describe(name)
+    effect = catalogue().get(owner)
+    prior = next((prior for prior in effect.parameters if prior.name == own), None) if effect else None
+    if effect is None or prior is None:
+        raise ModelError(f"'{name}' is not a parameter of an effect of the catalogue")
+    return Parameter(name, prior.unit, f"{effect.title.lower()}: {own.replace('_', ' ')}")
 
 
 def effects_named(words: Sequence[str]) -> tuple[Effect, ...]:

@@ -21,7 +21,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.polynomial.chebyshev import cheb2poly
 
-SEED, CONTINUOUS = 0, 1
+PUBLISHED, CONTINUOUS = 0, 1
 DEGREE = 18  # of the knee's polynomial: its singularity at w = -1 makes the error 5.8^-18 = 1.7e-14
 CHUNK = 64  # samples that are looked at together for being all elastic or all saturated
 _MAGIC = 6755399441055744.0  # 1.5 * 2^52: adding it leaves a rounded integer in the low bits of a double

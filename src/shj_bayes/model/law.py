@@ -8,8 +8,10 @@ from shj_bayes.errors import ModelError
 from shj_bayes.model import kernel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
+from shj_bayes.suggest import did_you_mean
 
-VARIANTS = {"seed": kernel.SEED, "continuous": kernel.CONTINUOUS}
+VARIANTS = {"published": kernel.PUBLISHED, "continuous": kernel.CONTINUOUS}
+OLD_NAMES = {"seed": "published"}  # in results and scripts of earlier versions
 BETA_RANGE = (1.0, 500.0)
 
 
@@ -17,7 +19,7 @@ def force_of_laws(
     motion: Motion,
     laws: FloatArray,
     *,
-    variant: str = "seed",
+    variant: str = "published",
     start_force_kN: float = 0.0,
     out: FloatArray | None = None,
 ) -> FloatArray:
@@ -28,7 +30,7 @@ def force_of_laws(
         F = e / (1 + |e / Fy|^beta)^(1/beta) * (1 + gamma |v|),   e = K (x - x_reset) + F_reset
 
     (Eqs. 1 and 2 with dep = 1/gamma; the speed enters without its sign, see the decision page on the law).
-    ``seed`` is this, as published: at a reversal the force jumps by the factor 2^(-1/beta).
+    ``published`` is this: at a reversal the force jumps by the factor 2^(-1/beta).
     ``continuous`` lets the denominator act only once e has the sign of the motion, so unloading starts from F_reset.
 
     Parameters
@@ -37,7 +39,7 @@ def force_of_laws(
         Displacement history.
     laws : array, shape (m, 4)
         K (kN/mm), Fy (kN), beta, gamma (s/mm) of each set.
-    variant : {"seed", "continuous"}
+    variant : {"published", "continuous"}
         Reversal rule.
     start_force_kN : float
         Rate-free force at the first sample, kN.
@@ -55,8 +57,7 @@ def force_of_laws(
         If a parameter is outside what the law allows.
     """
     laws = np.ascontiguousarray(laws, dtype=np.float64)
-    if variant not in VARIANTS:
-        raise ModelError(f"model '{variant}' is not known; choose one of {', '.join(VARIANTS)}")
+    variant = variant_named(variant)
     if laws.ndim != 2 or laws.shape[1] != 4:
         raise ModelError(f"laws has shape {laws.shape}; it needs (m, 4) for K, Fy, beta, gamma")
     check_laws(laws)
@@ -81,6 +82,22 @@ def force_of_laws(
     return out
 
 
+def variant_named(word: str) -> str:
+    """Reversal rule of a word, also of its old name.
+
+    Raises
+    ------
+    ModelError
+        If there is none of that name.
+    """
+    word = OLD_NAMES.get(word, word)
+    if word not in VARIANTS:
+        raise ModelError(
+            f"model '{word}' is not known; choose one of {', '.join(VARIANTS)}{did_you_mean(word, VARIANTS)}"
+        )
+    return word
+
+
 def force(
     motion: Motion,
     *,
@@ -88,7 +105,7 @@ def force(
     Fy: float,
     beta: float,
     gamma: float = 0.0,
-    variant: str = "seed",
+    variant: str = "published",
     start_force_kN: float = 0.0,
 ) -> FloatArray:
     """Force for one parameter set; see `force_of_laws`.
@@ -105,7 +122,7 @@ def force(
         Sharpness, 1 to 500.
     gamma : float
         Speed coefficient, s/mm.
-    variant : {"seed", "continuous"}
+    variant : {"published", "continuous"}
         Reversal rule.
     start_force_kN : float
         Rate-free force at the first sample, kN.

@@ -79,7 +79,7 @@ def simulate_device(
     rate_Hz: float = 20.0,
     n_runs: int = 2,
     blocks: tuple[Block, ...] | None = None,
-    variant: str = "seed",
+    variant: str = "published",
     name: str = "simulated",
 ) -> tuple[Recording, ...]:
     """Simulate the consecutive runs of one device.
@@ -96,7 +96,7 @@ def simulate_device(
         Number of runs, 1 to 9; those after the second slide at the second one's force times ratio, and so on.
     blocks : tuple of Block, optional
         Displacement regime; Table 1 by default.
-    variant : {"seed", "continuous"}
+    variant : {"published", "continuous"}
         Reversal rule.
     name : str
         Stem for the recordings' names.

@@ -10,6 +10,7 @@ import numpy as np
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.files import damage_told
 from shj_bayes.inference.store import read_group, read_record
+from shj_bayes.model.law import variant_named
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 from shj_bayes.population.tested import RangeTested
@@ -86,5 +87,5 @@ def tested_by_fit(folder: Path) -> RangeTested | None:
         return None
     # A recording on noisy displacement has half-cycles of different size; 2 % at either end is not a range.
     low, high = np.quantile(amplitudes, (0.02, 0.98)), np.quantile(peaks, (0.1, 0.9))
-    variant = str(record.get("model", {}).get("variant", "seed"))
+    variant = variant_named(str(record.get("model", {}).get("variant", "published")))
     return RangeTested(float(low[0]), float(low[1]), float(high[0]), float(high[1]), variant, folder.name)

@@ -21,7 +21,7 @@ class RangeTested:
     slowest_mm_s, fastest_mm_s : float
         Smallest and largest peak speed of a cycle, mm/s; within a stroke every speed from 0 to the peak occurs.
     variant : str
-        Reversal rule of the law that the devices were fitted with ("seed" or "continuous").
+        Reversal rule of the law that the devices were fitted with ("published" or "continuous").
     source : str
         Where the range comes from.
     """
@@ -30,7 +30,7 @@ class RangeTested:
     largest_mm: float
     slowest_mm_s: float
     fastest_mm_s: float
-    variant: str = "seed"
+    variant: str = "published"
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class RangeTested:
         return 0 < speed_mm_s <= 1.01 * self.fastest_mm_s
 
 
-PUBLISHED = RangeTested(5.94, 95.0, 9.8, 10.25, "seed", "Table 1 of the paper")
+PUBLISHED = RangeTested(5.94, 95.0, 9.8, 10.25, "published", "Table 1 of the paper")
 """Six amplitudes at nearly one peak speed: 2 pi f A is 9.80 to 10.25 mm/s in every block."""
 
 

@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.inference.problem import Run
+from shj_bayes.inference.fit import fit
+from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.sampler import Plan
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.intervals import Effort
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 
-SAMPLED = 1500  # samples for the posterior: the noise is correlated, and denser ones cost time
 N_STEPS = 600  # enough for 5 and 95 % quantiles of a posterior with one top, from a start at that top
 
 
@@ -36,7 +37,7 @@ def diagnose_blind(
         Consecutive runs.
     columns, units : str or None
         As for `shj_bayes.recording.reader.read`.
-    model : {"seed", "continuous"}
+    model : {"published", "continuous"}
         Reversal rule; the simulated devices have no jump.
     priors : str
         Prior family.
@@ -53,6 +54,12 @@ def diagnose_blind(
         Content of ``diagnosis.json``.
     """
     recordings = [read(path, columns=columns, units=units) for path in paths]
-    runs = [Run(recording, motion_of(recording)) for recording in recordings]
-    effort = Effort(SAMPLED, N_STEPS, threads=1) if intervals else None
-    return diagnose(runs, read_priors(priors), variant=model, without=without, quick=quick, effort=effort).record
+    runs = runs_of(recordings)
+
+    def sample(found: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+        result = fit(runs, found, plan=Plan(max_steps=N_STEPS), tops=[top], threads=1)
+        draws = {str(n): v.to_numpy().ravel() for n, v in result.data["posterior"].data_vars.items()}
+        return draws, {"how": f"emcee; {'; '.join(result.verdict.reasons)}", "verdict": result.verdict.word}
+
+    device = DeviceModel(len(runs), read_priors(priors), variant=model)
+    return diagnose(runs, device, without=without, quick=quick, sample=sample if intervals else None).record

@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shj_bayes.inference.problem import Run
+from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.squares import orthogonal_to
 from shj_bayes.mismatch.evidence import Evidence, evidence_of
-from shj_bayes.mismatch.refit import Refit, make_model, orthogonal_to, refit
+from shj_bayes.mismatch.refit import Refit, refit
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors
 from shj_bayes.proof.cases import Key
 from shj_bayes.proof.make import Made, make
 from shj_bayes.proof.simulators.simulator import simulators_by_id
-from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
 
 PRACTICAL = 0.01  # of Fy: the size that the tool calls negligible for design (mismatch/thresholds.py), fixed here
@@ -91,9 +92,8 @@ def truth_of(key: Key, priors: Priors, made: list[Made] | None = None) -> Truth:
             lesser, _ = _fit_perfect(make(key, effects=others), key, priors)
             alone = orthogonal_to(fit.jacobian, ((scene.force_kN - lesser.force_kN) * scene.weight)[:, None])[own, 0]
             each[one.id] = (float(np.percentile(np.abs(alone), 99)) / key.device.Fy, _worth(alone, made))
-    names = bare.model.names
     return Truth(
-        base={name: bare.model.values(bare.z)[name] for name in names},
+        base=bare.model.law_values(bare.z),
         visible_share=share,
         evidence=_worth(residual[own], made),
         bare_share=float(np.percentile(np.abs(bare.residual_kN[bare_scene.weight > 0]), 99)) / key.device.Fy,
@@ -137,13 +137,10 @@ def kept_base(key: Key) -> set[str]:
 
 def _fit_perfect(made: list[Made], key: Key, priors: Priors) -> tuple[Evidence, Refit]:
     """Fit the base law to what a recorder without noise would show."""
-    runs = []
-    for one in made[:2]:
-        perfect = Recording(one.recording.time_s, one.x_mm, one.clean_kN)
-        runs.append(Run(perfect, motion_of(perfect)))
-    scene = evidence_of(runs, 4000)
-    model = make_model(priors, len(runs), (), variant="continuous")
+    perfect = [Recording(one.recording.time_s, one.x_mm, one.clean_kN) for one in made[:2]]
+    scene = evidence_of(runs_of(perfect), 4000)
+    model = DeviceModel(len(perfect), priors, variant="continuous")
     device = {"K": key.device.K, "Fy": key.device.Fy, "beta": key.device.beta, "gamma": key.device.gamma}
     device["ratio"] = key.device.ratio
-    z = [float(law.to_free(np.asarray(device[name]))) for name, law in zip(model.names, model.priors, strict=True)]
-    return scene, refit(scene, model, [np.array(z)], sigma_kN=key.nuisance.noise_kN)
+    z = model.unbounded(np.array([[device.get(name, 1.0) for name in model.names]]))[0, : model.n_law]
+    return scene, refit(scene, model, [z], sigma_kN=key.nuisance.noise_kN)

@@ -10,7 +10,7 @@ import numpy as np
 
 from shj_bayes.errors import ReportError
 from shj_bayes.files import damage_told
-from shj_bayes.model.parameters import describe
+from shj_bayes.model.device import meaning_of
 from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
@@ -130,7 +130,7 @@ def cards(device: DeviceData, peak_mm_s: float, one_speed: bool) -> list[dict[st
         out.append(
             {
                 "name": name,
-                "meaning": describe(name).meaning,
+                "meaning": meaning_of(name).meaning,
                 "value": words.rounded(row["q50"], row["sd"]),
                 "exact": repr(row["q50"]),
                 "unit": "" if row["unit"] == "1" else row["unit"],
@@ -148,7 +148,7 @@ def parameter_row(row: dict[str, Any]) -> dict[str, Any]:
     return {
         "name": row["name"],
         "unit": "" if row["unit"] == "1" else row["unit"],
-        "meaning": describe(row["name"]).meaning,
+        "meaning": meaning_of(row["name"]).meaning,
         "dep": words.dep_words(row) if base == "gamma" else "",
         "numbers": [{"exact": repr(row[k]), "text": words.rounded(row[k], row["sd"] or 0.0)} for k in keys],
         "ess": f"{row['ess_bulk'] or 0:.0f}",

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ModelError
+from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.parameters import FloatArray, describe
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
 from shj_bayes.report.diagnosis_numbers import Parity
@@ -107,7 +108,7 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
             note = f"Before: {dep(row['before'])}. After: {dep(row['after'])}."
         if not data.channels.changed:
             note = f"{_first_up(dep(row['after']))}." if name == "gamma" else f"Spread {spread(row['after'])}."
-        out.append(_card(f"{name}: {describe(name).meaning}", value(row["before"]), value(row["after"]), unit, note))
+        out.append(_card(f"{name}: {meaning_of(name).meaning}", value(row["before"]), value(row["after"]), unit, note))
     before, after = (number(data.record[k].get("heldout_rmse_kN")) for k in ("before", "after"))
     floor = words.short(number(data.record["after"].get("noise_kN")))
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
@@ -442,14 +443,14 @@ def _first_up(text: str) -> str:
 def _meaning(name: str) -> str:
     """Meaning of a parameter; a name that this version does not know is shown without one."""
     try:
-        return describe(name).meaning
+        return meaning_of(name).meaning
     except ModelError:
         return ""
 
 
 def _unit(name: str) -> str:
     try:
-        unit = describe(name).unit
+        unit = meaning_of(name).unit
     except ModelError:
         return ""
     return "" if unit == "1" else unit

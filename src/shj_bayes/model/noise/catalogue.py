@@ -23,7 +23,7 @@ def noise_models() -> dict[str, Noise]:
         if model is None:
             continue
         if model.id != module.name:
-            raise ModelError(f"noise/{module.name}.py holds noise model '{model.id}'; the file carries the model's word")
+            raise ModelError(f"noise/{module.name}.py holds noise model '{model.id}'; the file carries its word")
         found[model.id] = model
     return dict(sorted(found.items(), key=lambda item: (item[0] != DEFAULT, item[0])))
 

@@ -13,7 +13,7 @@ def parts(values: Values) -> Parts:
     return gaussian(values["sigma"], np.zeros_like(values["sigma"]))
 
 
-def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:  # noqa: ARG001  same signature for all
+def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     """Nothing is remembered."""
     return np.zeros((seconds.size, values["sigma"].size))
 

@@ -75,6 +75,6 @@ def gaussian(white_kN: FloatArray, slow_kN: FloatArray) -> Parts:
     return Parts(white_kN, slow_kN, np.full(white_kN.shape, np.inf))
 
 
-def exponential(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:  # noqa: ARG001  same signature for all
+def exponential(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     """Correlation exp(-t / tau_slow) of an Ornstein-Uhlenbeck process, whatever the sampling rate."""
     return np.exp(-seconds[:, None] / values["tau_slow"])
