@@ -90,7 +90,8 @@ class FitResult(_Result):
         An ``arviz.InferenceData`` up to ArviZ 0.23, an ``xarray.DataTree`` from version 1 on.
         """
         check_files(self.folder, read_record(self.folder))
-        return az.from_netcdf(str(self.folder / "posterior.nc"), engine="h5netcdf").load()
+        from_netcdf: Any = az.from_netcdf  # carries no types
+        return from_netcdf(str(self.folder / "posterior.nc"), engine="h5netcdf").load()
 
     @property
     def draws(self) -> pd.DataFrame:

@@ -153,12 +153,12 @@ def inference_data(
     for name in ("log_likelihood", "log_prior"):
         for variable in groups[name].data_vars.values():
             variable.attrs.update(units="1", meaning=f"{name.replace('_', ' ')} of: {variable.attrs['meaning']}")
-    for variable in groups["loops"].variables.values():
-        if variable.ndim == 3:  # in 16 bits, to 1/16 384 of the largest or finer
-            unit = np.float32(2.0 ** (np.floor(np.log2(np.abs(variable).max())) - 13))
-            variable.values = np.round(variable.values / unit).astype(np.float32) * unit
-            chunks = (*variable.shape[:2], min(512, variable.shape[2]))
-            variable.encoding.update(dtype="int16", _FillValue=np.int16(-32768), scale_factor=unit, chunksizes=chunks)
+    for name in loops:  # in 16 bits, to 1/16 384 of the largest or finer
+        stored = groups["loops"].variables[name]
+        unit = np.float32(2.0 ** (np.floor(np.log2(np.abs(stored).max())) - 13))
+        stored.values = np.round(stored.values / unit).astype(np.float32) * unit
+        chunks = (*stored.shape[:2], min(512, stored.shape[2]))
+        stored.encoding.update(dtype="int16", _FillValue=np.int16(-32768), scale_factor=unit, chunksizes=chunks)
     return xr.DataTree.from_dict(groups)
 
 
