@@ -91,7 +91,10 @@ class FitResult(_Result):
         """
         check_files(self.folder, read_record(self.folder))
         from_netcdf: Any = az.from_netcdf  # carries no types
-        return from_netcdf(str(self.folder / "posterior.nc"), engine="h5netcdf").load()
+        data = from_netcdf(str(self.folder / "posterior.nc"), engine="h5netcdf")
+        data.load()  # and close: an open file cannot be replaced on Windows
+        data.close()
+        return data
 
     @property
     def draws(self) -> pd.DataFrame:

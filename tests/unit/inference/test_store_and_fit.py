@@ -265,13 +265,12 @@ def test_what_arviz_offers_works_on_the_file(fitted: Fitted, with_slack: Path) -
     table = az.summary(data, round_to=10)
     assert list(table.index) == names
     np.testing.assert_allclose(table["mean"], [result.data["posterior"][n].mean() for n in names], rtol=1e-6)
-    n_draws = 4 * result.data["posterior"].sizes["draw"]
-    for group in sorted(GROUPS):
-        draws = "draw" in result.data[group].sizes  # the others have none to stack
-        got = az.extract(data, group=group) if draws else az.extract(data, group=group, combined=False, **NO_DRAWS)
-        assert ("sample" in got.sizes) == draws
+    for group in GROUPS:
+        drawn = "draw" in result.data[group].sizes
+        own = {} if drawn else {"combined": False} | ({} if OLD_ARVIZ else {"sample_dims": []})
+        got = az.extract(data, group=group, keep_dataset=True, **own)
         assert set(got.data_vars) == set(result.data[group].data_vars), group
-    assert az.extract(data, group="log_likelihood", keep_dataset=True).sizes["sample"] == n_draws
+        assert ("sample" in got.sizes) == drawn, group  # recordings have no draws to stack
 
     loo = az.loo(data, pointwise=True)
     n_half = result.data["observed_data"].sizes["half_cycle"]
@@ -296,9 +295,6 @@ def test_what_arviz_offers_works_on_the_file(fitted: Fitted, with_slack: Path) -
         prior, likelihood = of_both["prior"], of_both["likelihood"]
     for name in ("K", "Fy"):  # told by the data, not by the prior
         assert float(prior[name]) < 0.02 < float(likelihood[name])
-
-
-NO_DRAWS = {} if OLD_ARVIZ else {"sample_dims": []}
 
 
 def test_same_seed_same_numbers_and_a_finished_fit_is_not_repeated(fitted: Fitted) -> None:
