@@ -60,9 +60,7 @@ MEANINGS = {  # unit and meaning of what is not a parameter, by name
     "force_of_half_cycle": ("kN", "mean force of the half-cycle's evidence in the direction of motion"),
     "lp": ("1", "log posterior density of the unbounded parameters, up to a constant"),
 }
-AS_SAMPLED = (
-    "of the draws as sampled; those of the group posterior are wider where fit.json, cycles, widening is above 1"
-)
+AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the record's cycles, widening is above 1"
 
 
 def natural_chains(posterior: Posterior, chains: FloatArray) -> FloatArray:
@@ -118,32 +116,29 @@ def inference_data(
         "number": ("half_cycle", np.concatenate([np.arange(n) for n in n_half])[some]),
     }
     points = tuple(points_of(run, N_POINTS) for run in posterior.runs)
-    begins = np.cumsum([0, *(run.recording.n_samples for run in posterior.runs)])
-    point = {"point": np.concatenate([keep + begin for keep, begin in zip(points, begins, strict=False)])}
+    begins = np.cumsum([0, *(run.recording.n_samples for run in posterior.runs[:-1])])
+    point = {"point": np.concatenate([keep + begin for keep, begin in zip(points, begins, strict=True)])}
     few = np.linspace(0, draws.shape[1] - 1, N_LOOPS).astype(int)
     clean, noisy = force_at_points(posterior, draws[:, few].reshape(-1, d), points, rng)
 
     def named(values: FloatArray) -> dict[str, FloatArray]:
         return {name: values[..., i] for i, name in enumerate(posterior.names)}
 
-    def forces(values: FloatArray) -> dict[str, FloatArray]:
-        return {"force_of_half_cycle": values[:, some].reshape(n_ensembles, -1, some.size)}
+    def by_half(values: FloatArray, n_chains: int = n_ensembles) -> dict[str, NDArray[Any]]:
+        return {"force_of_half_cycle": values[:, some].reshape(n_chains, -1, some.size)}
 
     words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
-    loops = {
-        name: force.reshape(n_ensembles, few.size, -1) for name, force in (("force", noisy), ("force_model", clean))
-    }
-    prior_force = {"force_of_half_cycle": foreseen[possible][None, :, some].astype(np.float32)}
+    loops = {"force": noisy, "force_model": clean}
+    loops = {name: force.reshape(n_ensembles, few.size, -1) for name, force in loops.items()}
+    likely = np.round(likely * 2.0**20) / 2.0**20  # a millionth; the file is smaller
+    predicted, foreseen = predicted.astype(np.float32), foreseen[possible].astype(np.float32)
+    foreseen_at = half_cycle | {"draw": possible}
     groups = {
         "posterior": _group(words, "draws", named(draws)),
         "prior": _group(words, "draws of the priors", named(prior[None])),
-        "posterior_predictive": _group(
-            words, f"with noise; {AS_SAMPLED}", forces(predicted.astype(np.float32)), half_cycle
-        ),
-        "prior_predictive": _group(words, "with noise", prior_force, half_cycle | {"draw": possible}),
-        "log_likelihood": _group(
-            words, f"given those before it; {AS_SAMPLED}", forces(np.round(likely * 2.0**20) / 2.0**20), half_cycle
-        ),
+        "posterior_predictive": _group(words, f"with noise; {AS_SAMPLED}", by_half(predicted), half_cycle),
+        "prior_predictive": _group(words, "with noise", by_half(foreseen, 1), foreseen_at),
+        "log_likelihood": _group(words, f"given those before it; {AS_SAMPLED}", by_half(likely), half_cycle),
         "log_prior": _group(words, f"in natural units; {AS_SAMPLED}", named(log_prior)),
         "sample_stats": _group(words, AS_SAMPLED, {"lp": heights[:, ::step].reshape(n_ensembles, -1)}),
         "observed_data": _group(words, "measured", {"force_of_half_cycle": measured[some]}, half_cycle),
@@ -180,19 +175,9 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.
         Columns of INTERFACE: name, unit, mean, sd, q05, q50, q95, ess_bulk, ess_tail, rhat.
     """
     flat = chains.reshape(-1, chains.shape[-1])
-    q05, q50, q95 = np.quantile(flat, [0.05, 0.5, 0.95], axis=0)
-    columns = (
-        list(figures.names),
-        [parameter.unit for parameter in model.parameters],
-        flat.mean(axis=0),
-        flat.std(axis=0, ddof=1),
-        q05,
-        q50,
-        q95,
-        figures.ess_bulk,
-        figures.ess_tail,
-        figures.rhat,
-    )
+    of_draws = (flat.mean(axis=0), flat.std(axis=0, ddof=1), *np.quantile(flat, [0.05, 0.5, 0.95], axis=0))
+    words = ([parameter.name for parameter in model.parameters], [parameter.unit for parameter in model.parameters])
+    columns = (*words, *of_draws, figures.ess_bulk, figures.ess_tail, figures.rhat)
     return pd.DataFrame(dict(zip(SUMMARY_COLUMNS, columns, strict=True)))
 
 

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -19,7 +20,7 @@ from shj_bayes.inference.predictive import draw_noise, force_at_points, points_o
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.device import effects_named
-from shj_bayes.model.noise.filter import simulate
+from shj_bayes.model.noise.filter import Timing, log_density, simulate
 from shj_bayes.model.simulate import Truth
 from shj_bayes.report.data import read_device
 
@@ -177,6 +178,29 @@ def test_noise_of_averages_is_that_of_samples_averaged(make_small: Callable[...,
     assert shared[0] == pytest.approx(shared[1], abs=0.1)
 
 
+@pytest.mark.parametrize("noise", ["slow", "student"])
+def test_noise_is_drawn_from_the_density_of_the_likelihood(make_small: Callable[..., Posterior], noise: str) -> None:
+    """No other error of displacement or turning points, and no other tails, suit the draws better than their own."""
+    small = make_small(noise=noise, n_runs=1, rate_Hz=20.0)
+    own = {"sigma_white": 0.5, "sigma_slow": 0.3, "tau_slow": 1.0, "nu": 4.0}
+    values = {name: np.full(1000, own[name]) for name in small.model.noise.parameters}
+    part = small.averages[0]
+    known = replace(part.timing, displacement_noise_mm=0.1, turning_noise_mm=np.full(part.timing.half.size - 1, 0.02))
+    slope = np.repeat(np.linspace(0.0, 18.0, part.n)[None], 1000, axis=0)
+    drawn = draw_noise(small.model.noise, values, slope, known, np.random.default_rng(1))
+
+    def mean(change: Callable[[Timing], Timing] = lambda timing: timing, **other: float) -> float:
+        told = values | {name: np.full(1000, value) for name, value in other.items()}
+        return float(log_density(small.model.noise, told, drawn, slope, change(known)).sum(axis=1).mean())
+
+    best = mean()
+    for factor in (0.7, 1.4):
+        assert mean(lambda t, f=factor: replace(t, displacement_noise_mm=0.1 * f)) < best
+        assert mean(lambda t, f=factor: replace(t, turning_noise_mm=t.turning_noise_mm * f)) < best
+        for name in values:
+            assert mean(**{name: own[name] * factor}) < best, name
+
+
 def test_noise_at_points_is_drawn_run_by_run(
     make_small: Callable[..., Posterior], as_vector: Callable[..., np.ndarray]
 ) -> None:
@@ -256,6 +280,7 @@ def with_slack(fitted: Fitted, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.mark.filterwarnings(
     "ignore:The inplace keyword in DataFrame.sort_values:Warning",  # ArviZ with pandas and matplotlib newer than it
     "ignore:Passing a dict or None as alias_mapping:Warning",
+    "ignore:Estimated shape parameter of Pareto:UserWarning",  # of the model with slack, near its limit
 )
 def test_what_arviz_offers_works_on_the_file(fitted: Fitted, with_slack: Path) -> None:
     mpl.use("Agg")
