@@ -5,56 +5,69 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from shj_bayes.inference.problem import Problem, Run
-from shj_bayes.model.parameters import Layout
+from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.run import Run
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
+from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 RATE_HZ = 6.0
-TRUTH = Truth(K=18.0, Fy=80.0, beta=10.0, gamma=0.01, ratio=0.8, sigma=1.0, phi=0.5, displacement_noise_mm=0.0)
+TRUTH = Truth(
+    K=18.0, Fy=80.0, beta=10.0, gamma=0.01, ratio=0.8, sigma=0.8, phi=0.0, sigma_slow=0.6, tau_slow=1.0,
+    displacement_noise_mm=0.0,
+)  # fmt: skip
 
 
-def small_problem(
+def small_posterior(
     truth: Truth = TRUTH,
     *,
     seed: int = 1,
     n_runs: int = 2,
-    noise: str = "ar1",
+    noise: str = DEFAULT,
+    effects: tuple[str, ...] = (),
     free: tuple[str, ...] = (),
-    variant: str = "seed",
+    variant: str = "published",
     priors: Priors | None = None,
     blocks: tuple[Block, ...] = BLOCKS,
     rate_Hz: float = RATE_HZ,
-) -> Problem:
+) -> Posterior:
     """Two short blocks, simulated and bound to the exact motion."""
     recordings = simulate_device(truth, seed=seed, rate_Hz=rate_Hz, n_runs=n_runs, blocks=blocks, variant=variant)
     # The exact motion keeps the reader's smoothing out of tests of the law, the noise and the sampler.
     _, motion = exact_motion(blocks, rate_Hz)
-    runs = tuple(Run(recording, motion) for recording in recordings)
-    return Problem(runs, Layout(n_runs, noise, free), priors or read_priors("afc"), variant)
+    runs = [Run(recording, motion) for recording in recordings]
+    own = {"effects": effects_named(effects), "noise": noise_model(noise), "free": free, "variant": variant}
+    return make_posterior(runs, DeviceModel(n_runs, priors or read_priors("afc"), **own))
 
 
-def vector_of(problem: Problem, truth: Truth = TRUTH) -> np.ndarray:
-    """Truth as one parameter set in natural units, shape (1, d)."""
-    values = {"nu": 8.0}
-    for name in problem.layout.names:
-        base = name.partition("_")[0]
-        values.setdefault(name, getattr(truth, base, 0.0))
-    return np.array([[values[name] for name in problem.layout.names]])
+def vector_of(posterior: Posterior, truth: Truth = TRUTH) -> np.ndarray:
+    """Truth as one parameter set in natural units, shape (1, d); what it does not hold is as its prior expects."""
+    # Where there is no slow part its size is a small one: a scale of 0 has no logarithm.
+    noise = {"sigma_white": truth.sigma, "sigma_slow": max(truth.sigma_slow, 1e-3), "tau_slow": truth.tau_slow}
+    values = []
+    for name, prior in zip(posterior.names, posterior.model.laws_of_parameters, strict=True):
+        base, run = (name, 1) if "." in name else base_and_run(name)
+        value = noise.get(base, getattr(truth, base, None))
+        if base == "ratio":
+            value = truth.ratio ** (run - 1)
+        values.append(float(prior.from_free(np.zeros(()))) if value is None else value)
+    return np.array([values])
 
 
 @pytest.fixture(scope="session")
-def make_small() -> Callable[..., Problem]:
-    """Factory of problems of about 270 samples a run; keyword arguments as in `small_problem`."""
-    return small_problem
+def make_small() -> Callable[..., Posterior]:
+    """Factory of posteriors of about 270 samples a run; keyword arguments as in `small_posterior`."""
+    return small_posterior
 
 
 @pytest.fixture(scope="session")
-def small_device() -> Problem:
-    """Two runs of one device, AR(1) noise."""
-    return small_problem()
+def small_device() -> Posterior:
+    """Two runs of one device, white and slow noise."""
+    return small_posterior()
 
 
 @pytest.fixture(scope="session")
@@ -65,5 +78,5 @@ def truth() -> Truth:
 
 @pytest.fixture(scope="session")
 def as_vector() -> Callable[..., np.ndarray]:
-    """Truth as a parameter set of a problem, shape (1, d)."""
+    """Truth as a parameter set of a posterior, shape (1, d)."""
     return vector_of

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.problem import Problem, Run
+from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.protocol import Block
@@ -22,15 +23,23 @@ QUICK = Plan(max_steps=200, round_steps=200)
 LONG = (Block(24.0, 0.067, 3), Block(48.0, 0.034, 3), Block(95.0, 0.017, 4))
 
 
-def with_force(problem: Problem, change: Callable[[np.ndarray, np.ndarray], np.ndarray], name: str = "") -> Problem:
-    """The same problem with another measured force, change(displacement, force)."""
+Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def with_force(posterior: Posterior, change: Change, name: str = "") -> Posterior:
+    """The same device with another measured force, change(displacement, force)."""
     runs = []
-    for run in problem.runs:
+    for run in posterior.runs:
         r = run.recording
         force = change(run.motion.displacement_mm, np.array(r.force_kN))
         source = replace(r.source, name=name or r.source.name)
         runs.append(Run(Recording(r.time_s, r.displacement_mm, force, source=source, findings=r.findings), run.motion))
-    return replace(problem, runs=tuple(runs))
+    return make_posterior(runs, posterior.model)
+
+
+def fit_to(posterior: Posterior, folder: Path, name: str = "device") -> None:
+    """Fit it with few steps."""
+    fit(posterior.runs, posterior.model, name=name, plan=QUICK, folder=folder)
 
 
 @pytest.fixture(scope="session")
@@ -39,10 +48,10 @@ def hostile_name() -> str:
 
 
 @pytest.fixture(scope="session")
-def fitted(tmp_path_factory: pytest.TempPathFactory, small_device: Problem) -> Path:
+def fitted(tmp_path_factory: pytest.TempPathFactory, small_device: Posterior) -> Path:
     """Folder of a finished fit whose every name is hostile."""
     folder = tmp_path_factory.mktemp("device")
-    fit(with_force(small_device, lambda _, f: f, HOSTILE), name=HOSTILE, plan=QUICK, folder=folder)
+    fit_to(with_force(small_device, lambda _, f: f, HOSTILE), folder, HOSTILE)
     return folder
 
 
@@ -53,18 +62,18 @@ def copy_of(fitted: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def well_specified(tmp_path_factory: pytest.TempPathFactory, make_small: Callable[..., Problem]) -> DeviceData:
+def well_specified(tmp_path_factory: pytest.TempPathFactory, make_small: Callable[..., Posterior]) -> DeviceData:
     folder = tmp_path_factory.mktemp("well")
-    fit(make_small(blocks=LONG, seed=5), plan=QUICK, folder=folder)
+    fit_to(make_small(blocks=LONG, seed=5), folder)
     return read_device(folder)
 
 
 @pytest.fixture(scope="session")
-def misspecified(tmp_path_factory: pytest.TempPathFactory, make_small: Callable[..., Problem]) -> DeviceData:
+def misspecified(tmp_path_factory: pytest.TempPathFactory, make_small: Callable[..., Posterior]) -> DeviceData:
     """Clamping lost away from mid-stroke: the force falls by 15 % towards 95 mm."""
     folder = tmp_path_factory.mktemp("miss")
     clean = make_small(Truth(displacement_noise_mm=0.0, sigma=0.5), blocks=LONG, seed=6)
-    fit(with_force(clean, lambda x, f: f * (1 - 0.15 * (x / 95) ** 2)), plan=QUICK, folder=folder)
+    fit_to(with_force(clean, lambda x, f: f * (1 - 0.15 * (x / 95) ** 2)), folder)
     return read_device(folder)
 
 

@@ -20,29 +20,41 @@ import pytest
 from shj_bayes.errors import CheckpointError, InferenceError
 from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
-from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.priors import read_priors
 
-Make = Callable[..., Problem]
+Make = Callable[..., Posterior]
 WORKER = Path(__file__).with_name("worker.py")
 ROUND, STEPS = 12, 60  # five rounds: too few to converge, so that every run makes all of them; as in worker.py
 
 
 @pytest.fixture(scope="module")
-def start(small_device: Problem) -> Start:
+def found(make_small: Make) -> tuple[Posterior, Start]:
+    """Posterior of the small device and its MAP, as a fit finds them."""
+    return find_start(make_small())
+
+
+@pytest.fixture(scope="module")
+def small(found: tuple[Posterior, Start]) -> Posterior:
+    """Posterior of the small device."""
+    return found[0]
+
+
+@pytest.fixture(scope="module")
+def start(found: tuple[Posterior, Start]) -> Start:
     """MAP of the small device."""
-    return find_start(small_device)
+    return found[1]
 
 
 def sample(
-    problem: Problem, start: Start, *, seed: int = 1, density: object = None, **more: object
+    posterior: Posterior, start: Start, *, seed: int = 1, density: object = None, **more: object
 ) -> list[EnsembleState]:
     """Five rounds."""
     plan = Plan(seed=seed, round_steps=ROUND, max_steps=STEPS)
-    density = problem if density is None else density
-    states, _ = run_ensembles(density, problem.layout.names, start, plan, fingerprint=problem.fingerprint, **more)  # type: ignore[arg-type]
+    density = posterior if density is None else density
+    states, _ = run_ensembles(density, posterior.names, start, plan, fingerprint=posterior.fingerprint, **more)  # type: ignore[arg-type]
     return states
 
 
@@ -59,10 +71,10 @@ def assert_same_bits(a: list[EnsembleState], b: list[EnsembleState]) -> None:
 
 
 class Interrupting:
-    """The density of a problem, until call number `at`: then as if Ctrl-C were pressed there."""
+    """A density, until call number `at`: then as if Ctrl-C were pressed there."""
 
-    def __init__(self, problem: Problem, at: int) -> None:
-        self.problem, self.at, self.calls, self.lock = problem, at, 0, threading.Lock()
+    def __init__(self, posterior: Posterior, at: int) -> None:
+        self.posterior, self.at, self.calls, self.lock = posterior, at, 0, threading.Lock()
 
     def log_posterior_free(self, z: np.ndarray) -> np.ndarray:
         """Count, evaluate or interrupt."""
@@ -70,46 +82,46 @@ class Interrupting:
             self.calls += 1
             if self.calls >= self.at:
                 raise KeyboardInterrupt
-        return self.problem.log_posterior_free(z)
+        return self.posterior.log_posterior_free(z)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_runs_are_repeatable_and_seeds_differ(small_device: Problem, start: Start, seed: int) -> None:
-    states = sample(small_device, start, seed=seed)
+def test_runs_are_repeatable_and_seeds_differ(small: Posterior, start: Start, seed: int) -> None:
+    states = sample(small, start, seed=seed)
     np.random.seed(12345)  # noqa: NPY002 - a run must not depend on the global stream
-    assert_same_bits(states, sample(small_device, start, seed=seed))
-    assert not np.array_equal(states[0].chain, sample(small_device, start, seed=seed + 100)[0].chain)
+    assert_same_bits(states, sample(small, start, seed=seed))
+    assert not np.array_equal(states[0].chain, sample(small, start, seed=seed + 100)[0].chain)
     for other in states[1:]:
         assert not np.array_equal(states[0].chain[0], other.chain[0])
 
 
-def test_threads_do_not_change_the_numbers(small_device: Problem, start: Start) -> None:
-    serial = sample(small_device, start, threads=1)
+def test_threads_do_not_change_the_numbers(small: Posterior, start: Start) -> None:
+    serial = sample(small, start, threads=1)
     for threads in (2, 4):
-        assert_same_bits(serial, sample(small_device, start, threads=threads))
+        assert_same_bits(serial, sample(small, start, threads=threads))
 
 
 # 7 calls start the ensembles; each round is about 4 x 12 x 1.1 calls: the start, the first, a middle, the last round
 @pytest.mark.parametrize("at", [2, 40, 150, 250])
 @pytest.mark.parametrize("seed", [1, 7])
-def test_interrupted_and_resumed(small_device: Problem, start: Start, tmp_path: Path, seed: int, at: int) -> None:
+def test_interrupted_and_resumed(small: Posterior, start: Start, tmp_path: Path, seed: int, at: int) -> None:
     path = tmp_path / "checkpoint.h5"
     with pytest.raises(KeyboardInterrupt):
-        sample(small_device, start, seed=seed, density=Interrupting(small_device, at), path=path, threads=2)
+        sample(small, start, seed=seed, density=Interrupting(small, at), path=path, threads=2)
     assert path.exists() == (at > 80)
-    resumed = sample(small_device, start, seed=seed, path=path, threads=2)
-    assert_same_bits(resumed, sample(small_device, start, seed=seed, threads=1))
+    resumed = sample(small, start, seed=seed, path=path, threads=2)
+    assert_same_bits(resumed, sample(small, start, seed=seed, threads=1))
 
 
-def test_interrupted_again_and_again(small_device: Problem, start: Start, tmp_path: Path) -> None:
+def test_interrupted_again_and_again(small: Posterior, start: Start, tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.h5"
     for _ in range(4):
         with pytest.raises(KeyboardInterrupt):
-            sample(small_device, start, density=Interrupting(small_device, 75), path=path)
-    assert_same_bits(sample(small_device, start, path=path), sample(small_device, start))
+            sample(small, start, density=Interrupting(small, 75), path=path)
+    assert_same_bits(sample(small, start, path=path), sample(small, start))
 
 
-def kill_and_compare(problem: Problem, start: Start, folder: Path, seed: int, wait_s: float) -> None:
+def kill_and_compare(posterior: Posterior, start: Start, folder: Path, seed: int, wait_s: float) -> None:
     """SIGKILL a fit in another process `wait_s` after its first checkpoint, resume here, compare."""
     path = folder / "checkpoint.h5"
     process = subprocess.Popen([sys.executable, str(WORKER), str(path), str(seed), "0.003"])
@@ -124,20 +136,20 @@ def kill_and_compare(problem: Problem, start: Start, folder: Path, seed: int, wa
     finally:
         process.kill()
         process.wait()
-    assert_same_bits(sample(problem, start, seed=seed, path=path), sample(problem, start, seed=seed))
+    assert_same_bits(sample(posterior, start, seed=seed, path=path), sample(posterior, start, seed=seed))
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_killed_and_resumed(small_device: Problem, start: Start, tmp_path: Path) -> None:
+def test_killed_and_resumed(small: Posterior, start: Start, tmp_path: Path) -> None:
     wait_s = float(np.random.default_rng().uniform(0.0, 0.15))  # a new moment each time; the bits must not depend on it
-    kill_and_compare(small_device, start, tmp_path, seed=5, wait_s=wait_s)
+    kill_and_compare(small, start, tmp_path, seed=5, wait_s=wait_s)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 @pytest.mark.parametrize("number", range(8))
-def test_killed_at_many_moments(small_device: Problem, start: Start, tmp_path: Path, number: int) -> None:
-    kill_and_compare(small_device, start, tmp_path, seed=number, wait_s=0.02 * number)
+def test_killed_at_many_moments(small: Posterior, start: Start, tmp_path: Path, number: int) -> None:
+    kill_and_compare(small, start, tmp_path, seed=number, wait_s=0.02 * number)
 
 
 # ---- strangers and damage ----
@@ -145,27 +157,27 @@ def test_killed_at_many_moments(small_device: Problem, start: Start, tmp_path: P
 
 @pytest.fixture(scope="module")
 def saved(
-    small_device: Problem, start: Start, tmp_path_factory: pytest.TempPathFactory
+    small: Posterior, start: Start, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[bytes, list[EnsembleState]]:
     """A checkpoint as bytes, and what it holds."""
     path = tmp_path_factory.mktemp("saved") / "checkpoint.h5"
-    states = sample(small_device, start, path=path)
+    states = sample(small, start, path=path)
     return path.read_bytes(), states
 
 
 def test_checkpoint_holds_what_was_run(
-    small_device: Problem, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Posterior, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
-    identity = small_device.fingerprint
+    identity = small.fingerprint
     assert_same_bits(checkpoint.load(path, identity), saved[1])
     checkpoint.save(path, identity, saved[1][:2])
     assert_same_bits(checkpoint.load(path, identity), saved[1][:2])
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.h5"]
 
 
-STRANGERS: dict[str, Callable[[Make], Problem]] = {
+STRANGERS: dict[str, Callable[[Make], Posterior]] = {
     "recordings": lambda make: make(seed=2),
     "parameters": lambda make: make(free=("gamma",)),
     "noise": lambda make: make(noise="student"),
@@ -175,15 +187,16 @@ STRANGERS: dict[str, Callable[[Make], Problem]] = {
 
 
 @pytest.mark.parametrize("field", STRANGERS)
-def test_checkpoint_of_another_problem_is_refused(
+def test_checkpoint_of_another_posterior_is_refused(
     make_small: Make, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, field: str
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
     stranger = STRANGERS[field](make_small)
     if field == "model":  # the same recordings under the other law, not those simulated with it
-        stranger = dataclasses.replace(make_small(), variant="continuous")
-    origin = Start(np.zeros(len(stranger.layout.names)), np.eye(len(stranger.layout.names)), 0.0)
+        stranger = make_small()
+        stranger = make_posterior(stranger.runs, dataclasses.replace(stranger.model, variant="continuous"))
+    origin = Start(np.zeros(len(stranger.names)), np.eye(len(stranger.names)), 0.0)
     with pytest.raises(CheckpointError, match=r"checkpoint\.h5 belongs to another problem: its .* differ") as caught:
         sample(stranger, origin, path=path)
     named = re.search(r"its (.*) differ", str(caught.value))
@@ -195,7 +208,7 @@ def test_checkpoint_of_another_problem_is_refused(
 
 @pytest.mark.parametrize("change", [{"seed": 2}, {"n_ensembles": 5}, {"n_walkers": 30}])
 def test_checkpoint_of_another_plan_is_refused(
-    small_device: Problem,
+    small: Posterior,
     start: Start,
     saved: tuple[bytes, list[EnsembleState]],
     tmp_path: Path,
@@ -205,20 +218,16 @@ def test_checkpoint_of_another_plan_is_refused(
     path.write_bytes(saved[0])
     plan = Plan(**({"seed": 1, "round_steps": ROUND, "max_steps": STEPS} | change))
     with pytest.raises(CheckpointError, match="its plan"):
-        run_ensembles(
-            small_device, small_device.layout.names, start, plan, fingerprint=small_device.fingerprint, path=path
-        )
+        run_ensembles(small, small.names, start, plan, fingerprint=small.fingerprint, path=path)
 
 
 def test_a_longer_plan_goes_on_from_the_checkpoint(
-    small_device: Problem, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
     plan = Plan(seed=1, round_steps=7, max_steps=74)  # other rounds, same bits
-    states, _ = run_ensembles(
-        small_device, small_device.layout.names, start, plan, fingerprint=small_device.fingerprint, path=path
-    )
+    states, _ = run_ensembles(small, small.names, start, plan, fingerprint=small.fingerprint, path=path)
     assert states[0].chain.shape[0] == 74
     for old, new in zip(saved[1], states, strict=True):
         assert np.array_equal(old.chain, new.chain[:STEPS])
@@ -235,16 +244,16 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("kind", DAMAGE)
 def test_damaged_checkpoint_is_refused(
-    small_device: Problem, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, kind: str
+    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, kind: str
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(DAMAGE[kind](saved[0]))
     with pytest.raises(CheckpointError, match=r"checkpoint\.h5 cannot be read.*digest does not fit"):
-        sample(small_device, start, path=path)
+        sample(small, start, path=path)
 
 
 def test_no_flipped_bit_goes_unnoticed(
-    small_device: Problem, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Posterior, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     """One bit changed anywhere is refused."""
     path = tmp_path / "checkpoint.h5"
@@ -254,7 +263,7 @@ def test_no_flipped_bit_goes_unnoticed(
         content[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(content)
         with pytest.raises(CheckpointError, match="its digest does not fit"):
-            checkpoint.load(path, small_device.fingerprint)
+            checkpoint.load(path, small.fingerprint)
 
 
 @contextmanager
@@ -268,25 +277,25 @@ def changed(path: Path) -> Iterator[h5py.File]:
 
 @pytest.mark.parametrize("missing", ["ensemble_2", "ensemble_1/chain", "ensemble_0/random_keys"])
 def test_incomplete_checkpoint_is_refused(
-    small_device: Problem, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, missing: str
+    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, missing: str
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
     with changed(path) as file:
         del file[missing]
     with pytest.raises(CheckpointError, match="cannot be read"):
-        sample(small_device, start, path=path)
+        sample(small, start, path=path)
 
 
 def test_checkpoint_of_another_version_is_refused(
-    small_device: Problem, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
     with changed(path) as file:
         file.attrs["schema"] = "shj-bayes/checkpoint/0"
     with pytest.raises(CheckpointError, match="schema 'shj-bayes/checkpoint/0'; this version reads"):
-        sample(small_device, start, path=path)
+        sample(small, start, path=path)
 
 
 @pytest.mark.parametrize(
@@ -297,18 +306,18 @@ def test_checkpoint_of_another_version_is_refused(
         ({"round_steps": 0}, "at least one round of 0 steps"),
         ({"max_steps": 55}, "max_steps = 55: at least one round of 60 steps is needed"),
         ({"round_steps": 20, "max_steps": 40}, "max_steps = 40: at least 50 are needed for a verdict"),
-        ({"n_walkers": 9}, "9 walkers: at least 14 are needed for 7 parameters"),
+        ({"n_walkers": 9}, "9 walkers: at least 16 are needed for 8 parameters"),
     ],
 )
-def test_plans_without_a_verdict(small_device: Problem, start: Start, plan: dict[str, int], message: str) -> None:
+def test_plans_without_a_verdict(small: Posterior, start: Start, plan: dict[str, int], message: str) -> None:
     with pytest.raises(InferenceError, match=re.escape(message)):
-        run_ensembles(small_device, small_device.layout.names, start, Plan(**plan))
+        run_ensembles(small, small.names, start, Plan(**plan))
 
 
-def test_no_finite_start(small_device: Problem, start: Start) -> None:
+def test_no_finite_start(small: Posterior, start: Start) -> None:
     class Nowhere:
         def log_posterior_free(self, z: np.ndarray) -> np.ndarray:
             return np.full(z.shape[0], -np.inf)
 
     with pytest.raises(InferenceError, match="no finite starting points"):
-        sample(small_device, start, density=Nowhere())
+        sample(small, start, density=Nowhere())

@@ -15,7 +15,8 @@ PLAN = {"round_steps": 12, "max_steps": 60}
 
 def main(path: Path, seed: int, delay_s: float) -> None:
     """Sample the small device of conftest.py, resting before each evaluation."""
-    problem = runpy.run_path(str(Path(__file__).resolve().parents[1] / "conftest.py"))["small_problem"]()
+    small = runpy.run_path(str(Path(__file__).resolve().parents[1] / "conftest.py"))["small_posterior"]()
+    posterior, start = find_start(small)
 
     class Slow:
         """The same density, later."""
@@ -23,11 +24,10 @@ def main(path: Path, seed: int, delay_s: float) -> None:
         def log_posterior_free(self, z: np.ndarray) -> np.ndarray:
             """Rest, then evaluate."""
             time.sleep(delay_s)
-            return problem.log_posterior_free(z)
+            return posterior.log_posterior_free(z)
 
     run_ensembles(
-        Slow(), problem.layout.names, find_start(problem), Plan(seed=seed, **PLAN),
-        fingerprint=problem.fingerprint, path=path,
+        Slow(), posterior.names, start, Plan(seed=seed, **PLAN), fingerprint=posterior.fingerprint, path=path,
     )  # fmt: skip
 
 

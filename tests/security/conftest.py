@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.sampler import Plan
 
 HOSTILE = "=cmd|' /C calc'!A0 <script>alert('x')</script> \x1b]0;t\x07 \u202egnp.exe ../../etc/passwd {{ 7*7 }}"
@@ -17,8 +17,9 @@ def hostile() -> str:
 
 
 @pytest.fixture(scope="session")
-def fitted(tmp_path_factory: pytest.TempPathFactory, small_device: Problem) -> Path:
+def fitted(tmp_path_factory: pytest.TempPathFactory, small_device: Posterior) -> Path:
     """Folder of a finished fit."""
     folder = tmp_path_factory.mktemp("fitted")
-    fit(small_device, name=HOSTILE, plan=Plan(max_steps=50, round_steps=50), folder=folder)
+    plan = Plan(max_steps=50, round_steps=50)
+    fit(small_device.runs, small_device.model, name=HOSTILE, plan=plan, folder=folder)
     return folder

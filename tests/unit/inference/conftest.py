@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 from shj_bayes.inference.fit import Fit, fit
-from shj_bayes.inference.problem import Problem
+from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.sampler import Plan
 
 
 @pytest.fixture(scope="session")
-def fitted(make_small: Callable[..., Problem], tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Path]:
+def fitted(make_small: Callable[..., Posterior], tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Path]:
     """A converged fit and the folder it was written to."""
     folder = tmp_path_factory.mktemp("fit")
-    return fit(make_small(), name="small", key="abc", plan=Plan(seed=3), folder=folder), folder
+    small = make_small()
+    return fit(small.runs, small.model, name="small", key="abc", plan=Plan(seed=3), folder=folder), folder

@@ -7,73 +7,89 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from shj_bayes.errors import InferenceError, PriorError
-from shj_bayes.inference import problem as problem_module
-from shj_bayes.inference.problem import Problem, Run
+from shj_bayes.inference import posterior as posterior_module
+from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import find_start
-from shj_bayes.model.noise import Stretches, log_density
+from shj_bayes.model.noise.catalogue import noise_models
 from shj_bayes.model.priors import MAX_SPREAD, Prior, read_priors
+from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.recording import Recording
 
-Make = Callable[..., Problem]
+Make = Callable[..., Posterior]
 
 
-def points(problem: Problem, m: int, seed: int = 1) -> np.ndarray:
+def points(posterior: Posterior, m: int, seed: int = 1) -> np.ndarray:
     """Free vectors within the bulk of the prior."""
-    return np.random.default_rng(seed).normal(0, 1, (m, len(problem.layout.names)))
+    return np.random.default_rng(seed).normal(0, 1, (m, len(posterior.names)))
 
 
-def corners(problem: Problem) -> np.ndarray:
+def corners(posterior: Posterior) -> np.ndarray:
     """All combinations of the far ends of the free space."""
-    d = len(problem.layout.names)
+    d = len(posterior.names)
     return np.asarray(29.999 * (2.0 * ((np.arange(2**d)[:, None] >> np.arange(d)) & 1) - 1.0))
 
 
-def test_likelihood_is_law_plus_noise(
-    small_device: Problem, truth: object, as_vector: Callable[..., np.ndarray]
-) -> None:
-    theta = as_vector(small_device)
-    residuals = [
-        r.recording.force_kN - small_device.modelled_force(theta, k)[0] for k, r in enumerate(small_device.runs, 1)
-    ]
-    expected = sum(
-        log_density(
-            "ar1", r[None], Stretches(np.ones(r.size, bool), np.zeros(1, int)), sigma=np.ones(1), phi=np.full(1, 0.5)
-        )[0]
-        for r in residuals
-    )
-    assert small_device.log_likelihood(theta)[0] == pytest.approx(expected, rel=1e-12)
+def with_model(posterior: Posterior, **changes: object) -> Posterior:
+    """The same runs under another model."""
+    return make_posterior(posterior.runs, dataclasses.replace(posterior.model, **changes))
 
 
-@pytest.mark.parametrize("noise", ["independent", "ar1", "student"])
+def test_likelihood_is_law_plus_noise(make_small: Make, truth: Truth, as_vector: Callable[..., np.ndarray]) -> None:
+    """Blocks of one sample: the density of all residuals under the covariance of white and slow noise."""
+    small = make_small(rate_Hz=3.0)
+    assert all(np.all(part.count == 1) for part in small.averages)
+    theta = as_vector(small)
+    expected = 0.0
+    for number, run in enumerate(small.runs, start=1):
+        residual = run.recording.force_kN - small.modelled_force(theta, number)[0]
+        lag = np.abs(run.recording.time_s[:, None] - run.recording.time_s[None])
+        covariance = truth.sigma_slow**2 * np.exp(-lag / truth.tau_slow) + truth.sigma**2 * np.eye(residual.size)
+        expected += stats.multivariate_normal(np.zeros(residual.size), covariance).logpdf(residual)
+    assert small.log_likelihood(theta)[0] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("noise", noise_models())
 def test_likelihood_knows_nothing_of_the_priors(make_small: Make, noise: str) -> None:
     """The same parameters reached through other priors and other free spaces have the same likelihood."""
-    afc = make_small(noise=noise)
+    afc = make_small(noise=noise, effects=("asymmetry",))
     other_laws = {
         "K": Prior("K", "kN/mm", "uniform", 1.0, 60.0, "test"),
         "Fy": Prior("Fy", "kN", "loguniform", 1.0, 500.0, "test"),
         "beta": Prior("beta", "1", "uniform", 1.0, 500.0, "test"),
         "gamma": Prior("gamma", "s/mm", "uniform", -0.2, 0.2, "test"),
     }
-    other = dataclasses.replace(afc, priors=dataclasses.replace(afc.priors, priors=afc.priors.priors | other_laws))
+    priors = afc.model.priors
+    other = with_model(afc, priors=dataclasses.replace(priors, priors=priors.priors | other_laws))
     theta = afc.natural(0.3 * points(afc, 6))
-    back = other.natural(other.free(theta))
+    back = other.natural(other.unbounded(theta))
     np.testing.assert_allclose(back, theta, rtol=1e-12)
     assert np.array_equal(afc.log_likelihood(theta), other.log_likelihood(theta))
     np.testing.assert_allclose(other.log_likelihood(back), afc.log_likelihood(theta), rtol=1e-9)
-    assert not np.allclose(afc.log_prior_free(afc.free(theta)), other.log_prior_free(other.free(theta)))
+    assert not np.allclose(afc.model.log_prior(afc.unbounded(theta)), other.model.log_prior(other.unbounded(theta)))
 
 
-def test_posterior_is_likelihood_and_prior(small_device: Problem) -> None:
+@pytest.mark.parametrize("noise", noise_models())
+def test_half_cycles_add_up(make_small: Make, noise: str) -> None:
+    small = make_small(noise=noise)
+    theta = small.natural(points(small, 3))
+    by_half_cycle = small.log_likelihood_by_half_cycle(theta)
+    assert by_half_cycle.shape == (3, sum(run.motion.n_half for run in small.runs))
+    np.testing.assert_allclose(by_half_cycle.sum(axis=1), small.log_likelihood(theta), rtol=1e-12)
+
+
+def test_posterior_is_likelihood_and_prior(small_device: Posterior) -> None:
     z = points(small_device, 5)
-    expected = small_device.log_likelihood(small_device.natural(z)) + small_device.log_prior_free(z)
+    expected = small_device.log_likelihood(small_device.natural(z)) + small_device.model.log_prior(z)
     np.testing.assert_allclose(small_device.log_posterior_free(z), expected, rtol=1e-14)
-    np.testing.assert_allclose(small_device.free(small_device.natural(z)), z, atol=1e-9)
+    np.testing.assert_allclose(small_device.unbounded(small_device.natural(z)), z, atol=1e-9)
 
 
-def test_points_outside_have_no_density(small_device: Problem) -> None:
+def test_points_outside_have_no_density(small_device: Posterior) -> None:
     z = points(small_device, 6)
     inside = small_device.log_posterior_free(z)
     for row, value in enumerate((30.0, -30.0, 1e300, np.inf, -np.inf, np.nan)):
@@ -86,60 +102,61 @@ def test_points_outside_have_no_density(small_device: Problem) -> None:
     np.testing.assert_allclose(got[[0, 2, 3, 5]], inside[[0, 2, 3, 5]], rtol=1e-13)
 
 
-def test_every_corner_of_the_free_space_is_finite_or_nothing(small_device: Problem) -> None:
+def test_every_corner_of_the_free_space_is_finite_or_nothing(small_device: Posterior) -> None:
     """The sampler may step there, and an error would end the fit."""
     value = small_device.log_posterior_free(corners(small_device))
     assert not np.isnan(value).any()
     assert not np.any(value == np.inf)
 
 
-@pytest.mark.parametrize("variant", ["seed", "continuous"])
+@pytest.mark.parametrize("variant", ["published", "continuous"])
 def test_the_widest_priors_stay_within_doubles(make_small: Make, variant: str) -> None:
     """Far corners of the widest laws that a file may hold: no density or a finite one, never an error."""
     priors = read_priors("general")
     wide = {n: dataclasses.replace(p, b=MAX_SPREAD) if p.law == "lognormal" else p for n, p in priors.priors.items()}
-    problem = make_small(priors=dataclasses.replace(priors, priors=wide), variant=variant)
-    value = problem.log_posterior_free(corners(problem))
+    small = make_small(priors=dataclasses.replace(priors, priors=wide), variant=variant)
+    value = small.log_posterior_free(corners(small))
     assert not np.isnan(value).any()
     assert not np.any(value == np.inf)
 
 
 def test_smaller_batches_do_not_see_the_larger_one_before(make_small: Make) -> None:
-    problem = make_small()
-    z = points(problem, 12)
-    large = problem.log_posterior_free(z)
-    again = problem.log_posterior_free(z[:5])
+    small = make_small()
+    z = points(small, 12)
+    large = small.log_posterior_free(z)
+    again = small.log_posterior_free(z[:5])
     assert np.array_equal(again, large[:5])
-    assert np.array_equal(problem.log_posterior_free(z), large)
-    kept = problem.modelled_force(problem.natural(z[:2]), 1)
+    assert np.array_equal(small.log_posterior_free(z), large)
+    kept = small.modelled_force(small.natural(z[:2]), 1)
     copy = kept.copy()
-    problem.log_posterior_free(z)
+    small.log_posterior_free(z)
     assert np.array_equal(kept, copy)  # what a caller was given is not the reused memory
 
 
 def test_threads_do_not_share_memory(make_small: Make) -> None:
-    problem = make_small()
-    batches = [points(problem, 3 + k % 9, seed=k) for k in range(60)]
-    serial = [problem.log_posterior_free(z) for z in batches]
+    small = make_small()
+    batches = [points(small, 3 + k % 9, seed=k) for k in range(60)]
+    serial = [small.log_posterior_free(z) for z in batches]
     with ThreadPoolExecutor(4) as pool:
-        parallel = list(pool.map(problem.log_posterior_free, batches))
+        parallel = list(pool.map(small.log_posterior_free, batches))
     assert all(np.array_equal(a, b) for a, b in zip(serial, parallel, strict=True))
 
 
 def test_nan_is_reported_with_the_parameters(make_small: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = make_small()
-    for function in ("log_density", "log_density_of_sums"):  # of the samples, and of the sums
-        monkeypatch.setattr(problem_module, function, lambda _model, rows, *_, **__: np.full(rows.shape[0], np.nan))
-    with pytest.raises(InferenceError, match=r"not a number at K = .*, Fy = .*, beta = .*, phi = .*; this is a bug"):
-        problem.log_posterior_free(points(problem, 2))
+    small = make_small()
+    monkeypatch.setattr(posterior_module, "log_density", lambda _noise, _values, rows, *_: np.full_like(rows, np.nan))
+    with pytest.raises(
+        InferenceError, match=r"not a number at K = .*, Fy = .*, beta = .*, tau_slow = .*; this is a bug"
+    ):
+        small.log_posterior_free(points(small, 2))
     with pytest.raises(InferenceError, match="K = "):
-        find_start(problem)
+        find_start(small)
 
 
 def test_unused_samples_and_gaps_reach_the_likelihood(make_small: Make, as_vector: Callable[..., np.ndarray]) -> None:
-    problem = make_small(n_runs=1)
-    theta = as_vector(problem)
-    recording, motion = problem.runs[0].recording, problem.runs[0].motion
+    small = make_small(n_runs=1)
+    theta = as_vector(small)
+    recording, motion = small.runs[0].recording, small.runs[0].motion
     used = np.ones(recording.n_samples, bool)
     used[50:60] = False
     spoilt = recording.force_kN.copy()
@@ -147,7 +164,7 @@ def test_unused_samples_and_gaps_reach_the_likelihood(make_small: Make, as_vecto
 
     def likelihood(force: np.ndarray, used: np.ndarray, time: np.ndarray) -> float:
         run = Run(Recording(time, recording.displacement_mm, force, used=used), motion)
-        return float(dataclasses.replace(problem, runs=(run,)).log_likelihood(theta)[0])
+        return float(make_posterior([run], small.model).log_likelihood(theta)[0])
 
     time = recording.time_s
     assert likelihood(spoilt, used, time) == pytest.approx(likelihood(recording.force_kN, used, time), rel=1e-12)
@@ -173,35 +190,58 @@ def test_fingerprint_names_what_differs(make_small: Make) -> None:
         "recordings": make_small(seed=2),
         "parameters": make_small(free=("K",)),
         "noise": make_small(noise="student"),
-        "model": dataclasses.replace(make_small(), variant="continuous"),
+        "model": with_model(make_small(), variant="continuous"),
         "priors": make_small(priors=read_priors("general")),
     }.items():
         changed = {k for k in base if base[k] != other.fingerprint[k]}
         assert field in changed
-        assert changed <= {field, "parameters"}  # another noise model also has other parameters
+        more = {"parameters", "priors"} if field in ("parameters", "noise") else set()  # other parameters, other laws
+        assert changed <= {field, *more}
 
 
 @pytest.mark.parametrize("channel", ["time_s", "force_kN", "used"])
 def test_fingerprint_sees_a_single_sample(make_small: Make, channel: str) -> None:
-    problem = make_small(n_runs=1)
-    recording = problem.runs[0].recording
+    small = make_small(n_runs=1)
+    recording = small.runs[0].recording
     values = np.array(getattr(recording, channel))
     values[17] = not values[17] if channel == "used" else values[17] + 1e-9
-    run = Run(dataclasses.replace(recording, **{channel: values}), problem.runs[0].motion)
-    changed = dataclasses.replace(problem, runs=(run,))
-    assert changed.fingerprint["recordings"] != problem.fingerprint["recordings"]
+    run = Run(dataclasses.replace(recording, **{channel: values}), small.runs[0].motion)
+    changed = make_posterior([run], small.model)
+    assert changed.fingerprint["recordings"] != small.fingerprint["recordings"]
+
+
+def test_fingerprint_sees_how_well_the_displacement_is_known(make_small: Make) -> None:
+    small = make_small(n_runs=1)
+    run = small.runs[0]
+    noisy = Run(run.recording, dataclasses.replace(run.motion, noise_mm=0.05))
+    assert make_posterior([noisy], small.model).fingerprint["recordings"] != small.fingerprint["recordings"]
+
+
+def test_an_effect_that_leaves_no_force_has_no_density(make_small: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = make_small(effects=("slack",))
+    monkeypatch.setattr(posterior_module, "log_density", lambda _noise, _values, rows, *_: np.full_like(rows, np.nan))
+    assert np.all(small.log_posterior_free(points(small, 2)) == -np.inf)
+
+
+@pytest.mark.parametrize("noise", ["slow", "independent", "student"])
+def test_displacement_noise_makes_steep_parts_count_less(make_small: Make, noise: str) -> None:
+    """The noise of the force is what is left: a residual where the force is steep is no surprise any more."""
+    small = make_small(n_runs=1, noise=noise)
+    run = small.runs[0]
+    theta = small.natural(np.zeros((1, len(small.names))))
+    theta[0, small.model.index("K")] = 30.0
+    wobbly = make_posterior([Run(run.recording, dataclasses.replace(run.motion, noise_mm=0.3))], small.model)
+    assert wobbly.log_likelihood(theta)[0] > small.log_likelihood(theta)[0] + 10.0
 
 
 def test_parts_that_do_not_fit(make_small: Make) -> None:
-    problem = make_small()
-    with pytest.raises(InferenceError, match="1 runs given, the layout has 2"):
-        dataclasses.replace(problem, runs=problem.runs[:1])
-    with pytest.raises(InferenceError, match="model 'smooth' is not known; choose one of seed, continuous"):
-        dataclasses.replace(problem, variant="smooth")
+    small = make_small()
+    with pytest.raises(InferenceError, match="1 runs given, the model has 2"):
+        make_posterior(small.runs[:1], small.model)
     _, other = exact_motion((Block(12.0, 0.13, 2),), 20.0)
     with pytest.raises(InferenceError, match=re.escape("motion has") + r" \d+ samples, the recording \d+"):
-        Run(problem.runs[0].recording, other)
-    recording = problem.runs[0].recording
+        Run(small.runs[0].recording, other)
+    recording = small.runs[0].recording
     newtons = dataclasses.replace(recording, force_kN=recording.force_kN * 1000)
     with pytest.raises(PriorError, match=r"the force reaches .* kN, but priors 'afc' are for .* check the unit"):
-        dataclasses.replace(problem, runs=(Run(newtons, problem.runs[0].motion), problem.runs[1]))
+        make_posterior([Run(newtons, small.runs[0].motion), small.runs[1]], small.model)

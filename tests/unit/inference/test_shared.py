@@ -6,30 +6,36 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.convergence import Diagnostics
-from shj_bayes.inference.fit import make_problem
+from shj_bayes.inference.posterior import make_posterior
+from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import LEAST_ROUND, Plan, _next_round
 from shj_bayes.inference.shared import Shared
 from shj_bayes.inference.start import find_start, polish
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.noise.catalogue import noise_model
+from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 
 
-@pytest.fixture(scope="module", params=["ar1", "student"])
-def problem(request):
-    runs = simulate_device(Truth(phi=0.3), seed=4, rate_Hz=4.0, blocks=BLOCKS)
-    return make_problem(runs, noise=request.param)
+@pytest.fixture(scope="module", params=[("slow", ()), ("student", ()), ("ar1", ("wear",))], ids=str)
+def posterior(request):
+    noise, effects = request.param
+    runs = runs_of(simulate_device(Truth(phi=0.3), seed=4, rate_Hz=4.0, blocks=BLOCKS))
+    model = DeviceModel(2, read_priors(), effects=effects_named(effects), noise=noise_model(noise))
+    return make_posterior(runs, model)
 
 
 @pytest.mark.parametrize("n", [2, 3])
-def test_the_same_bits_whatever_the_number_of_threads(problem, n):
-    z = np.random.default_rng(1).standard_normal((17, len(problem.layout.names)))
+def test_the_same_bits_whatever_the_number_of_threads(posterior, n):
+    z = np.random.default_rng(1).standard_normal((17, len(posterior.names)))
     with ThreadPoolExecutor(n) as pool:
-        shared = Shared(problem, pool, n)
-        np.testing.assert_array_equal(shared.log_posterior_free(z), problem.log_posterior_free(z))
+        shared = Shared(posterior, pool, n)
+        np.testing.assert_array_equal(shared.log_posterior_free(z), posterior.log_posterior_free(z))
         assert shared.log_posterior_free(z[:1]).shape == (1,)
-    one, two = find_start(problem, threads=1), find_start(problem, threads=n)
+    (_, one), (_, two) = find_start(posterior, threads=1), find_start(posterior, threads=n)
     np.testing.assert_array_equal(one.free, two.free)
     np.testing.assert_array_equal(one.covariance, two.covariance)
 

@@ -1,69 +1,107 @@
 """The search for the most probable parameters."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference.problem import Problem, Run
-from shj_bayes.inference.start import find_start
-from shj_bayes.model.parameters import Layout
-from shj_bayes.model.priors import read_priors
+from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.run import Run
+from shj_bayes.inference.start import Start, find_start, law_starts
 from shj_bayes.model.simulate import Truth
-from shj_bayes.recording.recording import Recording
 
-Make = Callable[..., Problem]
+Make = Callable[..., Posterior]
+Vector = Callable[..., np.ndarray]
+NOISE = {"sigma_slow": 0.4, "tau_slow": 1.0, "phi": 0.0, "displacement_noise_mm": 0.0}
 DEVICES = {
-    "sharp, slower when fast": Truth(K=15.0, Fy=90.0, beta=60.0, gamma=-1 / 30, ratio=0.87, sigma=0.5, phi=0.3),
-    "round, faster when fast": Truth(K=8.0, Fy=50.0, beta=3.0, gamma=1 / 60, ratio=0.4, sigma=1.0, phi=0.7),
-    "weak": Truth(K=18.0, Fy=22.0, beta=10.0, gamma=0.0, ratio=0.5, sigma=0.2, phi=0.0),
+    "sharp, slower when fast": Truth(K=15.0, Fy=90.0, beta=60.0, gamma=-1 / 30, ratio=0.87, sigma=0.5, **NOISE),
+    "round, faster when fast": Truth(K=8.0, Fy=50.0, beta=3.0, gamma=1 / 60, ratio=0.4, sigma=1.0, **NOISE),
+    "weak": Truth(K=18.0, Fy=22.0, beta=10.0, gamma=0.0, ratio=0.5, sigma=0.2, **NOISE),
 }
 
 
-@pytest.mark.parametrize("variant", ["seed", "continuous"])
+@pytest.fixture(scope="module")
+def found(make_small: Make) -> tuple[Posterior, Start]:
+    """The small device in its blocks, and its top."""
+    return find_start(make_small())
+
+
+@pytest.mark.parametrize("variant", ["published", "continuous"])
 @pytest.mark.parametrize("name", DEVICES)
-def test_map_is_near_the_truth(make_small: Make, as_vector: Callable[..., np.ndarray], name: str, variant: str) -> None:
-    problem = make_small(DEVICES[name], variant=variant)
-    start = find_start(problem)
-    truth = problem.free(as_vector(problem, DEVICES[name]))[0]
+def test_map_is_near_the_truth(make_small: Make, as_vector: Vector, name: str, variant: str) -> None:
+    posterior, start = find_start(make_small(DEVICES[name], variant=variant))
+    truth = posterior.unbounded(as_vector(posterior, DEVICES[name]))[0]
     # In units of its own curvature the truth is a chi-squared draw; 1e-4 of those are larger than this.
     distance = (start.free - truth) @ np.linalg.solve(start.covariance, start.free - truth)
     assert distance < stats.chi2(truth.size).ppf(1 - 1e-4) * 1.5  # the Gaussian is an approximation
-    assert start.log_posterior >= problem.log_posterior_free(truth[None])[0]
+    assert start.log_posterior >= posterior.log_posterior_free(truth[None])[0]
 
 
-def test_map_is_a_maximum_with_the_right_curvature(small_device: Problem) -> None:
-    start = find_start(small_device)
+@pytest.mark.parametrize("noise", ["ar1", "independent", "student"])
+def test_other_noises_find_the_same_law(make_small: Make, found: tuple[Posterior, Start], noise: str) -> None:
+    posterior, start = find_start(make_small(noise=noise))
+    n = posterior.model.n_law
+    sd = np.sqrt(np.diag(found[1].covariance))[:n]
+    assert np.all(np.abs(start.free[:n] - found[1].free[:n]) < 1.5 * sd)
+
+
+def test_map_is_a_maximum_with_the_right_curvature(found: tuple[Posterior, Start]) -> None:
+    posterior, start = found
     sd = np.sqrt(np.diag(start.covariance))
     around = start.free + np.vstack([np.diag(0.3 * sd), -np.diag(0.3 * sd)])
-    assert np.all(small_device.log_posterior_free(around) < start.log_posterior)
+    assert np.all(posterior.log_posterior_free(around) < start.log_posterior)
     assert np.all(np.linalg.eigvalsh(start.covariance) > 0)
     # Along each eigenvector, one standard deviation away, the density has fallen by about 1/2.
     values, vectors = np.linalg.eigh(start.covariance)
     both = [start.free + s * np.sqrt(values)[:, None] * vectors.T for s in (1, -1)]
-    fall = start.log_posterior - 0.5 * sum(small_device.log_posterior_free(z) for z in both)
+    fall = start.log_posterior - 0.5 * sum(posterior.log_posterior_free(z) for z in both)
     assert np.all(fall > 0.3)
     assert np.all(fall < 0.9)
 
 
+def test_effects_are_found_one_after_another(make_small: Make) -> None:
+    """Slack and asymmetry added to a device: the search finds both, whose sizes it was not told."""
+    plain = make_small(effects=("slack", "asymmetry"))
+    model = plain.model
+    truth = plain.model.natural(np.zeros((1, len(model.names))))
+    values = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0, "ratio": 0.8, "asymmetry.size": 0.06}
+    for name, value in (values | {"slack.size": 2.0, "slack.softness": 0.1, "slack.start": 0.5}).items():
+        truth[0, model.index(name)] = value
+    runs = []
+    for number, run in enumerate(plain.runs, start=1):
+        noise = np.random.default_rng(number).normal(0, 0.5, run.recording.n_samples)
+        force = plain.modelled_force(truth, number)[0] + noise
+        runs.append(Run(replace(run.recording, force_kN=force), run.motion))
+    bare = model.with_effects(())
+    assert len(law_starts(make_posterior(runs, bare))) > 1
+    posterior, start = find_start(make_posterior(runs, model))
+    theta = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
+    assert theta["slack.size"] == pytest.approx(2.0, abs=0.1)
+    assert theta["asymmetry.size"] == pytest.approx(0.06, abs=0.01)
+    assert start.log_posterior > find_start(make_posterior(runs, bare))[1].log_posterior + 100
+
+
+def test_a_point_that_is_known_is_climbed_from(make_small: Make, found: tuple[Posterior, Start]) -> None:
+    """A top from another search joins the candidates; a bad one does not spoil what is found."""
+    small = make_small()
+    n = small.model.n_law
+    for top in (found[1].free[:n], np.full(n, 2.0)):
+        _, start = find_start(small, tops=[top])
+        assert start.log_posterior == pytest.approx(found[1].log_posterior, abs=0.01)
+
+
 def test_search_is_repeatable(make_small: Make) -> None:
-    a, b = (find_start(make_small()) for _ in range(2))
+    a, b = (find_start(make_small())[1] for _ in range(2))
     assert np.array_equal(a.free, b.free)
     assert np.array_equal(a.covariance, b.covariance)
 
 
 def test_nothing_to_fit(make_small: Make) -> None:
-    run = make_small(n_runs=1).runs[0]
-    flat = Recording(run.recording.time_s, run.recording.displacement_mm, np.zeros(run.recording.n_samples))
-    problem = Problem.__new__(Problem)  # past the check that the priors can hold the data, to the search's own
-    for name, value in {
-        "runs": (Run(flat, run.motion),),
-        "layout": Layout(1),
-        "priors": read_priors("general"),
-        "variant": "seed",
-    }.items():
-        object.__setattr__(problem, name, value)
-    with pytest.raises(InferenceError, match="nothing to fit: largest force 0 kN, stroke 48 mm"):
-        find_start(problem)
+    small = make_small(n_runs=1)
+    run = small.runs[0]
+    still = Run(run.recording, replace(run.motion, speed_mm_s=np.zeros(run.recording.n_samples)))
+    with pytest.raises(InferenceError, match=r"nothing to fit: largest force .* kN, stroke 48 mm, speed 0 mm/s"):
+        find_start(make_posterior([still], small.model))
