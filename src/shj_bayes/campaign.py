@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from shj_bayes.errors import CampaignError, ShjError, plain_text
 from shj_bayes.files import folder_name, plain_name, read_toml, sealed, write_text
 from shj_bayes.pipeline import DeviceResult, Options, fit_device
 from shj_bayes.population.device import NO_TAGS, Tags
+from shj_bayes.processes import Workers
 from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/campaign/1"
@@ -178,7 +178,7 @@ def _fit_all(manifest: Manifest, folder: Path, workers: int) -> Iterator[Outcome
     waiting = list(manifest.devices)
     tries: dict[str, int] = {}
     while waiting:
-        pool = ProcessPoolExecutor(max_workers=min(workers, len(waiting)), mp_context=get_context("spawn"))
+        pool = Workers(min(workers, len(waiting)))
         try:
             broken = False
             running: dict[Future[Outcome], Device] = {}

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +15,7 @@ from shj_bayes.errors import ProofError
 from shj_bayes.files import read_json, write_text
 from shj_bayes.inference.store import versions
 from shj_bayes.model.priors import read_priors
+from shj_bayes.processes import Workers, program
 from shj_bayes.proof import seal
 from shj_bayes.proof.cases import Key, draw_keys
 from shj_bayes.proof.make import make
@@ -136,7 +134,7 @@ def score_rows(folder: Path, keys: list[Key], workers: int, progress: bool) -> l
                 rows.append(_score_one(job))
                 bar.update()
             return rows
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with Workers(workers) as pool:
             for row in pool.map(_score_one, jobs):
                 rows.append(row)
                 bar.update()
@@ -224,7 +222,7 @@ def _transcribe(folder: Path, n: int) -> None:
 
 def _git_commit() -> str | None:
     """Commit of the source, with a + where files differ from it; None outside a repository."""
-    git = shutil.which("git")
+    git = program("git")
     if git is None:
         return None
     here = Path(__file__).parent
