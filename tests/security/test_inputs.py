@@ -1,6 +1,7 @@
 """Nothing that is read may run, reach out, exhaust the machine or steer the terminal (docs/security.md)."""
 
 import ast
+import gzip
 import io
 import os
 import socket
@@ -23,7 +24,7 @@ from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError, PriorError, RecordingError, ShjError
 from shj_bayes.inference import store
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording import hdf5, read, read_table, tables
+from shj_bayes.recording import hdf5, numerals, read, read_table, tables, text
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "shj_bayes"
 ROWS = "".join(f"{0.1 * i},{i % 7},{i % 5}\n" for i in range(60))
@@ -59,6 +60,17 @@ def test_formulas_are_never_evaluated(tmp_path):
     for formula in ("__import__('os').system('id')", "().__class__", "open('/etc/passwd')", "#3 if 1 else 2", "#3**9"):
         with pytest.raises(RecordingError, match=r"--columns|no column"):
             read(path, columns=f"force={formula}")
+
+
+@pytest.mark.parametrize("formula", ["#" + "9" * 5000, "9" * 5000, "#3 + #" + "9" * 5000, "#" + "9" * 390, "x" * 5000])
+def test_a_column_number_of_thousands_of_digits_is_one_line(tmp_path, formula):
+    (tmp_path / "run.csv").write_text("time_s,displacement_mm,force_kN\n" + ROWS)
+    for arguments in (["check"], ["fit", "-o", str(tmp_path / "out")]):
+        command = [*arguments, str(tmp_path / "run.csv"), "--columns", f"displacement={formula}"]
+        result = CliRunner().invoke(main, command)
+        assert result.exit_code == 1
+        assert isinstance(result.exception, SystemExit)
+        assert "allowed are 400" in result.output or "allowed are 1 to 3" in result.output
 
 
 def test_pickled_arrays_are_refused(tmp_path):
@@ -214,6 +226,60 @@ def test_one_endless_line_costs_neither_time_nor_memory(tmp_path, character):
     with suppress(RecordingError):
         read_table(path)
     assert time.process_time() - begin < 8
+
+
+HEAD = "time_s,displacement_mm,force_kN\n"
+
+
+@pytest.mark.parametrize("before", ["", HEAD + ROWS])
+@pytest.mark.parametrize("line", ["\r", "\n", "\r\n", " \n", "#\n"])
+def test_empty_lines_are_not_read_without_end(tmp_path, before, line):
+    path = tmp_path / "run.csv"
+    path.write_bytes((before + line * (20_000_000 // len(line)) + ROWS).encode())
+    begin = time.process_time()
+    with pytest.raises(RecordingError, match="100000 more empty lines and comments than rows"):
+        read_table(path)
+    assert time.process_time() - begin < 5
+
+
+def test_packed_empty_lines_are_not_unpacked_line_by_line(tmp_path):
+    path = tmp_path / "run.csv.gz"
+    path.write_bytes(gzip.compress(b"\r" * (496 * 1024**2), 6))
+    assert path.stat().st_size < 600_000
+    begin = time.process_time()
+    with pytest.raises(RecordingError, match="more empty lines"):
+        read_table(path)
+    assert time.process_time() - begin < 10
+
+
+def test_an_empty_line_behind_every_row_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(text, "MAX_EMPTY", 10)
+    path = tmp_path / "run.csv"
+    path.write_bytes((HEAD + ROWS).replace("\n", "\r\r\n").encode())
+    assert read_table(path).columns[0].values.size == 60
+
+
+def test_columns_of_words_are_not_read_to_their_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(numerals, "MAX_WORDS", 500)
+    monkeypatch.setattr(numerals, "BLOCK_ROWS", 1000)
+    looked = []
+    look = numerals._Column._from_text
+    monkeypatch.setattr(numerals._Column, "_from_text", lambda self, cells: (looked.append(0), look(self, cells))[1])
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{0.1 * i:g},{i % 7},{i % 5},ok\n" for i in range(10_000))
+    path.write_text("time_s,displacement_mm,force_kN,state\n" + rows)
+    table = read_table(path)
+    assert len(looked) == 1
+    assert np.all(np.isnan(table.columns[3].values))
+    assert table.columns[3].values.size == table.columns[0].values.size == 10_000
+    assert any("10000 cells hold text" in finding.message for finding in table.findings)
+    path.write_text(HEAD + ROWS + "a,b,c\n" * 10_000)
+    with pytest.raises(RecordingError, match=r"column time hold text, and fewer than two columns hold numbers"):
+        read_table(path)
+    monkeypatch.setattr(numerals, "MAX_SPECIAL", 900)
+    path.write_text(HEAD + ROWS + "1D1,2,3\n" * 10_000)
+    with pytest.raises(RecordingError, match=r"more than 900 numbers have groups"):
+        read_table(path)
 
 
 @pytest.mark.parametrize(
