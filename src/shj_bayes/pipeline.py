@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import shj_bayes
-from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text, shown
 from shj_bayes.files import plain_name
 from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
 from shj_bayes.inference.sampler import Plan
@@ -21,18 +21,21 @@ from shj_bayes.inference.store import check_files, read_record
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.intervals import Effort
 from shj_bayes.model.law import VARIANTS
-from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE
+from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE, Layout
 from shj_bayes.model.parameters import describe as parameter_meaning
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.check import describe, to_dict
+from shj_bayes.recording.columns import check_rate, parse_columns
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.units import parse_units
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
 from shj_bayes.suggest import did_you_mean
 
+SEEDS, STEPS = (0, 2**32 - 1), (1, 1_000_000)
 SURE_P = 1e-3  # below it, digits of a p value say nothing to a reader; diagnosis.json keeps them
 
 
@@ -77,10 +80,23 @@ class Options:
                 raise ModelError(
                     f"{word} '{value}' is not known; choose one of {', '.join(allowed)}{did_you_mean(value, allowed)}"
                 )
+        for number, found, (low, high) in (("seed", self.seed, SEEDS), ("max_steps", self.max_steps, STEPS)):
+            if not low <= found <= high:
+                raise ModelError(f"{number} = {shown(found, 20)}; allowed is {low} to {high}")
+        asked = parse_columns(self.columns)
+        parse_units(self.units)
+        if self.rate_Hz is not None:
+            check_rate(self.rate_Hz, asked)
         wrong = [name for name in self.free if name not in SHAREABLE]
         if wrong:
             hint = did_you_mean(wrong[0], SHAREABLE)
             raise ModelError(f"'{wrong[0]}' cannot be freed between runs; allowed are {', '.join(SHAREABLE)}{hint}")
+
+    def check(self, n_runs: int) -> None:
+        """Refuse priors that cannot be read, or that lack a law that a device of so many runs needs."""
+        priors = read_priors(self.priors)
+        for name in Layout(n_runs, self.noise, self.free).names:
+            priors.of(name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +213,7 @@ def fit_device(
     RecordingError
         If a recording cannot be used.
     """
+    options.check(len(paths))
     recordings = _usable(paths, options)
     name = plain_name(name) if name else _default_name(recordings[0])
     priors = read_priors(options.priors)

@@ -13,13 +13,9 @@ MAX_RATIO = 200  # unpacked over packed size of a workbook; sheets of numbers re
 MAX_PARTS = 2000  # files in a workbook; two hundred sheets with pictures stay below
 MAX_SHEET_ROWS = 1_048_576  # the last row that a workbook can have
 MAX_LINE = 65_536  # characters; 512 columns of 100 digits stay below
-MAX_EMPTY = (
-    100_000  # lines without a row, beyond one for each row: a doubled line end makes one, a bomb millions
-)
+MAX_EMPTY = 100_000  # lines without a row, beyond one for each row: a doubled line end makes one, a bomb millions
 MAX_WORDS = 100_000  # in a column, and half of it: a status, which is not read to its end as if it were numbers
-MAX_SPECIAL = (
-    2_000_000  # numbers with groups of thousands or D exponents; each takes a microsecond or two
-)
+MAX_SPECIAL = 2_000_000  # numbers with groups of thousands or D exponents; each takes a microsecond or two
 MAX_CELL = 64  # characters of a number; no instrument prints more, and longer ones make pattern matching slow
 MAX_VALUE = 1e30  # in any unit; no channel holds more, and its square still fits into a double
 MAX_NAME = 200  # characters of a header that are looked at
