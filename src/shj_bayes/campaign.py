@@ -14,6 +14,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from shj_bayes.alone import alone_in
 from shj_bayes.cluster import results_on
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
 from shj_bayes.files import folder_name, plain_name, read_toml, sealed, toml_line, write_text
@@ -141,6 +142,7 @@ def read_manifest(path: Path) -> Manifest:
     return Manifest(name, devices, simulated)
 
 
+@alone_in("folder")
 def run_campaign(
     manifest: Manifest, folder: Path, *, workers: int = 0, cluster: str = "", progress: bool = False
 ) -> list[Outcome]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import shj_bayes
+from shj_bayes.alone import alone_in
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text, shown
 from shj_bayes.files import plain_name
 from shj_bayes.inference.fit import CHECKPOINT, fit, make_problem
@@ -176,6 +177,7 @@ class DeviceResult:
         return "\n".join(lines)
 
 
+@alone_in("folder", kept="fit.json")
 def fit_device(
     paths: Sequence[Path | Recording],
     folder: Path,
@@ -267,6 +269,7 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
     return to_dict(recording, motion), describe(recording, motion)
 
 
+@alone_in("folder")
 def diagnose_device(
     paths: Sequence[Path | Recording],
     folder: Path,

@@ -11,6 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from shj_bayes.alone import alone_in
 from shj_bayes.errors import ProofError
 from shj_bayes.files import read_json, write_text
 from shj_bayes.inference.store import versions
@@ -54,6 +55,7 @@ class Proof:
         return "\n".join([*lines, "", f"page: {self.page}"])
 
 
+@alone_in("folder")
 def prove(folder: Path, *, n: int, seed: int, workers: int = 2, quick: bool = True, progress: bool = False) -> Proof:
     """Run (or go on with) a proof.
 
