@@ -16,11 +16,11 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
-import arviz as az
 import pandas as pd
 
 from shj_bayes.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.errors import ReportError
+from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.store import read_posterior, read_record
 from shj_bayes.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.population.results import population_record

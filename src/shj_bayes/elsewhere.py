@@ -7,12 +7,16 @@ and in the environment hold as before.
 
 from __future__ import annotations
 
+import atexit
+import importlib
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
+from tempfile import TemporaryDirectory, mkdtemp
 from types import ModuleType
 from typing import Any
 
@@ -36,8 +40,10 @@ class _Elsewhere(MetaPathFinder):
 
 def _away(run: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
     def run_elsewhere(module: ModuleType) -> None:
-        with _moved():
+        with _moved(), _stampless() if module.__name__ == "arviz" else nullcontext():
             run(module)
+        if module.__name__ == "numba":
+            _cache_somewhere(module)
         if module.__name__ == "numba.core.config":  # numba reads the file again at every function that it compiles
             vars(module)["_config_fname"] = os.path.join(_AWAY, vars(module)["_config_fname"])
 
@@ -59,6 +65,37 @@ def _moved() -> Iterator[None]:
         yield
     finally:
         os.chdir(here)
+
+
+def _cache_somewhere(numba: Any) -> None:
+    """Give numba a cache of this process's own, where it could write into none: it ends there, in a traceback."""
+    try:
+        numba.njit(cache=True)(_stand_in)
+    except RuntimeError:
+        folder = mkdtemp(prefix="shj-bayes-")  # private: what lies in a cache is run
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        os.environ["NUMBA_CACHE_DIR"] = folder  # for workers, too
+
+
+def _stand_in() -> None:
+    """Stand for the functions that are compiled; it never is."""
+
+
+@contextmanager
+def _stampless() -> Iterator[None]:
+    """Let ArviZ note the day of its last announcement in a folder that can be written into; it ends where it cannot."""
+    try:
+        library: Any = importlib.import_module("platformdirs")
+    except ImportError:  # an ArviZ that notes nothing
+        yield
+        return
+    before = library.user_cache_dir
+    with TemporaryDirectory() as scratch:
+        library.user_cache_dir = lambda *_, **__: scratch
+        try:
+            yield
+        finally:
+            library.user_cache_dir = before
 
 
 def import_elsewhere() -> None:

@@ -6,6 +6,7 @@ beside the recordings would then be run. ``-P`` (in the environment: PYTHONSAFEP
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import sys
@@ -35,12 +36,24 @@ class Workers(ProcessPoolExecutor):
 
     def __init__(self, n: int) -> None:
         with _safe_path():  # the process that tracks semaphores starts here
-            super().__init__(n, mp_context=get_context("spawn"), initializer=end_with_parent)
+            super().__init__(n, mp_context=get_context("spawn"), initializer=_begin)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Hand over a call; processes start here, when there is something for them to do."""
         with _safe_path():
             return super().submit(fn, *args, **kwargs)
+
+
+def _begin() -> None:
+    """Begin a worker: it ends with its parent, and warnings of libraries stay off the terminal as in the command."""
+    end_with_parent()
+    quiet_libraries()
+
+
+def quiet_libraries() -> None:
+    """Keep what libraries say off the terminal: it names lines of their source, or folders of theirs."""
+    logging.captureWarnings(True)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 def end_with_parent() -> None:

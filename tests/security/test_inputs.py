@@ -5,6 +5,8 @@ import gzip
 import io
 import os
 import socket
+import struct
+import subprocess
 import sys
 import time
 import zipfile
@@ -13,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import h5py
+import nptdms
 import numpy as np
 import openpyxl
 import pytest
@@ -290,6 +293,62 @@ def test_toml_that_would_exhaust_the_parser(tmp_path, text):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(CampaignError, match=r"campaign\.toml"):
         read_manifest(path)
+
+
+# ---- files that are not what they seem ----
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="links need rights on this system")
+def test_a_ring_of_links_is_called_so(tmp_path):
+    for name in ("run.csv", "campaign.toml"):
+        (tmp_path / name).symlink_to(tmp_path / name)
+    with pytest.raises(RecordingError, match=r"run\.csv: too many levels of symbolic links; check"):
+        read_table(tmp_path / "run.csv")
+    with pytest.raises(CampaignError, match=r"campaign\.toml: Too many levels of symbolic links"):
+        read_manifest(tmp_path / "campaign.toml")
+    with pytest.raises(RecordingError, match=r"x\.csv: file name too long"):
+        read_table(tmp_path / ("x" * 300 + "x.csv"))
+
+
+@pytest.mark.parametrize(("at", "size"), [(132, 2**32 - 16), (132, 5), (188, 2**31 - 16), (188, 16), (188, 0)])
+def test_a_mat_file_whose_elements_lie_about_their_size(tmp_path, at, size):
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {name: np.arange(60.0) for name in ("time_s", "displacement_mm", "force_kN")})
+    raw = bytearray(path.read_bytes())
+    assert struct.unpack_from("<I", raw, at)[0] in (480, 536)
+    struct.pack_into("<I", raw, at, size)
+    path.write_bytes(raw)
+    with pytest.raises(RecordingError, match=r"run\.mat: the (element at byte \d+ claims|MAT file is damaged)"):
+        read_table(path)
+
+
+WARN = """
+import warnings, logging, sys
+import shj_bayes.pipeline as pipeline
+from shj_bayes.cli import main
+def check(path, **_):
+    import numpy
+    numpy.log(-numpy.ones(1))
+    warnings.warn("of a library")
+    return {"usable": True}, "text"
+pipeline.check_recording = check
+main()
+"""
+
+
+def test_warnings_of_libraries_stay_off_the_terminal(tmp_path):
+    done = subprocess.run([sys.executable, "-c", WARN, "check", "run.csv"], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("text\n", "")
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as writer:
+        for _ in range(3):
+            writer.write_segment([nptdms.ChannelObject("g", n, np.arange(60.0)) for n in ("time", "disp", "force")])
+    raw = (tmp_path / "run.tdms").read_bytes()
+    (tmp_path / "run.tdms").write_bytes(raw[:-100])
+    command = [sys.executable, "-c", "from shj_bayes.cli import main; main()", "check", str(tmp_path / "run.tdms")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "different lengths" in done.stdout
+    assert [f.code for f in read_table(tmp_path / "run.tdms").findings] == ["cut-short"]
 
 
 # ---- the terminal, and the network ----

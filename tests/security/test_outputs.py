@@ -148,7 +148,11 @@ def test_fields_of_a_diagnosis_that_are_of_another_kind_are_named(tmp_path, key,
             reader(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1+1", "@SUM(A1)", " =1", "\t=1", "\r=1", "\n=1"])
+FORMULAS = ("=1+1", "+1", "-1+1", "@SUM(A1)", " =1", "\t=1", "\r=1", "\n=1")
+WIDE = ("\uff1d1", " \uff0b1", "\uff0d1", "\uff20A", "\ufe661", "\u22121")
+
+
+@pytest.mark.parametrize("text", FORMULAS + WIDE)
 def test_formulas_are_neutral_in_tables(text):
     assert str(safe_cell(text)).startswith("'")
     assert safe_cell("Zinc 70") == "Zinc 70"

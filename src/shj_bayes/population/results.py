@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import unicodedata
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -26,11 +27,11 @@ _DRAWS = "population.npz"
 
 def safe_cell(value: object) -> object:
     """Text that a spreadsheet would run as a formula, with an apostrophe before it; all else unchanged."""
-    if isinstance(value, str) and value.startswith(("\t", "\r")):
-        return "'" + value
-    if isinstance(value, str) and value.lstrip().startswith(("=", "+", "-", "@")):
-        return "'" + value
-    return value
+    if not isinstance(value, str):
+        return value
+    first = unicodedata.normalize("NFKC", value.lstrip()[:1])  # full-width and small signs as the plain ones
+    runs = value.startswith(("\t", "\r")) or first in ("=", "+", "-", "@", "\u2212")
+    return "'" + value if runs else value
 
 
 def to_tables(result: PopulationResult) -> dict[str, pd.DataFrame]:
