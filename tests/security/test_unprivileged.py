@@ -16,9 +16,9 @@ from shj_bayes.recording.writer import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 DROP = ("setpriv", "--inh-caps=-all", "--bounding-set=-all")  # root without the right to write everywhere
+ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 pytestmark = pytest.mark.skipif(
-    not hasattr(os, "geteuid") or (os.geteuid() == 0 and not shutil.which("setpriv")),
-    reason="needs a user without rights",
+    not hasattr(os, "geteuid") or (ROOT and not shutil.which("setpriv")), reason="needs a user without rights"
 )
 
 
@@ -38,7 +38,7 @@ def locked(tmp_path):
 
 def fit(run, out, locked):
     command = [sys.executable, "-c", "from shj_bayes.cli import main; main()", "fit", str(run), "-o", str(out)]
-    command = [*(DROP if os.geteuid() == 0 else ()), *command, "--quiet", "--max-steps", "200"]
+    command = [*(DROP if ROOT else ()), *command, "--quiet", "--max-steps", "200"]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "MPL"))}
     environment |= {"HOME": str(locked), "NUMBA_CACHE_DIR": str(locked)}
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
