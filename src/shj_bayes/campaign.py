@@ -372,7 +372,8 @@ def _options(at: _Place, base: Options, table: dict[str, Any], key: str = "optio
     entry = table.get(key, {})
     if not isinstance(entry, dict):
         raise at.error(f"{key} must be a table, not {shown(entry)}", key)
-    for name, value in entry.items():
+    # The rate last: columns of the same table may take away the time column that it would contradict.
+    for name, value in sorted(entry.items(), key=lambda item: item[0] == "rate_Hz"):
         if name not in OPTION_KINDS:
             known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(name, OPTION_KINDS)}"
             raise at.error(f"has the option '{name}'; {known}", key, name)

@@ -1,7 +1,9 @@
 """Campaigns: one bad device never stops the rest, a second call does only what is missing or changed."""
 
+import importlib
 import json
 import time
+from pathlib import Path
 
 import pytest
 
@@ -136,6 +138,20 @@ def test_the_head_of_a_manifest_is_checked_with_its_line(tmp_path, text, words):
     with pytest.raises(CampaignError) as error:
         read_manifest(path)
     assert words in str(error.value)
+
+
+def test_a_rate_may_stand_before_the_columns_that_allow_it(tmp_path):
+    path = tmp_path / "m.toml"
+    own = '[set.device.options]\nrate_Hz = 100.0\ncolumns = "force=3"\n'
+    path.write_text(HEAD + 'columns = "time=1"\n' + SET + own, encoding="utf-8")
+    assert read_manifest(path).devices[0].options.columns == "force=3"
+
+
+def test_the_fuzzers_manifest_is_a_good_one(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "fuzz"))
+    path = tmp_path / "m.toml"
+    path.write_text(importlib.import_module("originals").MANIFEST, encoding="utf-8")
+    assert len(read_manifest(path).devices) == 3
 
 
 def test_the_line_is_left_out_where_looking_for_it_takes_long(tmp_path):
