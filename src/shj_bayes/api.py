@@ -20,12 +20,14 @@ import pandas as pd
 
 from shj_bayes.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.errors import ReportError
-from shj_bayes.files import read_json
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.store import check_files, read_record
 from shj_bayes.pipeline import Options, diagnose_device, fit_device
+from shj_bayes.population.results import population_record
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
+from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.summary import compare_sets, summarise_campaign, summarise_tables
 
 
@@ -353,15 +355,17 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
     Raises
     ------
     ReportError
-        If it holds no result.
+        If it holds no result, or one that is damaged.
     """
     place = Path(folder)
     if (place / "fit.json").is_file() and not (place / "diagnosis.json").is_file():
         return FitResult(place, read_record(place))
-    for name, kind in (("diagnosis", Diagnosis), ("campaign", CampaignResult), ("population", CampaignResult)):
-        if (place / f"{name}.json").is_file():
-            result: Diagnosis | CampaignResult = kind(place, read_json(place / f"{name}.json", ReportError))
-            return result
+    if (place / "diagnosis.json").is_file():
+        return Diagnosis(place, diagnosis_record(place))
+    if (place / "campaign.json").is_file():
+        return CampaignResult(place, read_campaign(place))
+    if (place / "population.json").is_file():
+        return CampaignResult(place, population_record(place))
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 

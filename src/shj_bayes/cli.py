@@ -15,6 +15,7 @@ import click
 import shj_bayes
 from shj_bayes.errors import CampaignError, ShjError
 from shj_bayes.examples import EXAMPLES
+from shj_bayes.processes import quiet_libraries
 
 if TYPE_CHECKING:
     from shj_bayes.pipeline import Options
@@ -139,6 +140,7 @@ def _shared(options: dict[str, Any]) -> Options:
 @click.version_option(shj_bayes.__version__, prog_name="shj-bayes")
 def main() -> None:
     """Posteriors and design margins for sliding steel friction connections."""
+    quiet_libraries()
 
 
 @main.command()

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.errors import CampaignError, PopulationError
-from shj_bayes.files import check_seal, read_json, write_text
+from shj_bayes.errors import PopulationError
+from shj_bayes.files import write_text
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
 from shj_bayes.margins.files import design_table, to_json, write_margins
@@ -21,7 +21,7 @@ from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
-from shj_bayes.report.campaign import safe_folder
+from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 
@@ -161,19 +161,7 @@ def _models(
 
 def _campaign(folder: Path) -> dict[str, Any] | None:
     """Content of ``campaign.json``; None for the published tables."""
-    path = folder / "campaign.json"
-    if not path.exists():
-        return None
-    record = read_json(path, CampaignError)
-    check_seal(record, path, CampaignError)
-    try:
-        for group in record["sets"]:
-            for device in group["devices"]:
-                str(group["name"]), str(device["name"]), str(device["folder"])
-        str(record["name"])
-    except (KeyError, TypeError) as error:
-        raise CampaignError(f"{path.name} is damaged ({error}); run shj-bayes campaign again") from error
-    return dict(record)
+    return read_campaign(folder) if (folder / "campaign.json").exists() else None
 
 
 def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> Cases:
@@ -185,7 +173,7 @@ def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> 
         for entry in group["devices"]:
             name, place = str(entry["name"]), str(entry["folder"])
             known = group["name"] in tags and name in result.sets[result.index(group["name"])].devices
-            if not known or not safe_folder(place):
+            if not known:
                 continue
             diagnosis, why = find_diagnosis(folder / place)
             if diagnosis is not None:

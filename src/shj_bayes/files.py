@@ -10,7 +10,8 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from shj_bayes.errors import ShjError, plain_text
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
+MAX_SEARCHED = 100_000  # characters of TOML in which the line of a value is looked for
+MAX_SEARCHES = 60  # a file that a text of many lines makes hard to search is left; each costs some 50 ms at most
 
 
 @contextmanager
@@ -204,6 +207,48 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
         shown = repr(table.get("schema"))[:80]
         raise error(f"{path.name}: schema is {shown}; this version reads {schema!r}; write that, or update shj-bayes")
     return table, hashlib.sha256(raw).hexdigest()
+
+
+def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
+    """Line of a valid TOML file on which the value of a key ends.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    keys : sequence of str or int
+        Way to the value: keys of tables, places in lists.
+
+    Returns
+    -------
+    int or None
+        From 1; None where there is no such key, or looking for it would take long.
+    """
+    lines = path.read_text(encoding="utf-8-sig").split("\n")
+    if sum(map(len, lines)) > MAX_SEARCHED:
+        return None
+
+    searches = iter(range(MAX_SEARCHES))
+
+    def holds(n: int) -> bool:
+        for end in range(n, len(lines) + 1):  # what ends in the midst of a list or a text is no TOML yet
+            next(searches)
+            try:
+                node: Any = tomllib.loads("\n".join(lines[:end]) + "\n")
+            except ValueError:
+                continue
+            try:
+                for key in keys:
+                    node = node[key]
+            except (KeyError, IndexError, TypeError):
+                return False
+            return True
+        return False
+
+    try:
+        return bisect_left(range(len(lines) + 1), True, key=holds) if holds(len(lines)) else None
+    except StopIteration:
+        return None
 
 
 def file_digest(path: Path) -> str:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 import shj_bayes
-from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text
+from shj_bayes.alone import alone_in
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text, shown
 from shj_bayes.files import plain_name
 from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.run import Run, runs_of
@@ -26,13 +27,16 @@ from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.parameters import BASE, FloatArray
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.recording.check import describe, to_dict
+from shj_bayes.recording.columns import check_rate, parse_columns
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.units import parse_units
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
 
+SEEDS, STEPS = (0, 2**32 - 1), (1, 1_000_000)
 SURE_P = 1e-3  # below it, digits of a p value say nothing to a reader; diagnosis.json keeps them
 
 
@@ -76,6 +80,13 @@ class Options:
     def __post_init__(self) -> None:
         """Refuse choices that no fit could take, before any device is read."""
         object.__setattr__(self, "model", variant_named(self.model))
+        for number, found, (low, high) in (("seed", self.seed, SEEDS), ("max_steps", self.max_steps, STEPS)):
+            if not low <= found <= high:
+                raise ModelError(f"{number} = {shown(found, 20)}; allowed is {low} to {high}")
+        asked = parse_columns(self.columns)
+        parse_units(self.units)
+        if self.rate_Hz is not None:
+            check_rate(self.rate_Hz, asked)
         if "velocity" in self.effects:
             raise ModelError(
                 "the base law depends on speed already; take 'velocity' out of the effects (or --without velocity)"
@@ -92,6 +103,10 @@ class Options:
             free=self.free,
             variant=self.model,
         )
+
+    def check(self, n_runs: int) -> None:
+        """Refuse priors that cannot be read, or that lack a law that a device of so many runs needs."""
+        assert self.device_model(n_runs, read_priors(self.priors)).laws_of_parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +187,7 @@ class DeviceResult:
         return "\n".join(lines)
 
 
+@alone_in("folder", kept="fit.json")
 def fit_device(
     paths: Sequence[Path | Recording],
     folder: Path,
@@ -209,6 +225,7 @@ def fit_device(
     RecordingError
         If a recording cannot be used.
     """
+    options.check(len(paths))
     recordings = _usable(paths, options)
     name = plain_name(name) if name else _default_name(recordings[0])
     priors = read_priors(options.priors)
@@ -275,6 +292,7 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
     return to_dict(recording, motion), describe(recording, motion)
 
 
+@alone_in("folder")
 def diagnose_device(
     paths: Sequence[Path | Recording],
     folder: Path,

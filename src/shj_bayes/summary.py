@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from shj_bayes.alone import alone_in
 from shj_bayes.campaign import Manifest, Outcome, campaign_record
 from shj_bayes.design import design_margins
 from shj_bayes.errors import PopulationError
@@ -44,6 +45,7 @@ class Summary:
     usable: bool = True
 
 
+@alone_in("folder")
 def summarise_campaign(
     manifest: Manifest, outcomes: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False
 ) -> Summary:
@@ -89,6 +91,7 @@ def summarise_campaign(
     return Summary(record, "\n".join([*lines, f"report: {page}"]), bool(usable))
 
 
+@alone_in("folder")
 def summarise_tables(folder: Path, *, seed: int, progress: bool = False) -> Summary:
     """Pool the published tables and write their page; arguments as for `summarise_campaign`."""
     population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)

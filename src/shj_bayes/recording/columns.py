@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.formula import Value, evaluate
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
@@ -85,7 +85,7 @@ def choose(
     values: dict[Role, Value] = {}
     chosen: dict[str, str] = {}
     if rate_Hz is not None:
-        _check_rate(rate_Hz, asked)
+        check_rate(rate_Hz, asked)
     for role in ROLES:
         if role == "time" and rate_Hz is not None:
             continue
@@ -234,9 +234,23 @@ def _by_unit(table: Table, role: Role) -> int:
     return places[0] if len(places) == 1 else 0
 
 
-def _check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:
-    if not (np.isfinite(rate_Hz) and 1e-6 <= rate_Hz <= 1e7):
-        raise RecordingError(f"--rate {rate_Hz:g} Hz: allowed is 1e-6 to 1e7 Hz")
+def check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:
+    """Refuse a sampling rate that is none, or that is given beside a time column.
+
+    Parameters
+    ----------
+    rate_Hz : float
+        Sampling rate, Hz.
+    asked : dict
+        What `parse_columns` read.
+
+    Raises
+    ------
+    RecordingError
+        With the rate.
+    """
+    if not 1e-6 <= rate_Hz <= 1e7:
+        raise RecordingError(f"--rate {shown(rate_Hz, 20)} Hz: allowed is 1e-6 to 1e7 Hz")
     if "time" in asked:
         raise RecordingError(f"both --rate {rate_Hz:g} and --columns time={asked['time']} are given; give one of them")
 

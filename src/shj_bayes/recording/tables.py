@@ -133,13 +133,23 @@ def digest(path: Path) -> str:
 
 def _kind(path: Path) -> str:
     """Format by the ending, after the checks that need no reading."""
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:  # a ring of links, a folder that may not be entered, a NUL in the name
+        raise RecordingError(f"{path.name}: {_reason(error)}; check the name and the folder") from error
     if path.is_dir():
         raise RecordingError(f"{path.name or path} is a folder; name one recording in it")
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file; check the name and the folder")
     if not path.is_file():
         raise RecordingError(f"{path.name} is not an ordinary file; a recording must be a file on the disk")
-    size = path.stat().st_size
+    try:
+        size = path.stat().st_size
+        path.open("rb").close()
+    except OSError as error:
+        raise RecordingError(f"{path.name} cannot be opened: {_reason(error)}; check the rights") from error
     if size == 0:
         raise RecordingError(f"{path.name} is empty (0 bytes); export it again")
     if size > MAX_BYTES:
@@ -154,6 +164,11 @@ def _kind(path: Path) -> str:
             f"{', '.join(FORMATS)}, and .gz after the text formats"
         )
     return kind
+
+
+def _reason(error: OSError | ValueError) -> str:
+    """Say what the system says."""
+    return (getattr(error, "strerror", None) or str(error)).lower()
 
 
 def _parse(path: Path, kind: str) -> Table:
