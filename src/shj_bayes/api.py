@@ -251,7 +251,8 @@ def fit(
     threads : int
         Ensembles at the same time, 0 for one per processor.
     **options
-        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps.
+        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps,
+        runs.
 
     Returns
     -------

@@ -34,6 +34,11 @@ OPTION_KINDS: dict[str, Any] = {
     "free": list,
     "seed": int,
     "max_steps": int,
+    "runs": int | str,
+}
+_KIND_WORDS: dict[Any, str] = {
+    **{str: "a text", list: "a list of texts", int: "a whole number"},
+    int | str: 'a number of runs, "split" or "one"',
 }
 TAG_KINDS: dict[str, tuple[Any, str]] = {
     "material": (str, "a text"),
@@ -275,7 +280,7 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
         for device in entry.get("device", []):
             name = _text(path, where, device, "name")
             at = f"{where}, device '{name}'"
-            _known(path, at, device, ("name", "recordings", "options"))
+            _known(path, at, device, ("name", "recordings", "runs", "options"))
             files = device.get("recordings")
             if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
                 raise CampaignError(
@@ -284,7 +289,8 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
             if "\x00" in "".join(files):
                 raise CampaignError(f"{path.name}: {at} names a file with a NUL character")
             recordings = tuple(path.parent / f for f in files)
-            yield Device(name, set_name, recordings, _options(path, at, own, device.get("options", {})), tags)
+            for_all = own if "runs" not in device else _options(path, at, own, {"runs": device["runs"]})
+            yield Device(name, set_name, recordings, _options(path, at, for_all, device.get("options", {})), tags)
 
 
 def _tags(path: Path, where: str, entry: dict[str, Any]) -> Tags:
@@ -330,7 +336,7 @@ def _options(path: Path, where: str, base: Options, entry: Any) -> Options:
             known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(key, OPTION_KINDS)}"
             raise CampaignError(f"{path.name}: {where} has the option '{key}'; {known}")
         if not isinstance(value, OPTION_KINDS[key]) or isinstance(value, bool):
-            words = {str: "a text", list: "a list of texts", int: "a whole number"}.get(OPTION_KINDS[key], "a number")
+            words = _KIND_WORDS.get(OPTION_KINDS[key], "a number")
             raise CampaignError(f"{path.name}: {where} option {key} = {value!r}; it needs {words}")
         values[key] = tuple(str(v) for v in value) if isinstance(value, list) else value
     priors = values.get("priors", "")

@@ -83,6 +83,9 @@ READING = _options(
     click.option("--columns", metavar="ROLE=COLUMN,...", help="time=, displacement=, force=: name, number or formula."),
     click.option("--units", metavar="mm,kN,s", help="Units, where the header does not say."),
     click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Sampling rate of files without time, Hz."),
+    click.option("--runs", "n_runs", type=click.IntRange(1), metavar="N", help="Runs that the files hold together."),
+    click.option("--split", is_flag=True, help="Split files where several runs are found."),
+    click.option("--one-run", is_flag=True, help="Each file is one run, whatever it looks like."),
 )
 RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REC...")
 MODEL = click.option(
@@ -111,6 +114,13 @@ MODELLING = _options(
         help="Steps after which sampling stops even if it has not converged.",
     ),
 )
+
+
+def _reading(n_runs: int | None, split: bool, one_run: bool, **options: Any) -> dict[str, Any]:
+    """Options of reading, with the three on runs as one."""
+    if (n_runs is not None) + split + one_run > 1:
+        raise click.UsageError("--runs, --split and --one-run exclude one another; give one of them.")
+    return options | {"runs": "split" if split else "one" if one_run else n_runs}
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -143,7 +153,8 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
     """
     from shj_bayes.pipeline import check_recording
 
-    results = [check_recording(path, **reading) for path in recordings]
+    reading = _reading(**reading)
+    results = [result for path in recordings for result in check_recording(path, **reading)]
     if as_json:
         click.echo(json.dumps([facts for facts, _ in results], indent=1, allow_nan=False))
     elif not quiet:
@@ -174,7 +185,7 @@ def fit(
     """Posterior of one device; several recordings are its consecutive runs."""
     from shj_bayes.pipeline import Options, fit_device
 
-    shared = Options(free=tuple(part.strip() for part in free.split(",") if part.strip()), **options)
+    shared = Options(free=tuple(part.strip() for part in free.split(",") if part.strip()), **_reading(**options))
     speak = not (as_json or quiet)
     result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0)
     if as_json:
@@ -215,7 +226,7 @@ def diagnose(
     result = diagnose_device(
         recordings,
         out,
-        Options(**options),
+        Options(**_reading(**options)),
         without=without,
         name=name,
         quick=quick,

@@ -28,6 +28,7 @@ from shj_bayes.recording.check import describe, to_dict
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.runs import Runs, check_runs, settle
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
@@ -58,6 +59,8 @@ class Options:
         Same seed, same numbers.
     max_steps : int
         Steps after which to stop.
+    runs : int, "split", "one" or None
+        Number of runs that the files hold; ``"split"`` parts files where runs are found, ``"one"`` never does.
     """
 
     columns: str | None = None
@@ -69,6 +72,7 @@ class Options:
     free: tuple[str, ...] = ()
     seed: int = 1
     max_steps: int = 10_000
+    runs: Runs = None
 
     def __post_init__(self) -> None:
         """Refuse choices that no fit could take, before any device is read."""
@@ -77,6 +81,7 @@ class Options:
                 raise ModelError(
                     f"{word} '{value}' is not known; choose one of {', '.join(allowed)}{did_you_mean(value, allowed)}"
                 )
+        check_runs(self.runs)
         wrong = [name for name in self.free if name not in SHAREABLE]
         if wrong:
             hint = did_you_mean(wrong[0], SHAREABLE)
@@ -198,12 +203,10 @@ def fit_device(
         If a recording cannot be used.
     """
     recordings = _usable(paths, options)
-    name = plain_name(name) if name else _default_name(recordings[0])
+    name = plain_name(name) if name else _default_name(paths[0])
     priors = read_priors(options.priors)
-    digests = [
-        _digest(recording) if isinstance(given, Recording) else recording.source.sha256
-        for given, recording in zip(paths, recordings, strict=True)
-    ]
+    changeable = any(isinstance(given, Recording) for given in paths)
+    digests = [_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
     key = _key(digests, options, priors.sha256, name)
     finished, note = _finished(folder, key)
     if finished is None:
@@ -221,28 +224,35 @@ def fit_device(
     return DeviceResult(folder, finished, fresh, left[1] if left else "", note)
 
 
-def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
-    """Read and check one recording.
+def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple[dict[str, Any], str]]:
+    """Read and check one file.
 
     Parameters
     ----------
     path : Path
         The file.
+    runs : int, "split", "one" or None
+        As in `Options`.
     **reading
         ``columns``, ``units``, ``rate_Hz`` as for `shj_bayes.recording.reader.read`.
 
     Returns
     -------
-    dict, str
-        Facts for machines (``usable`` says whether it may be fitted) and text for people. A file that cannot be read
-        at all gives its reason in both.
+    list of (dict, str)
+        For each run in the file facts for machines (``usable`` says whether it may be fitted) and text for people. A
+        file that cannot be read at all gives its reason in both.
     """
     try:
-        recording = read(path, **reading)
+        recordings = settle([read(path, **reading)], runs)
     except RecordingError as error:
         name = plain_text(path.name)
         reason = str(error).removeprefix(f"{name}: ")
-        return {"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}"
+        return [({"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}")]
+    return [_checked(recording) for recording in recordings]
+
+
+def _checked(recording: Recording) -> tuple[dict[str, Any], str]:
+    """Facts and text of one run."""
     try:
         motion = motion_of(recording)
     except RecordingError:
@@ -280,7 +290,7 @@ def diagnose_device(
     DiagnosisResult
     """
     recordings = _usable(paths, options)
-    name = plain_name(name) if name else _default_name(recordings[0])
+    name = plain_name(name) if name else _default_name(paths[0])
     problem = make_problem(recordings, priors=read_priors(options.priors), variant=options.model)
     diagnosis = diagnose(
         problem.runs,
@@ -312,12 +322,13 @@ def dep_words(row: dict[str, Any]) -> str:
 
 def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recording]:
     """Read recordings that are not read yet; refuse those that must not be fitted."""
-    recordings = [
+    given = [
         path
         if isinstance(path, Recording)
         else read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
         for path in paths
     ]
+    recordings = settle(given, options.runs)
     for recording in recordings:
         blocking = [f.message for f in recording.findings if f.severity == "unusable"]
         if blocking:
@@ -325,11 +336,10 @@ def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recordi
     return recordings
 
 
-def _default_name(recording: Recording) -> str:
+def _default_name(first: Path | Recording) -> str:
     """Name of the first file without its endings (a dot inside the name stays)."""
-    return plain_name(
-        re.sub(r"(\.(csv|tsv|txt|xlsx|mat|h5|hdf5|tdms|gz))+$", "", recording.source.name, flags=re.IGNORECASE)
-    )
+    name = first.source.name if isinstance(first, Recording) else first.name
+    return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", name, flags=re.IGNORECASE))
 
 
 def _digest(recording: Recording) -> str:

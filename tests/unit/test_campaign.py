@@ -90,6 +90,18 @@ def test_manifest_mistakes_are_named(tmp_path, text, words):
     assert words in str(error.value)
 
 
+def test_runs_stand_with_a_device_or_among_the_options(tmp_path):
+    path = tmp_path / "m.toml"
+    device = '[[set.device]]\nname = "{}"\nrecordings = ["x.csv"]\n'
+    text = HEAD + 'runs = "one"\n[[set]]\nname = "a"\n' + device.format("d") + "runs = 3\n" + device.format("e")
+    path.write_text(text, encoding="utf-8")
+    assert [d.options.runs for d in read_manifest(path).devices] == [3, "one"]
+    for wrong in ("0", '"two"', "true", "1.5"):
+        path.write_text(text.replace("runs = 3", f"runs = {wrong}"), encoding="utf-8")
+        with pytest.raises(CampaignError, match=r"m\.toml: set 'a', device 'd'.*runs"):
+            read_manifest(path)
+
+
 def test_folder_names_stay_inside_and_differ():
     names = ["../../x", "..", "CON", "a/b", "a\\b", "ü" * 300, "x\x00y", "a b", "a-b"]
     folders = [folder_name(name) for name in names]

@@ -146,6 +146,40 @@ def test_simulate_writes_recordings_and_truth(tmp_path):
     assert (tmp_path / "again" / "dev-run1.csv").read_bytes() == first
 
 
+@pytest.fixture(scope="module")
+def both_runs(recordings, tmp_path_factory) -> Path:
+    """Two runs in one file, whose clock goes on after a rest without samples."""
+    runs = [np.loadtxt(path, delimiter=",", skiprows=2) for path in recordings]
+    runs[1][:, 0] += runs[0][-1, 0] + 60.0
+    path = tmp_path_factory.mktemp("both") / "both.csv"
+    np.savetxt(path, np.vstack(runs), delimiter=",", header="time_s,displacement_mm,force_kN", comments="")
+    return path
+
+
+def test_two_runs_in_one_file_are_refused_until_somebody_says(both_runs, tmp_path):
+    refused = run("fit", both_runs, "-o", tmp_path / "out")
+    assert refused.exit_code == 1
+    assert "--runs 2, --split or --one-run" in refused.output
+    assert run("check", both_runs, "--quiet").exit_code == 1
+    assert run("check", both_runs, "--quiet", "--one-run").exit_code == 0
+    assert run("check", both_runs, "--runs", 3).exit_code == 1
+    assert run("check", both_runs, "--runs", 2, "--split").exit_code == 2
+    checked = json.loads(run("check", both_runs, "--split", "--json").output)
+    assert [facts["name"] for facts in checked] == ["both.csv run 1", "both.csv run 2"]
+
+
+def test_two_runs_in_one_file_fit_as_two_files_do(both_runs, fitted, tmp_path):
+    done = run("fit", both_runs, "-o", tmp_path, "--runs", 2, "--max-steps", 200, "--json")
+    assert done.exit_code == 0, done.output
+    record, apart = json.loads(done.stdout), json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
+    assert record["device"] == "both"
+    assert [source["name"] for source in record["inputs"]] == ["both.csv run 1", "both.csv run 2"]
+    assert len({source["sha256"] for source in record["inputs"]}) == 1
+    for row, other in zip(record["parameters"], apart["parameters"], strict=True):
+        assert row["name"] == other["name"]
+        assert row["mean"] == pytest.approx(other["mean"], abs=0.5 * other["sd"])
+
+
 def test_unwritable_folder_is_one_line(recordings, tmp_path):
     (tmp_path / "file").write_text("x", encoding="utf-8")
     result = run("fit", recordings[0], "-o", tmp_path / "file" / "below", "--max-steps", 200)

@@ -75,3 +75,17 @@ SHORTEST_SHARE = 0.2  # half-window over the shortest half-cycle: a sine keeps i
 UNSURE_SD = 3.0  # standard deviations of the turning time within which a sample may lie on either side
 UNSURE_SHARE = 0.1  # of the shorter neighbouring half-cycle: no more than this is ever left out
 KINK_Z = 6.0  # one false alarm in 5e8 samples for white noise
+
+# --- several runs in one file ---
+RESTART_GAP_STEPS = 100  # put between runs whose clock begins again, so that nothing is smoothed across
+SKETCH_SAMPLES = 20_000  # enough to see rests and strokes of some thousand half-cycles
+REST_BINS = 4_000  # pieces of the duration that are looked at for movement
+REST_NOISE = 50.0  # movement in such a piece over the noise, at least; 10 of these 50 are a rest
+REST_SPEED = 0.05  # of the mean speed; a sine is below it for 1 % of its cycle
+REST_RANGE = 0.05  # of the displacement range, from the beginning to the end of a rest; more is slow movement
+REST_AT = 5.0  # standard deviations of a sample from the level of a rest
+REST_HOME = 0.15  # of the displacement range: runs end where they began; rests elsewhere belong to the test
+LONG_REST = 1.0  # usual half-cycles; holds at reversals are shorter, pauses between runs last minutes
+SAME_STROKE = 0.05  # driven strokes of the same protocol agree to 3 % on the worst of the public rigs
+PROTOCOL_HALF_CYCLES = 8  # a sequence of amplitudes shorter than this is a pattern within one run
+PROTOCOL_VARIES = 1.5  # largest over smallest amplitude of a protocol that can be seen to begin again

@@ -61,7 +61,7 @@ def test_a_broken_clock_is_refused(clean):
     t, x, f = arrays(clean)
     with pytest.raises(RecordingError, match=r"time repeats in .* too few digits.*--rate"):
         repair(np.round(t), x, f, "run.csv")
-    with pytest.raises(RecordingError, match=r"time jumps back 1 times.*several runs, split it"):
+    with pytest.raises(RecordingError, match=r"time jumps back 1 times.*one file for each run"):
         repair(np.concatenate([t, t]), np.tile(x, 2), np.tile(f, 2), "run.csv")
     with pytest.raises(RecordingError, match="0 rows have a time"):
         repair(t * np.nan, x, f, "run.csv")

@@ -5,6 +5,7 @@ import pytest
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import motion_of, read
+from shj_bayes.recording.runs import settle
 
 SEALS = {"columns": "time=1,displacement=5,force=#7 - 49.0874*#6", "units": "ms,mm,N"}
 EMPS = {"columns": "time=t,displacement=qm,force=gtau*vir", "units": "s,m,N"}
@@ -50,6 +51,7 @@ def test_recordings_are_read_without_a_false_alarm(shared, name):
     # The seals' laser drops by 0.4 mm for single samples, some 30 to 60 times in each file: that is no false alarm.
     assert loud == (["spikes"] if "seals" in name else [])
     assert np.count_nonzero(~recording.used) <= (0.01 * recording.n_samples if loud else 0)
+    assert settle([recording]) == [recording]
     motion = motion_of(recording)
     assert n_half is None or motion.n_half == n_half
     # No half-cycle shorter than the shortest possible real one: noise would make many of a few samples.
