@@ -6,6 +6,7 @@ from __future__ import annotations
 MAX_ROWS = 10_000_000
 MAX_COLUMNS = 512
 MAX_BYTES = 512 * 1024**2  # after decompression; holds 10 million rows of four numbers as text
+MAX_JSON_BYTES = 64 * 1024**2  # parsed it takes ten times as much memory: a million rows of three numbers
 CHUNK_BYTES = 4 * 1024**2  # a compressed file is unpacked in pieces of this size, so that it can be stopped
 BLOCK_ROWS = 200_000  # rows of text held at a time: some 50 MB, however long the file
 HDF5_SECONDS = 300  # for the largest file on the slowest disk; a damaged one can make the library loop

@@ -27,7 +27,7 @@ def read(
     Parameters
     ----------
     path : str or Path
-        CSV, TSV, TXT (also .gz), XLSX, MAT, HDF5 or TDMS.
+        CSV, TSV, TXT (also .gz), XLSX, JSON, MAT, HDF5 or TDMS.
     columns : str or None
         ``time=...,displacement=...,force=...``; each a column name, a 1-based number, or a formula. Roles that are
         not named are looked for in the header. ``time`` may be a single number: the sampling interval.

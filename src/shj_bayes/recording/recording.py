@@ -56,7 +56,7 @@ class Source:
     sha256 : str
         Digest of the file as read; empty for recordings made in memory.
     format : str
-        ``csv``, ``xlsx``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``.
+        ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``.
     columns : dict of str to str
         Role (time, displacement, force) to the column or expression it was read from.
     units : dict of str to str
@@ -150,7 +150,7 @@ class Recording:
         Parameters
         ----------
         path : str or Path
-            CSV, TSV, TXT (also .gz), XLSX, MAT, HDF5 or TDMS.
+            CSV, TSV, TXT (also .gz), XLSX, JSON, MAT, HDF5 or TDMS.
         columns, units : str, optional
             Columns and units, where the file does not say.
         rate_Hz : float, optional

@@ -19,6 +19,7 @@ FORMATS = {
     ".dat": "csv",
     ".asc": "csv",
     ".xlsx": "xlsx",
+    ".json": "json",
     ".mat": "mat",
     ".h5": "hdf5",
     ".hdf5": "hdf5",
@@ -57,7 +58,7 @@ class Table:
     name : str
         File name without folders.
     format : str
-        ``csv``, ``xlsx``, ``mat``, ``hdf5`` or ``tdms``.
+        ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5`` or ``tdms``.
     sha256 : str
         Digest of the file as it lies on the disk.
     columns : tuple of Column
@@ -93,7 +94,7 @@ def read_table(path: str | Path) -> Table:
     Parameters
     ----------
     path : str or Path
-        CSV, TSV, TXT, DAT (also .gz), XLSX, MAT (v4 to v7.3), HDF5 or TDMS; the ending tells which.
+        CSV, TSV, TXT, DAT (also .gz), XLSX, JSON, MAT (v4 to v7.3), HDF5 or TDMS; the ending tells which.
 
     Returns
     -------
@@ -113,7 +114,7 @@ def read_table(path: str | Path) -> Table:
     except MemoryError as error:
         raise RecordingError(f"{path.name}: not enough memory to read it; export fewer channels or rows") from error
     except Exception as error:
-        # The parsers of six formats raise dozens of kinds of errors for damaged files; all mean the same to the user.
+        # The parsers of seven formats raise dozens of kinds of errors for damaged files; all mean the same to the user.
         reason = (str(error).splitlines() or [""])[0].replace(str(path), path.name)
         raise RecordingError(
             f"{path.name}: cannot be read as {kind} ({type(error).__name__}: {reason[:160]}); "
@@ -162,6 +163,8 @@ def _parse(path: Path, kind: str) -> Table:
         from shj_bayes.recording.text import read_text as reader  # noqa: PLC0415
     elif kind == "xlsx":
         from shj_bayes.recording.excel import read_excel as reader  # noqa: PLC0415
+    elif kind == "json":
+        from shj_bayes.recording.records import read_records as reader  # noqa: PLC0415
     elif kind == "tdms":
         from shj_bayes.recording.tdms import read_tdms as reader  # noqa: PLC0415
     else:
