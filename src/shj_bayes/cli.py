@@ -313,18 +313,24 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     show_default=True,
     help="Importance class of the structure (EN 15129).",
 )
-@click.option("--set", "sets", multiple=True, metavar="NAME", help="Print this set only; may be given again.")
+@click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="NAME",
+    help="Print this set only, and take --nominal for it alone; may be given again.",
+)
 @OUTPUT
 def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **request: Any) -> None:
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
     from shj_bayes.design import design_margins
     from shj_bayes.margins.sheet import Request
 
-    design = design_margins(folder, Request(**request), progress=not (quiet or as_json))
+    design = design_margins(folder, Request(sets=sets, **request), progress=not (quiet or as_json))
     if as_json:
         click.echo(json.dumps(design.record, indent=1))
     elif not quiet:
-        click.echo(design.text(sets))
+        click.echo(design.text)
 
 
 @main.command()

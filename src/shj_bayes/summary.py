@@ -84,7 +84,7 @@ def summarise_campaign(
         write_population(population, folder)
         design = design_margins(folder, population=population, progress=progress)
         record["population"], record["margins"] = to_json(population), design.record
-        lines += ["", band_text(population), "", design.text()]
+        lines += ["", band_text(population), "", design.text]
     page = render_campaign(folder, population)
     return Summary(record, "\n".join([*lines, f"report: {page}"]), bool(usable))
 
@@ -97,7 +97,7 @@ def summarise_tables(folder: Path, *, seed: int, progress: bool = False) -> Summ
     design = design_margins(folder, population=population, progress=progress)
     page = render_tables(folder, population, claims)
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
-    text = "\n".join([band_text(population), "", *answers, "", design.text(), f"report: {page}"])
+    text = "\n".join([band_text(population), "", *answers, "", design.text, f"report: {page}"])
     record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
     return Summary(record, text)
 

@@ -51,6 +51,26 @@ def test_an_unknown_set_is_named_with_those_there_are(folder):
     assert "'Zinc 70 corroded'" in done.output
 
 
+@pytest.mark.parametrize("refused", [("--set", "Zink"), ("--speed", 300), ("--nominal", -1)])
+@pytest.mark.parametrize("quiet", [(), ("--quiet",)])
+def test_a_refused_command_leaves_the_sheet_as_it_was(folder, refused, quiet):
+    assert run("margins", folder, "--quiet").exit_code == 0
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    assert run("margins", folder, "--nominal", 70, *refused, *quiet).exit_code == 1
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+
+
+def test_a_nominal_force_acts_on_the_set_that_is_named_whatever_its_case(folder):
+    done = run("margins", folder, "--set", "zinc 70", "--nominal", 70)
+    assert done.exit_code == 0, done.output
+    record = json.loads((folder / "margins.json").read_text(encoding="utf-8"))
+    nominal = {m["set"]: m["value"] for m in record["margins"] if m["kind"] == "nominal sliding force"}
+    assert nominal["Zinc 70"] == 70
+    assert 70 not in {value for name, value in nominal.items() if name != "Zinc 70"}
+    refused = run("margins", folder, "--set", "Zinc 70 corodded")
+    assert "did you mean 'Zinc 70 corroded'?" in refused.output
+
+
 def test_export_writes_scripts_and_a_table(folder, tmp_path):
     done = run("export", folder, "--to", "opensees", "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
