@@ -18,8 +18,10 @@ from tqdm import tqdm
 from shj_bayes.cluster import results_on
 from shj_bayes.errors import CampaignError, ShjError, plain_text
 from shj_bayes.files import folder_name, plain_name, read_toml, sealed, write_text
+from shj_bayes.mistaken import repeated
 from shj_bayes.pipeline import DeviceResult, Options, fit_device
 from shj_bayes.population.device import NO_TAGS, Tags
+from shj_bayes.report.device import is_simulated
 from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/campaign/1"
@@ -98,12 +100,28 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one device: ``done``, ``kept`` (unchanged) or ``failed``, with the reason."""
+    """What became of one device.
+
+    Parameters
+    ----------
+    device : Device
+        The device.
+    status : {"done", "kept", "failed"}
+        Fitted, found unchanged, or not fitted.
+    reason, verdict : str
+        Why it failed, or what there is to say; verdict of the fit.
+    simulated : bool
+        A recording says that it is simulated.
+    inputs : tuple of (str, str)
+        Name and digest of each recording.
+    """
 
     device: Device
     status: str
     reason: str = ""
     verdict: str = ""
+    simulated: bool = False
+    inputs: tuple[tuple[str, str], ...] = ()
 
 
 def read_manifest(path: Path) -> Manifest:
@@ -245,7 +263,15 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
         return Outcome(device, "failed", "not enough memory; use fewer --workers, or export fewer samples")
     except Exception as error:  # one bad device must not stop a thousand good ones; the type says it is a bug
         return Outcome(device, "failed", plain_text(f"unexpected {type(error).__name__}: {error}"))
-    return Outcome(device, "done" if result.fresh else "kept", result.note, result.record["verdict"])
+    inputs = result.record["inputs"]
+    return Outcome(
+        device,
+        "done" if result.fresh else "kept",
+        result.note,
+        result.record["verdict"],
+        any(map(is_simulated, inputs)),
+        tuple((source["name"], source["sha256"]) for source in inputs),
+    )
 
 
 def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -259,7 +285,10 @@ def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str
         {
             "schema": SCHEMA,
             "name": manifest.name,
-            "simulated": manifest.simulated,
+            "simulated": manifest.simulated or any(o.simulated for o in outcomes),
+            "warnings": repeated(
+                (f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs
+            ),
             "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
         }
     )

@@ -17,6 +17,8 @@ from shj_bayes.errors import CampaignError, ShjError
 from shj_bayes.examples import EXAMPLES
 
 Command = Callable[..., Any]
+SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
+NAMED = 5  # failed devices that one line names
 
 
 class _Command(click.Command):
@@ -75,6 +77,7 @@ SEED = click.option(
 WORKERS = click.option(
     "--workers", type=click.IntRange(1, 256), help="Processors to use; the numbers do not depend on it."
 )
+FORCE = click.option("--force", is_flag=True, help="Replace the result of another device in the folder.")
 OUTPUT = _options(
     click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else."),
     click.option("--quiet", is_flag=True, help="Print nothing but errors."),
@@ -170,12 +173,14 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
 @MODELLING
 @SEED
 @click.option("--name", help="Name of the device; by default that of the first file.")
+@FORCE
 @WORKERS
 @OUTPUT
 def fit(
     recordings: tuple[Path, ...],
     out: Path,
     name: str | None,
+    force: bool,
     workers: int | None,
     as_json: bool,
     quiet: bool,
@@ -187,7 +192,7 @@ def fit(
 
     shared = Options(free=tuple(part.strip() for part in free.split(",") if part.strip()), **_reading(**options))
     speak = not (as_json or quiet)
-    result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0)
+    result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0, force=force)
     if as_json:
         click.echo(json.dumps(result.record, indent=1))
     elif speak:
@@ -206,6 +211,7 @@ def fit(
 @click.option("--quick", is_flag=True, help="A first look: approximate intervals, no sampling.")
 @SEED
 @click.option("--name", help="Name of the device; by default that of the first file.")
+@FORCE
 @WORKERS
 @OUTPUT
 def diagnose(
@@ -214,6 +220,7 @@ def diagnose(
     without: tuple[str, ...],
     quick: bool,
     name: str | None,
+    force: bool,
     workers: int | None,
     as_json: bool,
     quiet: bool,
@@ -232,6 +239,7 @@ def diagnose(
         quick=quick,
         progress=speak,
         threads=workers or 0,
+        force=force,
         tell=(lambda line: click.echo(f"  {line}", err=True)) if speak else (lambda _: None),
     )
     if as_json:
@@ -250,7 +258,10 @@ def diagnose(
 def campaign(
     manifest: Path, out: Path, seed: int, workers: int | None, cluster: str | None, as_json: bool, quiet: bool
 ) -> None:
-    """Fit every device of a TOML manifest, then population, comparison and report; resumes where it stopped."""
+    """Fit every device of a TOML manifest, then population, comparison and report; resumes where it stopped.
+
+    Exit status 3 when it is done but for devices that failed.
+    """
     if cluster is not None and workers:
         raise click.UsageError("--workers is for this machine and --dask for a cluster; give one of them.")
     if cluster is not None and not cluster.strip():
@@ -281,6 +292,11 @@ def _run_campaign(
         click.echo(result.text)
     if not result.usable:
         raise CampaignError("no device could be used; the reasons stand above and in campaign.json")
+    if failed := [f"{o.device.set_name}, {o.device.name} ({o.reason})" for o in outcomes if o.status == "failed"]:
+        more = f"; and {len(failed) - NAMED} more, in campaign.json" if len(failed) > NAMED else ""
+        done = f"done, but {len(failed)} of {len(outcomes)} devices failed: {'; '.join(failed[:NAMED])}{more}"
+        click.echo(f"shj-bayes: {done}", err=True)
+        raise SystemExit(SOME_FAILED)
 
 
 @main.command()

@@ -10,8 +10,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import shj_bayes
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text
 from shj_bayes.files import plain_name
@@ -20,6 +18,7 @@ from shj_bayes.inference.sampler import Plan
 from shj_bayes.inference.store import check_files, read_record
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.intervals import Effort
+from shj_bayes.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.model.law import VARIANTS
 from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE
 from shj_bayes.model.parameters import describe as parameter_meaning
@@ -173,6 +172,7 @@ def fit_device(
     name: str | None = None,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
 ) -> DeviceResult:
     """Fit one device from its recordings and write the files and the page of INTERFACE.
 
@@ -192,6 +192,8 @@ def fit_device(
         Show a progress bar.
     threads : int
         Ensembles that run at the same time, 0 for one per processor.
+    force : bool
+        Replace the result of another device in `folder`.
 
     Returns
     -------
@@ -201,12 +203,16 @@ def fit_device(
     ------
     RecordingError
         If a recording cannot be used.
+    InferenceError
+        If `folder` holds the result of another device.
     """
     recordings = _usable(paths, options)
     name = plain_name(name) if name else _default_name(paths[0])
+    if not force:
+        refuse_used_folder(folder, name, recordings, InferenceError)
     priors = read_priors(options.priors)
     changeable = any(isinstance(given, Recording) for given in paths)
-    digests = [_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
+    digests = [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
     key = _key(digests, options, priors.sha256, name)
     finished, note = _finished(folder, key)
     if finished is None:
@@ -270,13 +276,14 @@ def diagnose_device(
     quick: bool = False,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisResult:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
     Parameters
     ----------
-    paths, folder, options, name, progress, threads
+    paths, folder, options, name, progress, threads, force
         As for `fit_device`.
     without : sequence of str
         ``velocity`` runs the base law without speed dependence; other ids are taken out of the catalogue.
@@ -291,6 +298,8 @@ def diagnose_device(
     """
     recordings = _usable(paths, options)
     name = plain_name(name) if name else _default_name(paths[0])
+    if not force:
+        refuse_used_folder(folder, name, recordings, InferenceError)
     problem = make_problem(recordings, priors=read_priors(options.priors), variant=options.model)
     diagnosis = diagnose(
         problem.runs,
@@ -328,7 +337,7 @@ def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recordi
         else read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
         for path in paths
     ]
-    recordings = settle(given, options.runs)
+    recordings = remarked(settle(given, options.runs), options.free)
     for recording in recordings:
         blocking = [f.message for f in recording.findings if f.severity == "unusable"]
         if blocking:
@@ -340,12 +349,6 @@ def _default_name(first: Path | Recording) -> str:
     """Name of the first file without its endings (a dot inside the name stays)."""
     name = first.source.name if isinstance(first, Recording) else first.name
     return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", name, flags=re.IGNORECASE))
-
-
-def _digest(recording: Recording) -> str:
-    """Digest of what a recording holds, for one that may have been changed since it was read."""
-    arrays = (recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
-    return hashlib.sha256(b"".join(np.asarray(values).tobytes() for values in arrays)).hexdigest()
 
 
 def _key(digests: list[str], options: Options, priors: str, name: str) -> str:

@@ -69,6 +69,7 @@ def summarise_campaign(
     usable = [o for o in outcomes if o.status != "failed" and o.verdict != "unusable"]
     lines = [f"{o.device.set_name}, {o.device.name}: {o.status}, {o.verdict or o.reason}" for o in outcomes]
     record = campaign_record(manifest, outcomes)
+    lines += record["warnings"]
     population = None
     if usable:
         places = [folder / o.device.folder for o in usable]

@@ -3,8 +3,10 @@
 import json
 
 import pytest
+from click.testing import CliRunner
 
 from shj_bayes.campaign import read_manifest, run_campaign
+from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError
 from shj_bayes.files import folder_name
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -88,6 +90,36 @@ def test_manifest_mistakes_are_named(tmp_path, text, words):
     with pytest.raises(CampaignError) as error:
         read_manifest(path)
     assert words in str(error.value)
+
+
+def test_failed_devices_have_a_status_of_their_own_even_when_quiet(campaign):
+    _, out, _ = campaign
+    path = out.parent / "campaign.toml"
+    for option in ("--quiet", "--json"):
+        done = CliRunner().invoke(main, ["campaign", str(path), "-o", str(out), option])
+        assert done.exit_code == 3
+        assert "1 of 4 devices failed: coated <b>, ../../broken" in done.stderr
+        assert (option == "--json") == bool(done.stdout)
+
+
+def test_what_recordings_say_of_themselves_reaches_campaign_and_sheet(tmp_path):
+    """A recording in two sets is said; so is that it was simulated, whatever the manifest says."""
+    (made,) = simulate_device(Truth(phi=0.3), seed=1, rate_Hz=4.0, blocks=BLOCKS, n_runs=1)
+    write_csv(tmp_path / "a.csv", made, comment="SIMULATED")
+    (tmp_path / "b.csv").write_bytes((tmp_path / "a.csv").read_bytes())
+    text = HEAD
+    for set_name, file in (("bare", "a.csv"), ("coated", "b.csv")):
+        text += f'[[set]]\nname = "{set_name}"\n[[set.device]]\nname = "d"\nrecordings = ["{file}"]\n'
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    manifest = read_manifest(tmp_path / "m.toml")
+    assert manifest.simulated is False
+    out = tmp_path / "out"
+    result = summarise_campaign(manifest, run_campaign(manifest, out, workers=1), out, seed=1)
+    said = "The same recording is in 2 devices, which counts one test as several: bare, d (a.csv), coated, d (b.csv)."
+    assert said in result.text
+    for page in ("report.html", "margins.html"):
+        assert "Simulated data." in (out / page).read_text(encoding="utf-8")
+    assert said in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_runs_stand_with_a_device_or_among_the_options(tmp_path):

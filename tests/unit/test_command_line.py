@@ -180,6 +180,32 @@ def test_two_runs_in_one_file_fit_as_two_files_do(both_runs, fitted, tmp_path):
         assert row["mean"] == pytest.approx(other["mean"], abs=0.5 * other["sd"])
 
 
+def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_path):
+    first, second = recordings
+    assert run("fit", first, "-o", tmp_path, "--max-steps", 200, "--quiet").exit_code == 0
+    before = (tmp_path / "fit.json").read_bytes()
+    for command in ("fit", "diagnose"):
+        refused = run(command, second, "-o", tmp_path)
+        assert refused.exit_code == 1
+        assert "another device, 'run1'" in refused.output
+        assert "--force" in refused.output
+    assert (tmp_path / "fit.json").read_bytes() == before
+    assert run("fit", first, "-o", tmp_path, "--name", "renamed", "--max-steps", 200, "--quiet").exit_code == 0
+    assert run("fit", second, "-o", tmp_path, "--force", "--max-steps", 200, "--quiet").exit_code == 0
+    assert json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))["device"] == "run2"
+
+
+def test_slips_of_one_fit_are_said(recordings, tmp_path):
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(recordings[0].read_bytes() + b"\n")
+    twice = run("fit", recordings[0], copy, "-o", tmp_path / "twice", "--max-steps", 200)
+    assert "run 2 (copy.csv) holds the same samples as run 1 (run1.csv)" in twice.output
+    idle = run("fit", recordings[0], "-o", tmp_path / "idle", "--free", "K,beta", "--max-steps", 200)
+    assert "K, beta cannot differ between runs where there is one run" in idle.output
+    record = json.loads((tmp_path / "idle" / "fit.json").read_text(encoding="utf-8"))
+    assert "free-without-effect" in {f["code"] for f in record["inputs"][0]["findings"]}
+
+
 def test_unwritable_folder_is_one_line(recordings, tmp_path):
     (tmp_path / "file").write_text("x", encoding="utf-8")
     result = run("fit", recordings[0], "-o", tmp_path / "file" / "below", "--max-steps", 200)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.formula import Value, evaluate
-from shj_bayes.recording.limits import MIN_SAMPLES
+from shj_bayes.recording.limits import MIN_SAMPLES, RATE_AGREES
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
 from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units, role_of
@@ -90,7 +91,7 @@ def choose(
     values: dict[Role, Value] = {}
     chosen: dict[str, str] = {}
     if rate_Hz is not None:
-        _check_rate(rate_Hz, asked)
+        _check_rate(rate_Hz, asked, table, given)
     for role in ROLES:
         if role == "time" and rate_Hz is not None:
             continue
@@ -244,11 +245,35 @@ def _by_unit(table: Table, role: Role) -> int:
     return places[0] if len(places) == 1 else 0
 
 
-def _check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:
+def _check_rate(rate_Hz: float, asked: dict[Role, str], table: Table, given: dict[Role, str]) -> None:
     if not (np.isfinite(rate_Hz) and 1e-6 <= rate_Hz <= 1e7):
         raise RecordingError(f"--rate {rate_Hz:g} Hz: allowed is 1e-6 to 1e7 Hz")
     if "time" in asked:
         raise RecordingError(f"both --rate {rate_Hz:g} and --columns time={asked['time']} are given; give one of them")
+    for name, said in _rates(table, given):
+        # A clock printed with few digits repeats its times, and one with gaps ends late: each shows in one of the two.
+        if all(abs(rate / rate_Hz - 1) > RATE_AGREES for rate in said):
+            raise RecordingError(
+                f"{table.name}: {name} says {said[0]:.4g} Hz, --rate {rate_Hz:g} Hz; leave --rate out, which is for "
+                "files without time; where the time is wrong, correct it, or take its column out"
+            )
+
+
+def _rates(table: Table, given: dict[Role, str]) -> Iterator[tuple[str, tuple[float, ...]]]:
+    """Give the sampling rates that a file states: name of the column, its rate by the usual step and over all rows."""
+    step = table.scalars.get("wf_increment", 0.0)
+    if np.isfinite(step) and step > 0:
+        yield "wf_increment", (1.0 / step,)
+    try:
+        column = by_header(table, "time", [])
+        unit = factor(given.get("time") or (column and column.unit) or "s", "time")
+    except RecordingError:
+        return
+    times = np.zeros(0) if column is None else column.values[np.isfinite(column.values)] * unit
+    if column is None or times.size < 2 or times[-1] <= times[0]:
+        return
+    usual, mean = float(np.median(np.diff(times))), float(times[-1] - times[0]) / (times.size - 1)
+    yield f"column {column.header or column.name!r}", tuple(1.0 / s for s in (usual, mean) if s > 0)
 
 
 def _length(values: dict[Role, Value], table: Table) -> int:

@@ -22,6 +22,7 @@ MAX_NAME = 200  # characters of a header that are looked at
 GAP_STEPS = 3.5  # a step this many medians long is a gap: jitter and one or two lost samples stay below
 JITTER_SHARE = 0.02  # 5-95 % spread of the steps over the median; clocks that print rounded times stay below
 BAD_TIME_SHARE = 0.02  # more repeated or backward times than this is a broken clock, not a few broken rows
+RATE_AGREES = 0.02  # a rate that is given may differ by this share from what a time column says; clocks drift by less
 MANY_GAPS_SHARE = 0.01  # more gaps than this and the median step itself means little
 
 # --- cells that hold no number ---

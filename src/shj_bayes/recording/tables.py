@@ -81,11 +81,12 @@ class Table:
 
     @property
     def summary(self) -> str:
-        """Columns in words, for error messages."""
+        """Columns and the first row of numbers in words, for error messages."""
         shown = [f"{i}: {c.header or c.name}" for i, c in enumerate(self.columns[:12], start=1)]
         more = f" and {len(self.columns) - 12} more" if len(self.columns) > 12 else ""
         extra = f"; single numbers: {', '.join(list(self.scalars)[:12])}" if self.scalars else ""
-        return f"columns are {', '.join(shown)}{more}{extra}"
+        firsts = [f"{c.values[0]:.6g}" for c in self.columns[:12] if c.values.size]
+        return f"columns are {', '.join(shown)}{more}; the first row is {', '.join(firsts)}{extra}"
 
 
 def read_table(path: str | Path) -> Table:

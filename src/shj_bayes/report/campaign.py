@@ -54,6 +54,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
     content = {
         "name": record["name"],
         "simulated": bool(record.get("simulated")),
+        "warnings": record["warnings"],
         "devices": devices,
         "n_done": len(done),
         "n_failed": len(devices) - len(done),
@@ -142,7 +143,13 @@ def _read_campaign(folder: Path) -> dict[str, Any]:
         record = read_json(path, ReportError)
         check_seal(record, path, ReportError)
         sets = [{"name": str(g["name"]), "devices": [dict(d) for d in g["devices"]]} for g in record["sets"]]
-        return {"name": str(record["name"]), "simulated": record.get("simulated", False), "sets": sets}
+        warnings = [str(line) for line in record.get("warnings", ())]
+        return {
+            "name": str(record["name"]),
+            "simulated": record.get("simulated", False),
+            "warnings": warnings,
+            "sets": sets,
+        }
     except (ValueError, KeyError, TypeError, AttributeError, ReportError) as error:
         raise ReportError(f"{folder.name} holds no readable campaign.json ({error}); run shj-bayes campaign") from error
 

@@ -75,6 +75,41 @@ def test_units_row_preamble_and_trailing_notes(tmp_path, small):
     assert [f.count for f in recording.findings if f.code == "notes"] == [2]
 
 
+@pytest.mark.parametrize(
+    "units", ["s,mm,kN,degC,V,bar,%", "[s],[mm],[kN],[\u00b0C],[mV],[-],[m/s^2]", "sec,mm,kN,C,N/mm2,1/s,"]
+)
+def test_units_of_columns_that_nobody_needs_may_be_anything(tmp_path, small, units):
+    others = np.ones((small.n_samples, 4))
+    path = tmp_path / "run.csv"
+    np.savetxt(
+        path,
+        np.column_stack([rows(small), others]),
+        delimiter=",",
+        fmt="%.17g",
+        header=f"Elapsed,Stroke,Load,Temperature,Valve,Pressure,Level\n{units}",
+        comments="",
+        encoding="utf-8",
+    )
+    recording = read(path, columns="time=Elapsed")
+    same(recording, small)
+    assert recording.source.units == {"time": units.split(",")[0].strip("[]"), "displacement": "mm", "force": "kN"}
+    ignored = next(f for f in recording.findings if f.code == "columns-ignored")
+    assert "Temperature" in ignored.message
+
+
+def test_names_below_a_title_are_no_units(tmp_path, small):
+    path = tmp_path / "run.csv"
+    path.write_text("Test 7,Rig B,June\ntime,stroke,load\n" + lines(small), encoding="utf-8")
+    same(read(path), small)
+
+
+def test_a_refusal_shows_the_first_row(tmp_path, small):
+    path = tmp_path / "run.csv"
+    path.write_text("a,b,c\n0.5,-3.25,17\n0.6,1,2\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"columns are 1: a, 2: b, 3: c; the first row is 0\.5, -3\.25, 17"):
+        read(path)
+
+
 def test_header_in_quotes_and_header_as_a_comment(tmp_path, small):
     path = tmp_path / "run.csv"
     path.write_text('"Time, s","Displacement, total (mm)","Force (kN)"\n' + lines(small))
