@@ -56,6 +56,10 @@ LONG_TEST_S = 36_000.0  # ten hours, and slower than the above: mentioned even w
 # --- sign, order of columns, offset, lag, cycles ---
 SIGN_SHARE = 0.2  # friction dissipates: the loop area must be at least this share of (range x range), of either sign
 SWAPPED_BURSTS = 1.5  # burstiness of displacement over that of force; 0.4 to 0.9 for friction, 1.3 at most measured
+SWAPPED_SMOOTH = 3.0  # roughness of displacement over that of force; 1.4 at most measured, 3.6 and more where exchanged
+SWAPPED_PRODUCT = (
+    3.0  # the two ratios and that of the half-cycles, where the loop gives energy back; 1.8 at most measured
+)
 SWAPPED_ROUGHNESS = 0.5  # second over first differences; driven displacements reach 0.4, noisy forces exceed 0.6
 REST_SAMPLES = 10  # a rest at the start shorter than this is chance
 OFFSET_SHARE = 0.10  # mean of push and pull over half their difference, from which an offset is mentioned

@@ -58,6 +58,26 @@ def test_recordings_are_read_without_a_false_alarm(shared, name):
     assert np.median(np.diff(motion.start)) > 0.02 * recording.n_samples / motion.n_half
 
 
+@pytest.mark.parametrize("name", [name for name in KNOWN if "quasistatic" not in name])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_exchanged_columns_are_refused_and_a_wrong_sign_is_turned(shared, tmp_path, name, sign):
+    """A force taken for the displacement turns hundreds of times; a loop turned round would hide that."""
+    recording = read(shared / name, **KNOWN[name][0])
+    t, x, f = recording.time_s, recording.displacement_mm, sign * recording.force_kN
+    path = tmp_path / "run.csv"
+    wide = np.ptp(x) / np.ptp(f)  # both channels of a usual size, so that nothing else refuses them
+    np.savetxt(
+        path, np.column_stack([t, f * wide, x]), header="time_s,displacement_mm,force_kN", delimiter=",", comments=""
+    )
+    assert "swapped-columns" in {f.code for f in read(path).findings if f.severity == "unusable"}
+    np.savetxt(
+        path, np.column_stack([t, x, f * wide]), header="time_s,displacement_mm,force_kN", delimiter=",", comments=""
+    )
+    codes = {f.code for f in read(path).findings}
+    assert "swapped-columns" not in codes
+    assert ("force-sign" in codes) == (sign < 0)
+
+
 @pytest.mark.parametrize(
     "name",
     [
