@@ -143,7 +143,7 @@ def read_manifest(path: Path) -> Manifest:
         With the table and the value at fault.
     """
     table, _ = read_toml(path, SCHEMA, 50_000_000, CampaignError)
-    _known(path, "the manifest", table, ("schema", "name", "simulated", "defaults", "set"))
+    _known(path, "the manifest", table, ("schema", "name", "simulated", "defaults", "set"), "[defaults]")
     defaults = _options(path, "[defaults]", Options(), table.get("defaults", {}))
     devices = tuple(_devices(path, table, defaults))
     if not 1 <= len(devices) <= MAX_DEVICES:
@@ -301,7 +301,7 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
     for number, entry in enumerate(sets, start=1):
         set_name = _text(path, f"[[set]] number {number}", entry, "name")
         where = f"set '{set_name}'"
-        _known(path, where, entry, ("name", "options", "device", *TAG_KINDS))
+        _known(path, where, entry, ("name", "options", "device", *TAG_KINDS), "[set.options]")
         tags = _tags(path, where, entry)
         if not isinstance(entry.get("device"), list) or not entry["device"]:
             raise CampaignError(f"{path.name}: {where} has no [[set.device]] table (mind the double brackets)")
@@ -309,7 +309,7 @@ def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[D
         for device in entry.get("device", []):
             name = _text(path, where, device, "name")
             at = f"{where}, device '{name}'"
-            _known(path, at, device, ("name", "recordings", "runs", "options"))
+            _known(path, at, device, ("name", "recordings", "runs", "options"), "[set.device.options]")
             files = device.get("recordings")
             if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
                 raise CampaignError(
@@ -340,12 +340,20 @@ def _tags(path: Path, where: str, entry: dict[str, Any]) -> Tags:
     return Tags(**values)
 
 
-def _known(path: Path, where: str, entry: dict[str, Any], allowed: tuple[str, ...]) -> None:
-    """Refuse keys that would be silently without effect."""
+def _known(path: Path, where: str, entry: Any, allowed: tuple[str, ...], options: str) -> None:
+    """Refuse keys that would be silently without effect, with the table where they belong."""
+    if not isinstance(entry, dict):
+        raise CampaignError(f"{path.name}: {where} must be a table, not {entry!r}")
     for key in entry:
-        if key not in allowed:
-            hint = "; it is an option: put it into its options table" if key in OPTION_KINDS else ""
-            raise CampaignError(f"{path.name}: {where} has the key '{key}'; known are {', '.join(allowed)}{hint}")
+        if key in allowed:
+            continue
+        if key in OPTION_KINDS:
+            place = f"it is an option: put it into a table {options}"
+        elif key in TAG_KINDS:
+            place = "it describes a set: put it directly below [[set]]"
+        else:
+            place = f"known are {', '.join(allowed)}{did_you_mean(key, allowed)}"
+        raise CampaignError(f"{path.name}: {where} has the key '{key}', which has no effect there; {place}")
 
 
 def _text(path: Path, where: str, entry: Any, key: str) -> str:

@@ -18,6 +18,7 @@ from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, to_json, write_population
+from shj_bayes.population.selectors import members, strata_of
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.sets import name_of
@@ -122,14 +123,21 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     """
     if not folder.is_dir():
         raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
-    comparison = compare(load_population(folder), set_a, set_b, rope=rope_percent / 100.0)
+    result = load_population(folder)
+    first, second = members(result, strata_of(result, set_a, set_b)[2])
+    comparison = compare(result, set_a, set_b, rope=rope_percent / 100.0)
     table = comparison.to_table()
-    lines = [*comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
+    who = [
+        f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
+        for side, name, sets in (("a", comparison.set_a, first), ("b", comparison.set_b, second))
+    ]
+    lines = [*who, *comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
     rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
     record = {
         "schema": "shj-bayes/comparison/1",
         "set_a": comparison.set_a,
         "set_b": comparison.set_b,
+        "members": {"a": list(first), "b": list(second)},
         "strata": comparison.strata,
         "multiplicity": comparison.multiplicity,
         "contrasts": rows,
@@ -140,19 +148,22 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
 def comparison_lines(comparison: Comparison) -> list[str]:
     """Comparison as a table of text, one line per quantity."""
     head = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted", "Holm", "spread a/b")
-    lines = [f"a: {comparison.set_a}   b: {comparison.set_b}"]
-    lines.append(f"  {'':14}" + "".join(f"{word:>18}" if i < 2 else f"{word:>14}" for i, word in enumerate(head)))
+    rows = [["", *head]]
     for c in comparison.contrasts:
         p = ["-" if x is None else f"{x:.3f}" for x in (c.tests.welch_p, c.tests.permutation_p, c.holm_p)]
         cells = [c.probability_level, c.probability_rope, c.superiority]
         unit = "" if c.unit == "1" else f" {c.unit}"
-        lines.append(
-            f"  {c.quantity + unit:14}{c.q50:>18.3g}{f'{c.q05:.3g} to {c.q95:.3g}':>18}"
-            + "".join(f"{x:>14.2f}" for x in cells)
-            + "".join(f"{x:>14}" for x in p)
-            + f"{c.spread_factor[1]:>14.2f}"
+        numbers = [f"{c.q50:.3g}", f"{c.q05:.3g} to {c.q95:.3g}", *(f"{x:.2f}" for x in cells), *p]
+        rows.append([c.quantity + unit, *numbers, f"{c.spread_factor[1]:.2f}"])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  "
+        + "   ".join(
+            f"{cell:>{width}}" if i else f"{cell:{width}}"
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
-    return lines
+        for row in rows
+    ]
 
 
 def band_text(population: PopulationResult) -> str:

@@ -134,6 +134,27 @@ def test_runs_stand_with_a_device_or_among_the_options(tmp_path):
             read_manifest(path)
 
 
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ('units = "s,in,kip"', "put it into a table [set.device.options]"),
+        ('coating = "zinc"', "put it directly below [[set]]"),
+        ("recording = 3", "did you mean 'recordings'?"),
+    ],
+)
+def test_a_key_below_a_device_is_refused_with_the_table_where_it_belongs(tmp_path, key, words):
+    path = tmp_path / "m.toml"
+    device = f'[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n{key}\n'
+    path.write_text(HEAD + f'[[set]]\nname = "a"\n{device}', encoding="utf-8")
+    with pytest.raises(CampaignError) as error:
+        read_manifest(path)
+    assert f"set 'a', device 'd' has the key '{key.split()[0]}'" in str(error.value)
+    assert words in str(error.value)
+    path.write_text(HEAD + '[[set]]\nname = "a"\ndevice = ["d"]\n', encoding="utf-8")
+    with pytest.raises(CampaignError, match="'a'"):
+        read_manifest(path)
+
+
 def test_folder_names_stay_inside_and_differ():
     names = ["../../x", "..", "CON", "a/b", "a\\b", "ü" * 300, "x\x00y", "a b", "a-b"]
     folders = [folder_name(name) for name in names]

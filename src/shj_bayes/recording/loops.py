@@ -185,8 +185,8 @@ def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[Fl
         message = (
             f"displacement and force seem swapped: the loop gives energy back (area {area:+.2f} of a friction loop; "
             f"above {-SIGN_SHARE:g} is allowed), and the displacement is rougher than the force, jumps more and "
-            f"turns more often ({half_cycles(displacement_mm)} half-cycles, the force {half_cycles(force_kN)}); exchange "
-            "them with --columns, and give --units mm,kN,s where the header names units"
+            f"turns more often ({half_cycles(displacement_mm)} half-cycles, the force {half_cycles(force_kN)}); "
+            "exchange them with --columns, and give --units mm,kN,s where the header names units"
         )
         return force_kN, [Finding("swapped-columns", "unusable", message)]
     message = (
