@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from shj_bayes.cluster import results_on
 from shj_bayes.errors import CampaignError, ShjError, plain_text
-from shj_bayes.files import folder_name, plain_name, read_toml, sealed, write_text
+from shj_bayes.files import folder_name, make_writable, plain_name, read_toml, sealed, write_text
 from shj_bayes.mistaken import repeated
 from shj_bayes.pipeline import DeviceResult, Options, fit_device
 from shj_bayes.population.device import NO_TAGS, Tags
@@ -180,7 +180,7 @@ def run_campaign(
     list of Outcome
         One per device, in the manifest's order; also written to ``campaign.json``.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_writable(folder)
     outcomes: dict[str, Outcome] = {}
     bar = tqdm(total=len(manifest.devices), unit="device", desc="devices", disable=None if progress else True)
     if cluster:

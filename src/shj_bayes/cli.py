@@ -13,8 +13,9 @@ from typing import Any
 import click
 
 import shj_bayes
-from shj_bayes.errors import CampaignError, ShjError
+from shj_bayes.errors import CampaignError, RecordingError, ShjError
 from shj_bayes.examples import EXAMPLES
+from shj_bayes.files import make_writable, need_files, need_population
 
 Command = Callable[..., Any]
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
@@ -154,9 +155,11 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
 
     Exit status 1 when one of them cannot be used.
     """
+    reading = _reading(**reading)
+    if not as_json and not any(path.exists() for path in recordings):
+        need_files(recordings, RecordingError)
     from shj_bayes.pipeline import check_recording
 
-    reading = _reading(**reading)
     results = [result for path in recordings for result in check_recording(path, **reading)]
     if as_json:
         click.echo(json.dumps([facts for facts, _ in results], indent=1, allow_nan=False))
@@ -188,6 +191,7 @@ def fit(
     **options: Any,
 ) -> None:
     """Posterior of one device; several recordings are its consecutive runs."""
+    need_files(recordings, RecordingError)
     from shj_bayes.pipeline import Options, fit_device
 
     shared = Options(free=tuple(part.strip() for part in free.split(",") if part.strip()), **_reading(**options))
@@ -227,6 +231,7 @@ def diagnose(
     **options: Any,
 ) -> None:
     """Fit, then locate, name, model and show what the base law leaves out."""
+    need_files(recordings, RecordingError)
     from shj_bayes.pipeline import Options, diagnose_device
 
     speak = not (as_json or quiet)
@@ -279,6 +284,8 @@ def _run_campaign(
     as_json: bool,
     cluster: str | None = None,
 ) -> None:
+    need_files([manifest], CampaignError)
+    make_writable(out)
     from shj_bayes.campaign import read_manifest, run_campaign
     from shj_bayes.summary import summarise_campaign
 
@@ -305,6 +312,7 @@ def _run_campaign(
 @OUTPUT
 def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     """Bands and comparisons from the published, rounded parameter tables alone."""
+    make_writable(out)
     from shj_bayes.summary import summarise_tables
 
     result = summarise_tables(out, seed=seed, progress=not (quiet or as_json))
@@ -339,6 +347,7 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
 @OUTPUT
 def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **request: Any) -> None:
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
+    need_population(folder)
     from shj_bayes.design import design_margins
     from shj_bayes.margins.sheet import Request
 
@@ -357,6 +366,7 @@ def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **r
 @OUTPUT
 def export(folder: Path, target: str, out: Path | None, amplitude_mm: float | None, as_json: bool, quiet: bool) -> None:
     """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
+    need_population(folder)
     from shj_bayes.design import export_analysis
 
     paths = export_analysis(folder, out, amplitude_mm, progress=not (quiet or as_json))
@@ -385,6 +395,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
     A and B are names of sets, or kinds of sets that are compared pair by pair: corroded and uncorroded, coated and
     uncoated, "70 %" and "100 %".
     """
+    need_population(folder)
     from shj_bayes.summary import compare_sets
 
     record, text = compare_sets(folder, set_a, set_b, rope)

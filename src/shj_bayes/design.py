@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.errors import CampaignError, PopulationError
-from shj_bayes.files import check_seal, read_json, write_text
+from shj_bayes.files import check_seal, need_population, read_json, write_text
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
 from shj_bayes.margins.files import design_table, to_json, write_margins
@@ -94,8 +94,7 @@ def design_margins(
     PopulationError
         If a set that was asked for is not there, or a cycle was not tested; nothing is written then.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    need_population(folder)
     result = load_population(folder) if population is None else population
     request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
     campaign, others, words = _models(folder, result, progress)
@@ -129,8 +128,7 @@ def export_analysis(
     tuple of Path
         ``connection_materials.py``, ``connection_materials.tcl``, ``link-elements.csv``.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    need_population(folder)
     result = load_population(folder)
     motion = motion_of(result, Request(amplitude_mm=amplitude_mm))
     if motion is None:

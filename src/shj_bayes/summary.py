@@ -9,7 +9,7 @@ from typing import Any
 
 from shj_bayes.campaign import Manifest, Outcome, campaign_record
 from shj_bayes.design import design_margins
-from shj_bayes.errors import PopulationError
+from shj_bayes.files import make_writable, need_population
 from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
@@ -93,6 +93,7 @@ def summarise_campaign(
 
 def summarise_tables(folder: Path, *, seed: int, progress: bool = False) -> Summary:
     """Pool the published tables and write their page; arguments as for `summarise_campaign`."""
+    make_writable(folder)
     population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
     claims = paper_claims()
     write_population(population, folder)
@@ -121,8 +122,7 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     dict, str
         For machines, for people.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    need_population(folder)
     result = load_population(folder)
     first, second = members(result, strata_of(result, set_a, set_b)[2])
     comparison = compare(result, set_a, set_b, rope=rope_percent / 100.0)

@@ -54,6 +54,48 @@ def test_help_imports_nothing_heavy():
     assert out.stdout.strip() == "[]"
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("fit", "none.csv", "-o", "out"),
+        ("check", "none.csv"),
+        ("diagnose", "none.csv", "-o", "out"),
+        ("campaign", "none.toml", "-o", "out"),
+        ("margins", "none"),
+        ("compare", "none", "a", "b"),
+        ("export", "none", "--to", "opensees"),
+    ],
+)
+def test_a_missing_file_is_told_before_anything_heavy_is_imported(tmp_path, command):
+    code = (
+        "import sys, shj_bayes.cli as c\n"
+        f"try: c.main({list(command)!r})\n"
+        "finally: print([m for m in ('numpy', 'numba', 'scipy', 'pandas', 'arviz') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "none" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stdout.strip() == "[]"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("the work began")
+
+    def denied(*_, **__):
+        raise PermissionError(13, "Permission denied", "tmpabc")
+
+    monkeypatch.setattr("shj_bayes.summary.fit_population", never)
+    (tmp_path / "file").write_text("x", encoding="utf-8")
+    done = run("tables", "-o", tmp_path / "file" / "below")
+    assert (done.exit_code, "rights" in done.output) == (1, True)
+    monkeypatch.setattr("shj_bayes.files.TemporaryFile", denied)
+    done = run("tables", "-o", tmp_path / "locked")
+    assert (done.exit_code, "Permission denied (locked)" in done.output) == (1, True)
+
+
 def test_fit_writes_the_files_of_the_contract(fitted):
     assert {p.name for p in fitted.iterdir()} >= {
         "posterior.nc",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.errors import RecordingError, plain_text
+from shj_bayes.files import need_files
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS, MAX_VALUE
 from shj_bayes.recording.recording import Finding, FloatArray
 
@@ -137,8 +138,7 @@ def _kind(path: Path) -> str:
     """Format by the ending, after the checks that need no reading."""
     if path.is_dir():
         raise RecordingError(f"{path.name or path} is a folder; name one recording in it")
-    if not path.exists():
-        raise RecordingError(f"{path}: there is no such file; check the name and the folder")
+    need_files([path], RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path.name} is not an ordinary file; a recording must be a file on the disk")
     size = path.stat().st_size
