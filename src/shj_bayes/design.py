@@ -99,8 +99,8 @@ def design_margins(
     request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
     campaign, others, words = _models(folder, result, progress)
     sheet = margins(result, request, diagnosed=others or None, words=words)
-    write_margins(sheet, folder)
     loop_bands = loops(next(iter(others.values()), result), sheet.motion)
+    write_margins(sheet, folder)
     write_loops(loop_bands, folder)
     name = str(campaign["name"]) if campaign else TABLES_NAME
     page = render_margins(folder, sheet, loop_bands, name=name, simulated=bool(campaign and campaign.get("simulated")))

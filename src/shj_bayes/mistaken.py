@@ -16,7 +16,10 @@ from shj_bayes.recording.recording import Finding, Recording
 
 def content_digest(recording: Recording) -> str:
     """Digest of what a recording holds, whatever its file is called."""
-    arrays = (recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
+    return _digest(recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
+
+
+def _digest(*arrays: object) -> str:
     return hashlib.sha256(b"".join(np.asarray(values).tobytes() for values in arrays)).hexdigest()
 
 
@@ -40,7 +43,8 @@ def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[
     first: dict[str, int] = {}
     out = []
     for number, recording in enumerate(recordings, start=1):
-        earlier = first.setdefault(content_digest(recording), number) if len(recordings) > 1 else number
+        samples = _digest(recording.displacement_mm, recording.force_kN)  # whatever clock they were copied onto
+        earlier = first.setdefault(samples, number)
         if earlier == number:
             out.append(recording)
             continue

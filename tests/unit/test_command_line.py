@@ -238,8 +238,9 @@ def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_pat
 
 
 def test_slips_of_one_fit_are_said(recordings, tmp_path):
-    copy = tmp_path / "copy.csv"
-    copy.write_bytes(recordings[0].read_bytes() + b"\n")
+    copy, rows = tmp_path / "copy.csv", np.loadtxt(recordings[0], delimiter=",", skiprows=2)
+    rows[:, 0] += 500.0  # on another clock
+    np.savetxt(copy, rows, delimiter=",", header="time_s,displacement_mm,force_kN", comments="", fmt="%.17g")
     twice = run("fit", recordings[0], copy, "-o", tmp_path / "twice", "--max-steps", 200)
     assert "run 2 (copy.csv) holds the same samples as run 1 (run1.csv)" in twice.output
     idle = run("fit", recordings[0], "-o", tmp_path / "idle", "--free", "K,beta", "--max-steps", 200)
