@@ -255,6 +255,7 @@ def fit(
     name: str | None = None,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
     **options: Any,
 ) -> FitResult:
     """Sample the posterior of one device.
@@ -271,8 +272,11 @@ def fit(
         Show a progress bar on standard error.
     threads : int
         Ensembles at the same time, 0 for one per processor.
+    force : bool
+        Replace the result of another device in `out`.
     **options
-        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps.
+        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps,
+        runs.
 
     Returns
     -------
@@ -285,7 +289,7 @@ def fit(
     """
     folder, held = _place(out)
     shared = Options(**options)
-    result = fit_device(_listed(recordings), folder, shared, name=name, progress=progress, threads=threads)
+    result = fit_device(_listed(recordings), folder, shared, name=name, progress=progress, threads=threads, force=force)
     return FitResult(folder, result.record, held)
 
 
@@ -298,13 +302,14 @@ def diagnose(
     quick: bool = False,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
     **options: Any,
 ) -> Diagnosis:
     """Find what the law leaves out of one device.
 
     Parameters
     ----------
-    recordings, out, name, progress, threads, **options
+    recordings, out, name, progress, threads, force, **options
         As for `fit`.
     without : sequence of str
         ``velocity`` runs the law without speed dependence; other ids are not tried.
@@ -323,7 +328,15 @@ def diagnose(
     folder, held = _place(out)
     shared = Options(**options)
     result = diagnose_device(
-        _listed(recordings), folder, shared, without=without, name=name, quick=quick, progress=progress, threads=threads
+        _listed(recordings),
+        folder,
+        shared,
+        without=without,
+        name=name,
+        quick=quick,
+        progress=progress,
+        threads=threads,
+        force=force,
     )
     return Diagnosis(folder, result.record, held)
 

@@ -17,11 +17,13 @@ from tqdm import tqdm
 from shj_bayes.alone import alone_in
 from shj_bayes.cluster import results_on
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
-from shj_bayes.files import folder_name, plain_name, read_toml, sealed, toml_line, write_text
+from shj_bayes.files import folder_name, make_writable, plain_name, read_toml, sealed, toml_line, write_text
+from shj_bayes.mistaken import repeated
 from shj_bayes.model.priors import read_priors
 from shj_bayes.pipeline import DeviceResult, Options, fit_device
 from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.processes import Workers
+from shj_bayes.report.device import is_simulated
 from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/campaign/1"
@@ -37,6 +39,11 @@ OPTION_KINDS: dict[str, Any] = {
     "free": list,
     "seed": int,
     "max_steps": int,
+    "runs": int | str,
+}
+_KIND_WORDS: dict[Any, str] = {
+    **{str: "a text", list: "a list of texts", int: "a whole number"},
+    int | str: 'a number of runs, "split" or "one"',
 }
 TAG_KINDS: dict[str, tuple[Any, str]] = {
     "material": (str, "a text"),
@@ -96,12 +103,28 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one device: ``done``, ``kept`` (unchanged) or ``failed``, with the reason."""
+    """What became of one device.
+
+    Parameters
+    ----------
+    device : Device
+        The device.
+    status : {"done", "kept", "failed"}
+        Fitted, found unchanged, or not fitted.
+    reason, verdict : str
+        Why it failed, or what there is to say; verdict of the fit.
+    simulated : bool
+        A recording says that it is simulated.
+    inputs : tuple of (str, str)
+        Name and digest of each recording.
+    """
 
     device: Device
     status: str
     reason: str = ""
     verdict: str = ""
+    simulated: bool = False
+    inputs: tuple[tuple[str, str], ...] = ()
 
 
 def read_manifest(path: Path) -> Manifest:
@@ -126,7 +149,7 @@ def read_manifest(path: Path) -> Manifest:
         cache.cache_clear()  # the files may have changed since
     table, _ = read_toml(path, SCHEMA, 50_000_000, CampaignError)
     top = _Place(path, "the manifest")
-    _known(top, table, ("schema", "name", "simulated", "defaults", "set"))
+    _known(top, table, ("schema", "name", "simulated", "defaults", "set"), "[defaults]")
     name = _text(top, table, "name") if "name" in table else plain_name(path.stem)
     simulated = table.get("simulated", False)
     if not isinstance(simulated, bool):
@@ -168,7 +191,7 @@ def run_campaign(
     list of Outcome
         One per device, in the manifest's order; also written to ``campaign.json``.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_writable(folder)
     outcomes: dict[str, Outcome] = {}
     bar = tqdm(total=len(manifest.devices), unit="device", desc="devices", disable=None if progress else True)
     if cluster:
@@ -251,7 +274,15 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
         return Outcome(device, "failed", "not enough memory; use fewer --workers, or export fewer samples")
     except Exception as error:  # one bad device must not stop a thousand good ones; the type says it is a bug
         return Outcome(device, "failed", plain_text(f"unexpected {type(error).__name__}: {error}"))
-    return Outcome(device, "done" if result.fresh else "kept", result.note, result.record["verdict"])
+    inputs = result.record["inputs"]
+    return Outcome(
+        device,
+        "done" if result.fresh else "kept",
+        result.note,
+        result.record["verdict"],
+        any(map(is_simulated, inputs)),
+        tuple((source["name"], source["sha256"]) for source in inputs),
+    )
 
 
 def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -265,7 +296,10 @@ def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str
         {
             "schema": SCHEMA,
             "name": manifest.name,
-            "simulated": manifest.simulated,
+            "simulated": manifest.simulated or any(o.simulated for o in outcomes),
+            "warnings": repeated(
+                (f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs
+            ),
             "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
         }
     )
@@ -297,7 +331,7 @@ def _devices(top: _Place, table: dict[str, Any], defaults: Options) -> Iterator[
         at = top.inside(f"[[set]] number {i + 1}", "set", i)
         set_name = _text(at, entry, "name")
         at = top.inside(f"set '{set_name}'", "set", i)
-        _known(at, entry, ("name", "options", "device", *TAG_KINDS))
+        _known(at, entry, ("name", "options", "device", *TAG_KINDS), "[set.options]")
         tags = _tags(at, entry)
         if not isinstance(entry.get("device"), list) or not entry["device"]:
             raise at.error("has no [[set.device]] table (mind the double brackets)")
@@ -305,7 +339,7 @@ def _devices(top: _Place, table: dict[str, Any], defaults: Options) -> Iterator[
         for j, device in enumerate(entry["device"]):
             name = _text(at.inside(at.words, "device", j), device, "name")
             here = at.inside(f"{at.words}, device '{name}'", "device", j)
-            _known(here, device, ("name", "recordings", "options"))
+            _known(here, device, ("name", "recordings", "runs", "options"), "[set.device.options]")
             files = device.get("recordings")
             if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
                 raise here.error(
@@ -315,7 +349,8 @@ def _devices(top: _Place, table: dict[str, Any], defaults: Options) -> Iterator[
             if "\x00" in "".join(files):
                 raise here.error("names a file with a NUL character", "recordings")
             recordings = tuple(top.path.parent / f for f in files)
-            options = _options(here, own, device)
+            for_all = own if "runs" not in device else _with_option(here, own, "runs", device["runs"], ("runs",))
+            options = _options(here, for_all, device)
             try:
                 _fit_for(options, len(files))
             except ShjError as error:
@@ -353,12 +388,20 @@ def _tags(at: _Place, entry: dict[str, Any]) -> Tags:
     return Tags(**values)
 
 
-def _known(at: _Place, entry: dict[str, Any], allowed: tuple[str, ...]) -> None:
-    """Refuse keys that would be silently without effect."""
+def _known(at: _Place, entry: Any, allowed: tuple[str, ...], options: str) -> None:
+    """Refuse keys that would be silently without effect, with the table where they belong."""
+    if not isinstance(entry, dict):
+        raise at.error(f"must be a table, not {shown(entry)}")
     for key in entry:
-        if key not in allowed:
-            hint = "; it is an option: put it into its options table" if key in OPTION_KINDS else ""
-            raise at.error(f"has the key '{key}'; known are {', '.join(allowed)}{hint}", key)
+        if key in allowed:
+            continue
+        if key in OPTION_KINDS:
+            place = f"it is an option: put it into a table {options}"
+        elif key in TAG_KINDS:
+            place = "it describes a set: put it directly below [[set]]"
+        else:
+            place = f"known are {', '.join(allowed)}{did_you_mean(key, allowed)}"
+        raise at.error(f"has the key '{key}', which has no effect there; {place}", key)
 
 
 def _text(at: _Place, entry: Any, key: str) -> str:
@@ -375,20 +418,25 @@ def _options(at: _Place, base: Options, table: dict[str, Any], key: str = "optio
         raise at.error(f"{key} must be a table, not {shown(entry)}", key)
     # The rate last: columns of the same table may take away the time column that it would contradict.
     for name, value in sorted(entry.items(), key=lambda item: item[0] == "rate_Hz"):
-        if name not in OPTION_KINDS:
-            known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(name, OPTION_KINDS)}"
-            raise at.error(f"has the option '{name}'; {known}", key, name)
-        kind = OPTION_KINDS[name]
-        if not isinstance(value, kind) or isinstance(value, bool):
-            words = {str: "a text", list: "a list of texts", int: "a whole number"}.get(kind, "a number")
-            raise at.error(f"option {name} = {shown(value)}; it needs {words}", key, name)
-        if name == "priors" and value.endswith(".toml"):
-            value = str(at.path.parent / value)  # noqa: PLW2901
-        change: dict[str, Any] = {name: tuple(map(str, value)) if isinstance(value, list) else value}
-        try:
-            base = replace(base, **change)
-            if name == "priors":
-                _priors(base.priors)
-        except ShjError as error:
-            raise at.error(f"option {error}", key, name) from error
+        base = _with_option(at, base, name, value, (key, name))
+    return base
+
+
+def _with_option(at: _Place, base: Options, name: str, value: Any, where: tuple[str, ...]) -> Options:
+    """Options with one more of a manifest table, which stands at `where`."""
+    if name not in OPTION_KINDS:
+        known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(name, OPTION_KINDS)}"
+        raise at.error(f"has the option '{name}'; {known}", *where)
+    kind = OPTION_KINDS[name]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise at.error(f"option {name} = {shown(value)}; it needs {_KIND_WORDS.get(kind, 'a number')}", *where)
+    if name == "priors" and value.endswith(".toml"):
+        value = str(at.path.parent / value)
+    change: dict[str, Any] = {name: tuple(map(str, value)) if isinstance(value, list) else value}
+    try:
+        base = replace(base, **change)
+        if name == "priors":
+            _priors(base.priors)
+    except ShjError as error:
+        raise at.error(f"option {error}", *where) from error
     return base

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.files import write_text
+from shj_bayes.files import need_population, write_text
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
 from shj_bayes.margins.files import design_table, to_json, write_margins
@@ -38,21 +38,25 @@ class Design:
         The margins.
     page : Path
         The designer's sheet.
+    sets : tuple of str
+        Sets that were asked for; all where empty.
     """
 
     sheet: Sheet
     page: Path
+    sets: tuple[str, ...] = ()
 
     @property
     def record(self) -> dict[str, Any]:
         """For machines: content of ``margins.json``."""
         return to_json(self.sheet)
 
-    def text(self, sets: tuple[str, ...] = ()) -> str:
+    @property
+    def text(self) -> str:
         """For people: the design table, what to mind, and where the sheet is."""
         return "\n".join(
             [
-                margin_text(self.sheet, sets),
+                margin_text(self.sheet, self.sets),
                 "",
                 *(f"- {line}" for line in (*self.sheet.diagnoses, *self.sheet.warnings)),
                 "",
@@ -84,18 +88,23 @@ def design_margins(
     Returns
     -------
     Design
+
+    Raises
+    ------
+    PopulationError
+        If a set that was asked for is not there, or a cycle was not tested; nothing is written then.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    need_population(folder)
     result = load_population(folder) if population is None else population
+    request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
     campaign, others, words = _models(folder, result, progress)
     sheet = margins(result, request, diagnosed=others or None, words=words)
-    write_margins(sheet, folder)
     loop_bands = loops(next(iter(others.values()), result), sheet.motion)
+    write_margins(sheet, folder)
     write_loops(loop_bands, folder)
     name = str(campaign["name"]) if campaign else TABLES_NAME
     page = render_margins(folder, sheet, loop_bands, name=name, simulated=bool(campaign and campaign.get("simulated")))
-    return Design(sheet, page)
+    return Design(sheet, page, request.sets)
 
 
 def export_analysis(
@@ -119,8 +128,7 @@ def export_analysis(
     tuple of Path
         ``connection_materials.py``, ``connection_materials.tcl``, ``link-elements.csv``.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    need_population(folder)
     result = load_population(folder)
     motion = motion_of(result, Request(amplitude_mm=amplitude_mm))
     if motion is None:
@@ -142,6 +150,11 @@ def export_analysis(
     for name, text in files.items():
         write_text(place / name, text)
     return tuple(place / name for name in files)
+
+
+def _set_named(result: PopulationResult, name: str) -> str:
+    """Name of a set as the population has it; case does not matter."""
+    return ANY_SET if name == ANY_SET else result.set_names[result.index(name)]
 
 
 def _models(
@@ -190,9 +203,6 @@ def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
     """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
     table = design_table(sheet)
     names = list(dict.fromkeys(row.set_name for row in sheet.rows))
-    unknown = [s for s in sets if s not in names]
-    if unknown:
-        raise PopulationError(f"there is no set {unknown[0]!r}; sets are: {', '.join(repr(n) for n in names)}")
     tested = [name for name in names if name != ANY_SET]
     enough = sets_suffice(len(tested))
     lines = []

@@ -11,12 +11,13 @@ import re
 import stat
 import tomllib
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
-from shj_bayes.errors import ShjError, plain_text
+from shj_bayes.errors import PopulationError, ShjError, plain_text
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
@@ -88,6 +89,35 @@ def reserve(path: Path, n_bytes: int) -> None:
         else:
             for _ in range(n_bytes // 2**20 + 1):
                 stream.write(bytes(2**20))
+
+
+def need_files(paths: Iterable[Path], error: type[ShjError]) -> None:
+    """Refuse files that are not there; before anything heavy is imported, so that the answer comes at once."""
+    for path in paths:
+        if not path.exists():
+            raise error(f"{path}: there is no such file; check the name and the folder")
+
+
+def need_population(folder: Path) -> None:
+    """Refuse what is no folder, where one that ``tables`` or ``campaign`` wrote is needed."""
+    if not folder.is_dir():
+        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+
+
+def make_writable(folder: Path) -> None:
+    """Make a folder for results; one that cannot be written to is found before the work, not after it.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made or written to.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from error
 
 
 def write_text(path: Path, text: str) -> None:

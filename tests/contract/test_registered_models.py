@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from shj_bayes.inference.problem import Problem
 
 from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles
-from shj_bayes.inference.problem import Problem
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
 from shj_bayes.model.noise import Stretches, log_density, log_density_terms, simulate_noise

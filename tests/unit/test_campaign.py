@@ -6,8 +6,10 @@ import time
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from shj_bayes.campaign import read_manifest, run_campaign
+from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError
 from shj_bayes.files import folder_name
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -170,6 +172,69 @@ def test_priors_that_lack_a_law_are_refused_before_any_device_is_fitted(tmp_path
     path = tmp_path / "m.toml"
     path.write_text(HEAD + 'priors = "own.toml"\n' + SET, encoding="utf-8")
     with pytest.raises(CampaignError, match=r"m\.toml, line 10: set 'a', device 'd' .* hold no law for gamma"):
+        read_manifest(path)
+
+
+def test_failed_devices_have_a_status_of_their_own_even_when_quiet(campaign):
+    _, out, _ = campaign
+    path = out.parent / "campaign.toml"
+    for option in ("--quiet", "--json"):
+        done = CliRunner().invoke(main, ["campaign", str(path), "-o", str(out), option])
+        assert done.exit_code == 3
+        assert "1 of 4 devices failed: coated <b>, ../../broken" in done.stderr
+        assert (option == "--json") == bool(done.stdout)
+
+
+def test_what_recordings_say_of_themselves_reaches_campaign_and_sheet(tmp_path):
+    """A recording in two sets is said; so is that it was simulated, whatever the manifest says."""
+    (made,) = simulate_device(Truth(phi=0.3), seed=1, rate_Hz=4.0, blocks=BLOCKS, n_runs=1)
+    write_csv(tmp_path / "a.csv", made, comment="SIMULATED")
+    (tmp_path / "b.csv").write_bytes((tmp_path / "a.csv").read_bytes())
+    text = HEAD
+    for set_name, file in (("bare", "a.csv"), ("coated", "b.csv")):
+        text += f'[[set]]\nname = "{set_name}"\n[[set.device]]\nname = "d"\nrecordings = ["{file}"]\n'
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    manifest = read_manifest(tmp_path / "m.toml")
+    assert manifest.simulated is False
+    out = tmp_path / "out"
+    result = summarise_campaign(manifest, run_campaign(manifest, out, workers=1), out, seed=1)
+    said = "The same recording is in 2 devices, which counts one test as several: bare, d (a.csv), coated, d (b.csv)."
+    assert said in result.text
+    for page in ("report.html", "margins.html"):
+        assert "Simulated data." in (out / page).read_text(encoding="utf-8")
+    assert said in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_runs_stand_with_a_device_or_among_the_options(tmp_path):
+    path = tmp_path / "m.toml"
+    device = '[[set.device]]\nname = "{}"\nrecordings = ["x.csv"]\n'
+    text = HEAD + 'runs = "one"\n[[set]]\nname = "a"\n' + device.format("d") + "runs = 3\n" + device.format("e")
+    path.write_text(text, encoding="utf-8")
+    assert [d.options.runs for d in read_manifest(path).devices] == [3, "one"]
+    for wrong in ("0", '"two"', "true", "1.5"):
+        path.write_text(text.replace("runs = 3", f"runs = {wrong}"), encoding="utf-8")
+        with pytest.raises(CampaignError, match=r"m\.toml, line \d+: set 'a', device 'd'.*runs"):
+            read_manifest(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ('units = "s,in,kip"', "put it into a table [set.device.options]"),
+        ('coating = "zinc"', "put it directly below [[set]]"),
+        ("recording = 3", "did you mean 'recordings'?"),
+    ],
+)
+def test_a_key_below_a_device_is_refused_with_the_table_where_it_belongs(tmp_path, key, words):
+    path = tmp_path / "m.toml"
+    device = f'[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n{key}\n'
+    path.write_text(HEAD + f'[[set]]\nname = "a"\n{device}', encoding="utf-8")
+    with pytest.raises(CampaignError) as error:
+        read_manifest(path)
+    assert f"set 'a', device 'd' has the key '{key.split()[0]}'" in str(error.value)
+    assert words in str(error.value)
+    path.write_text(HEAD + '[[set]]\nname = "a"\ndevice = ["d"]\n', encoding="utf-8")
+    with pytest.raises(CampaignError, match="'a'"):
         read_manifest(path)
 
 

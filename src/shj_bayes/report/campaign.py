@@ -54,6 +54,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
     content = {
         "name": record["name"],
         "simulated": bool(record.get("simulated")),
+        "warnings": record["warnings"],
         "devices": devices,
         "n_done": len(done),
         "n_failed": len(devices) - len(done),

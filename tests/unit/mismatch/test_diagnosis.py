@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shj_bayes.inference.problem import Run
 
 from shj_bayes.errors import ModelError
-from shj_bayes.inference.problem import Run
 from shj_bayes.mismatch.alias import alias_table
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.evidence import evidence_of

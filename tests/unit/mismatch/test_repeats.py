@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from shj_bayes.inference.problem import Run
+
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.repeats import repeating_share, repeats
 from shj_bayes.model.noise import Stretches, simulate_noise

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from shj_bayes.inference.problem import Run
+
 from shj_bayes.mismatch import search, unknown
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.name import Candidate, _simplest, compare
