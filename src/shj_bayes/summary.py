@@ -138,20 +138,32 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
 
 def comparison_lines(comparison: Comparison) -> list[str]:
     """Comparison as a table of text, one line per quantity."""
-    head = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted", "Holm", "spread a/b")
+    words = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)", "Holm")
+    wide = (18, 18, 14, 14, 14, 10, 18, 16)
     lines = [f"a: {comparison.set_a}   b: {comparison.set_b}"]
-    lines.append(f"  {'':14}" + "".join(f"{word:>18}" if i < 2 else f"{word:>14}" for i, word in enumerate(head)))
+    lines.append(f"  {'':14}" + "".join(f"{word:>{n}}" for word, n in zip(words, wide, strict=True)) + "    spread a/b")
     for c in comparison.contrasts:
-        p = ["-" if x is None else f"{x:.3f}" for x in (c.tests.welch_p, c.tests.permutation_p, c.holm_p)]
-        cells = [c.probability_level, c.probability_rope, c.superiority]
-        unit = "" if c.unit == "1" else f" {c.unit}"
-        lines.append(
-            f"  {c.quantity + unit:14}{c.q50:>18.3g}{f'{c.q05:.3g} to {c.q95:.3g}':>18}"
-            + "".join(f"{x:>14.2f}" for x in cells)
-            + "".join(f"{x:>14}" for x in p)
-            + f"{c.spread_factor[1]:>14.2f}"
+        tests = c.tests
+        exact = f"{_p(tests.permutation_p)} ({_p(tests.permutation_least)})"
+        cells = (
+            f"{c.q50:.3g}",
+            f"{c.q05:.3g} to {c.q95:.3g}",
+            *(f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)),
+            _p(tests.welch_p),
+            exact if tests.permutation_p is not None else "-",
+            f"{_p(c.holm_p)} {c.holm_test}".strip(),
         )
+        unit = "" if c.unit == "1" else f" {c.unit}"
+        row = "".join(f"{cell:>{n}}" for cell, n in zip(cells, wide, strict=True))
+        lines.append(f"  {c.quantity + unit:14}{row}{c.spread_factor[1]:>14.2f}")
     return lines
+
+
+def _p(value: float | None) -> str:
+    """Write a p-value; a dash where the test cannot be made."""
+    if value is None:
+        return "-"
+    return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
 
 
 def band_text(population: PopulationResult) -> str:
