@@ -302,12 +302,16 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     show_default=True,
     help="Importance class of the structure (EN 15129).",
 )
+@click.option(
+    "--v-known", type=float, metavar="V", help="Known coefficient of variation of the sliding force (EN 1990)."
+)
+@click.option("--v-reason", default="", metavar="WORDS", help="Where V is known from; printed beside the values.")
 @click.option("--set", "sets", multiple=True, metavar="NAME", help="Print this set only; may be given again.")
 @OUTPUT
 def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **request: Any) -> None:
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
     from shj_bayes.design import design_margins
-    from shj_bayes.margins.sheet import Request
+    from shj_bayes.margins.request import Request
 
     design = design_margins(folder, Request(**request), progress=not (quiet or as_json))
     if as_json:

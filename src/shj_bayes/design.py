@@ -15,7 +15,8 @@ from shj_bayes.margins.files import design_table, to_json, write_margins
 from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.opensees import python_script, tcl_script
-from shj_bayes.margins.sheet import PLAIN, Request, Sheet, margins, motion_of
+from shj_bayes.margins.request import PLAIN, Request
+from shj_bayes.margins.sheet import Sheet, margins, motion_of
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
@@ -241,7 +242,9 @@ def _factor_lines(sheet: Sheet, name: str) -> list[str]:
     own = {row.kind.partition(", importance")[0]: row for row in sheet.rows if row.set_name == name}
 
     def value(kind: str) -> str:
-        return f"{own[kind].value:.3g}" if kind in own else "-"
+        if kind not in own:
+            return "-"
+        return f"{own[kind].value:.3g}" + (f" ({own[kind].warning})" if own[kind].warning else "")
 
     return [
         f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "

@@ -139,7 +139,7 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
 def comparison_lines(comparison: Comparison) -> list[str]:
     """Comparison as a table of text, one line per quantity."""
     words = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)", "Holm")
-    wide = (18, 18, 14, 14, 14, 10, 18, 16)
+    wide = (18, 21, 14, 14, 15, 10, 20, 20)
     lines = [f"a: {comparison.set_a}   b: {comparison.set_b}"]
     lines.append(f"  {'':14}" + "".join(f"{word:>{n}}" for word, n in zip(words, wide, strict=True)) + "    spread a/b")
     for c in comparison.contrasts:

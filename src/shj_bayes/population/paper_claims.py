@@ -171,7 +171,8 @@ def _corrosion(rows: Sequence[PublishedRow]) -> Claim:
         f"The first-run sliding force changes by {', '.join(f'{c:+.0f}' for c in change)} % ({', '.join(COATINGS)}), "
         f"{mean_change:+.0f} % on average; exact stratified permutation p = {exact.p_two_sided:.3f} on the logarithm "
         f"and {plain.p_two_sided:.3f} in kN (least attainable {exact.p_least:.4f}). "
-        "Two devices per coating cannot exclude a loss of a quarter, nor prove one; 'no notable effect' is not what these tables show.",
+        "Two devices per coating cannot exclude a loss of a quarter, nor prove one; 'no notable effect' is not what "
+        "these tables show.",
     )
 
 
