@@ -12,6 +12,7 @@ from shj_bayes.files import check_seal, read_json, write_text
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
 from shj_bayes.margins.files import design_table, to_json, write_margins
+from shj_bayes.margins.first_cycle import by_set
 from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.opensees import python_script, tcl_script
@@ -90,7 +91,8 @@ def design_margins(
         raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
     result = load_population(folder) if population is None else population
     campaign, others, words = _models(folder, result, progress)
-    sheet = margins(result, request, diagnosed=others or None, words=words)
+    cycles = by_set((of_set, folder / place) for place, _, of_set in _places(campaign, result))
+    sheet = margins(result, request, diagnosed=others or None, words=words, first_cycles=cycles)
     write_margins(sheet, folder)
     loop_bands = loops(next(iter(others.values()), result), sheet.motion)
     write_loops(loop_bands, folder)
@@ -179,24 +181,29 @@ def _campaign(folder: Path) -> dict[str, Any] | None:
 
 def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> Cases:
     """Collect populations with the physics that diagnoses of the campaign's devices found."""
-    places: list[tuple[str, str, str]] = []
+    places = _places(campaign, result)
     diagnoses, notes = {}, []
     tags = {group.name: group.tags for group in result.sets}
-    for group in campaign["sets"]:
-        for entry in group["devices"]:
-            name, place = str(entry["name"]), str(entry["folder"])
-            known = group["name"] in tags and name in result.sets[result.index(group["name"])].devices
-            if not known or not safe_folder(place):
-                continue
-            diagnosis, why = find_diagnosis(folder / place)
-            if diagnosis is not None:
-                diagnoses[str(group["name"]), name] = diagnosis
-            if why:
-                notes.append(f"{group['name']}, {name}: {why}")
-            places.append((place, name, str(group["name"])))
+    for place, name, of_set in places:
+        diagnosis, why = find_diagnosis(folder / place)
+        if diagnosis is not None:
+            diagnoses[of_set, name] = diagnosis
+        if why:
+            notes.append(f"{of_set}, {name}: {why}")
     wanted = places if diagnoses else []  # reading a thousand fits again takes long
     devices = [device_from_fit(folder / place, name, of_set, tags[of_set]) for place, name, of_set in wanted]
     return cases(devices, diagnoses, notes)
+
+
+def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[tuple[str, str, str]]:
+    """Folder, name and set of every device of a campaign that is in its population; none for the tables."""
+    members = {group.name: group.devices for group in result.sets}
+    return [
+        (str(entry["folder"]), str(entry["name"]), str(group["name"]))
+        for group in (campaign["sets"] if campaign else ())
+        for entry in group["devices"]
+        if str(entry["name"]) in members.get(str(group["name"]), ()) and safe_folder(str(entry["folder"]))
+    ]
 
 
 def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
