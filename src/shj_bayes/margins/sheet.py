@@ -23,6 +23,7 @@ from shj_bayes.margins.sample import SAMPLED, Motion, Sample, common_spread, eve
 from shj_bayes.margins.speed_guard import Guard, published_factors
 from shj_bayes.margins.spread import NOT_NORMAL, between_sets, of_set
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.predict import sets_suffice
 
 PUBLISHED_LAW = "law as published"
 UNEQUAL = 2.0
@@ -117,7 +118,9 @@ def margins(
     if diagnosed:
         models = {name: tuple(_rows(other, motion, request, cycles)) for name, other in diagnosed.items()}
     rows = _outermost(list(models.values()), published) if diagnosed else published
-    compared = agreement(rows)
+    # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
+    spoken = (*result.set_names, ANY_SET) if sets_suffice(len(result.sets)) else result.set_names
+    compared = agreement([row for row in rows if row.set_name in spoken])
     warnings = (*compared.contradictions, *_warnings(result, motion, request), compared.words)
     return Sheet(rows, motion, warnings, tuple(words), tuple(models))
 
