@@ -87,13 +87,13 @@ def multiplicity_words(n_quantities: int, n_strata: int, tests: Sequence[str]) -
     over = f", each averaged over {n_strata} pairs of sets alike in all else" if n_strata > 1 else ""
     said = {
         "permutation": "on the exact permutation",
-        "Welch": "on Welch's test where no arrangement of so few devices can bring the permutation to 0.05 times "
-        "that number (its least p stands beside it)",
-        "": "on no test where none can reach that",
+        "Welch": "on Welch's test where no arrangement of so few devices could bring the permutation to 0.05 after "
+        "that (its least p stands beside it)",
     }
-    basis = ", ".join(words for name, words in said.items() if name in tests)
+    basis = " and ".join(words for name, words in said.items() if name in tests)
+    rest = [f"The p-values marked Holm allow for that number; they rest {basis}."] if basis else []
+    rest += ["Where neither permutation nor Welch's test can reach 0.05 there is none."] if "" in tests else []
     return (
-        f"{n_quantities} quantities were compared{over}. The p-values marked Holm allow for that number; they rest "
-        f"{basis}. The posterior draws the sets towards each other by itself. Whoever picks among many pairs must "
-        "divide once more."
+        f"{n_quantities} quantities were compared{over}. {' '.join(rest)} The posterior draws the sets towards each "
+        "other by itself. Whoever picks among many pairs must divide once more."
     )
