@@ -17,6 +17,9 @@ from shj_bayes.population.quantities import FloatArray
 SLOWEST = 0.01
 """Least factor that the speed may put on the force: a tail of gamma must not turn friction round."""
 
+FirstCycles = Mapping[str, Bounds]
+"""First over third cycle by set, as measured."""
+
 
 @dataclass(frozen=True)
 class Delivered:
@@ -147,7 +150,3 @@ def words(force: Delivered, motion: Motion | None) -> str:
         + " or ".join(f"{factor:.3f}" for factor in force.speeds),
     ]
     return "; ".join(said)
-
-
-FirstCycles = Mapping[str, Bounds]
-"""First over third cycle by set, as measured."""
