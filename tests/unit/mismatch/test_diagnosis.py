@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import ModelError
-from shj_bayes.inference.problem import Run
+from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.alias import alias_table
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.evidence import evidence_of
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -28,7 +29,7 @@ CONTRACT |= {"shift", "aliases", "next_test", "candidates"}
 
 def quick(recordings, **options):
     runs = [Run(recording, motion_of(recording)) for recording in recordings]
-    return diagnose(runs, read_priors("afc"), quick=True, **options)
+    return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), quick=True, **options)
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +125,8 @@ def test_the_paper_is_rediscovered_without_velocity():
 def test_the_displacement_history_alone_tells_what_looks_alike():
     recordings = trials.simulate({}, 9)
     evidence = evidence_of([Run(recording, motion_of(recording)) for recording in recordings])
-    pairs = {frozenset(a.pair) for a in alias_table(evidence, read_priors("afc"), tuple(catalogue().values()), "seed")}
+    device = DeviceModel(2, read_priors("afc"))
+    pairs = {frozenset(a.pair) for a in alias_table(evidence, device, tuple(catalogue().values()))}
     assert frozenset(("asymmetry", "load_offset")) in pairs
     assert frozenset(("thermal", "wear")) in pairs
     assert frozenset(("slack", "asymmetry")) not in pairs
