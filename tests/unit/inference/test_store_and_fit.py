@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from shj_bayes.inference.problem import Problem
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.fit import CHECKPOINT, Fit, fit, make_problem
 from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles, modelled_force
-from shj_bayes.inference.problem import Problem
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
