@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -105,8 +106,8 @@ def test_the_gaps_between_blocks_are_those_of_their_samples(averaged):
     blocks = samples_of_blocks(run, part)
     told = part.timing.kinds[part.timing.kind[part.count > 0]]
     assert np.array_equal(told[:, 0], [own.size for own in blocks])
-    gap = np.array([time[b[0]] - time[a[-1]] for a, b in zip(blocks, blocks[1:], strict=False)])
-    begins = np.array([new[b[0]] > new[a[-1]] for a, b in zip(blocks, blocks[1:], strict=False)])
+    gap = np.array([time[b[0]] - time[a[-1]] for a, b in pairwise(blocks)])
+    begins = np.array([new[b[0]] > new[a[-1]] for a, b in pairwise(blocks)])
     np.testing.assert_allclose(told[1:, 2], np.where(begins, np.inf, gap), rtol=0.006)  # half of 1/64 of an octave
     assert told[0, 2] == np.inf
 
