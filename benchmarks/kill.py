@@ -134,7 +134,7 @@ def same_bits(one: Path, two: Path) -> bool:
         if (a / "summary.csv").read_bytes() != (b / "summary.csv").read_bytes():
             return False
         left, right = read_posterior(a), read_posterior(b)
-        for group in left.groups():
+        for group in left.children:
             for name, values in left[group].data_vars.items():
                 if values.to_numpy().tobytes() != right[group][name].to_numpy().tobytes():
                     return False

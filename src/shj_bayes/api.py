@@ -16,13 +16,13 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
-import arviz as az
 import pandas as pd
 
 from shj_bayes.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.errors import ReportError
 from shj_bayes.files import read_json
-from shj_bayes.inference.store import read_posterior, read_record
+from shj_bayes.inference.quiet_arviz import az
+from shj_bayes.inference.store import check_files, read_record
 from shj_bayes.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
@@ -84,9 +84,17 @@ class FitResult(_Result):
         return pd.DataFrame(self.record["parameters"]).set_index("name")
 
     @cached_property
-    def data(self) -> az.InferenceData:
-        """Posterior, priors and predictions as an ArviZ object; what is in it stands in the guide to results."""
-        return read_posterior(self.folder)
+    def data(self) -> Any:
+        """Posterior, priors and predictions as the installed ArviZ reads them; the guide to results says what is in it.
+
+        An ``arviz.InferenceData`` up to ArviZ 0.23, an ``xarray.DataTree`` from version 1 on.
+        """
+        check_files(self.folder, read_record(self.folder))
+        from_netcdf: Any = az.from_netcdf  # carries no types
+        data = from_netcdf(str(self.folder / "posterior.nc"), engine="h5netcdf")
+        data.load()  # and close: an open file cannot be replaced on Windows
+        data.close()
+        return data
 
     @property
     def draws(self) -> pd.DataFrame:

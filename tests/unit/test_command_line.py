@@ -63,7 +63,7 @@ def test_fit_writes_the_files_of_the_contract(fitted):
         "report.html",
     }
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
-    assert record["schema"] == "shj-bayes/fit/1"
+    assert record["schema"] == "shj-bayes/fit/2"
     assert record["verdict"] in ("reliable", "tentative", "unusable")
     assert record["reasons"]
     assert all(len(source["sha256"]) == 64 for source in record["inputs"])

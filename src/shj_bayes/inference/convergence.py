@@ -130,7 +130,7 @@ def diagnose_chains(
         for i in range(d):
             rhat[i] = _ARVIZ.rhat(by_ensemble[:, :, i])
             bulk[i] = min(_ARVIZ.ess(by_walker[:, :, i], method="bulk"), n_ensembles * n_walkers * n_steps / tau[i])
-            tail[i] = _ARVIZ.ess(by_walker[:, :, i], method="tail")
+            tail[i] = _ARVIZ.ess(by_walker[:, :, i], method="tail", prob=(0.05, 0.95))
     # A parameter on which all walkers stand still has no variance: its R-hat is not a number, and that is not good.
     rhat = np.where(np.isfinite(rhat), rhat, np.inf)
     bulk, tail = (np.where(np.isfinite(values), values, 0.0) for values in (bulk, tail))

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from shj_bayes.inference import store
 from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
 from shj_bayes.inference.floor import Floor, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
@@ -34,7 +34,7 @@ class Fit:
     ----------
     posterior : Posterior
         What was asked.
-    data : arviz.InferenceData
+    data : xarray.DataTree
         Posterior and what goes with it.
     summary : pandas.DataFrame
         One row for each parameter.
@@ -49,7 +49,7 @@ class Fit:
     """
 
     posterior: Posterior
-    data: az.InferenceData
+    data: xr.DataTree
     summary: pd.DataFrame
     figures: Diagnostics
     floor: Floor

@@ -1,16 +1,36 @@
-"""What the posterior predicts: the force of all runs, without noise and as it would be measured."""
+"""What the posterior predicts: the force at points of the recordings, and the mean force of every half-cycle."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.model.noise.filter import simulate
+from shj_bayes.inference.reduction import Averages
+from shj_bayes.inference.run import Run
+from shj_bayes.model.noise.filter import Timing, _coefficients, log_density
+from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import Motion
+
+IntArray = NDArray[np.int64]
+PIECE = 50  # parameter sets at a time, so that memory stays small
 
 
-def modelled_force(posterior: Posterior, theta: FloatArray) -> FloatArray:
-    """Force of all runs one after the other, without noise, at all samples.
+def points_of(run: Run, n_points: int) -> IntArray:
+    """Every k-th sample of a run, about `n_points` in all, and the first of every half-cycle."""
+    n, first = run.recording.n_samples, run.motion.start[:-1]
+    every = math.ceil(n / max(1, n_points - (first.size if n > n_points else 0)))
+    return np.union1d(np.arange(0, n, every), first)
+
+
+def force_at_points(
+    posterior: Posterior, theta: FloatArray, points: tuple[IntArray, ...], rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Force at points of all runs one after the other.
 
     Parameters
     ----------
@@ -18,24 +38,125 @@ def modelled_force(posterior: Posterior, theta: FloatArray) -> FloatArray:
         Recordings and model.
     theta : array, shape (m, d)
         Parameters in natural units.
+    points : tuple of array of int
+        Samples of each run, as `points_of` gives them.
+    rng : numpy.random.Generator
+        Source of the noise.
 
     Returns
     -------
-    array, shape (m, n_samples of all runs)
-        Force, kN.
+    clean, noisy : array, shape (m, n_points of all runs)
+        Force without noise, and as it would be measured, kN.
     """
-    return np.concatenate([posterior.modelled_force(theta, run) for run in range(1, len(posterior.runs) + 1)], axis=1)
+    model, values = posterior.model, posterior.model.noise_values(theta)
+    clean, noise = [], []
+    for run, course, keep in zip(posterior.runs, posterior.histories, points, strict=True):
+        whole, recording = run.motion, run.recording
+        place = np.searchsorted(keep, whole.start)
+        motion = Motion(whole.displacement_mm[keep], whole.speed_mm_s[keep], place, whole.turning_mm, whole.direction)
+        history = course if keep.size == recording.n_samples else course.thinned(keep, motion)
+        clean.append(model.force(theta, history, run.start_force_kN))
+        step, anew = 1.0 / recording.rate_Hz, np.diff(np.cumsum(recording.restarts)[keep]) > 0
+        gap = np.where(anew, np.inf, np.round(np.diff(recording.time_s[keep]) / step, 3) * step)
+        gaps, kind = np.unique(np.append(np.inf, gap), return_inverse=True)
+        kinds = np.stack([np.ones(gaps.size), np.full(gaps.size, step), gaps], axis=1)
+        timing = Timing(kind, kinds, place, step, 0.0, np.zeros(whole.n_half))
+        noise.append(draw_noise(model.noise, values, np.zeros((theta.shape[0], keep.size)), timing, rng))
+    law = np.concatenate(clean, axis=1)
+    return law, law + np.concatenate(noise, axis=1)
 
 
-def add_noise(posterior: Posterior, theta: FloatArray, force: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Force as it would be measured: one noise series for each parameter set, shape as `force`, kN."""
-    out = force.copy()
-    noise = posterior.model.noise_values(theta)
-    for j in range(theta.shape[0]):
-        own = {name: float(values[j]) for name, values in noise.items()}
-        series = [
-            simulate(posterior.model.noise, own, run.recording.time_s, run.recording.restarts, rng)
-            for run in posterior.runs
-        ]
-        out[j] += np.concatenate(series)
+def half_cycles(
+    posterior: Posterior, theta: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean force of each half-cycle's evidence in the direction of motion: how likely, and what is predicted.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Recordings and model.
+    theta : array, shape (m, d)
+        Parameters in natural units.
+    rng : numpy.random.Generator
+        Source of the noise.
+
+    Returns
+    -------
+    log_likelihood, predicted : array, shape (m, n_half of all runs)
+        Log likelihood of each half-cycle given those before it; its mean force as it would be measured, kN.
+    measured : array, shape (n_half of all runs,)
+        Its mean force, kN; NaN where no sample is evidence.
+    """
+    likely, predicted, measured = [], [], []
+    noise = posterior.model.noise
+    pieces = np.array_split(theta, math.ceil(theta.shape[0] / PIECE))
+    for run, part in enumerate(posterior.averages, start=1):
+        log_likelihood, force = [], []
+        for some in pieces:
+            values = posterior.model.noise_values(some)
+            residual, slope = posterior.residual_and_slope(some, run)
+            log_likelihood.append(log_density(noise, values, residual, slope, part.timing))
+            drawn = draw_noise(noise, values, slope, part.timing, rng)
+            force.append(_means(part.force_kN - residual + drawn, part))
+        likely.append(np.concatenate(log_likelihood))
+        predicted.append(np.concatenate(force))
+        measured.append(_means(part.force_kN, part))
+    return np.concatenate(likely, axis=1), np.concatenate(predicted, axis=1), np.concatenate(measured)
+
+
+def _means(force_kN: FloatArray, part: Averages) -> FloatArray:
+    """Mean over the evidence of each half-cycle, in the direction of motion, of a force by blocks, shape (..., n)."""
+    first = part.timing.half[:-1]
+    total = np.add.reduceat(force_kN * part.count, first, axis=-1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(part.history.motion.direction * total / np.add.reduceat(part.count, first))
+
+
+def draw_noise(noise: Noise, values: Values, slope: FloatArray, timing: Timing, rng: np.random.Generator) -> FloatArray:
+    """Draw averaged residuals whose density `log_density` gives; parameters as there, shape (m, n), kN."""
+    parts = noise.parts(values)
+    seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
+    table = _coefficients(timing.kinds[:, 0], *np.split(noise.decay(values, seconds, timing.step_s), 2))
+    heavy = np.isfinite(parts.nu)
+    out = rng.standard_normal(slope.shape)
+    if heavy.any():
+        out[heavy] = rng.standard_t(parts.nu[heavy, None], out[heavy].shape)
+    of_turn = timing.turning_noise_mm * rng.standard_normal((out.shape[0], timing.half.size - 1)) * ~heavy[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        _draw(
+            out,
+            slope,
+            timing.kind,
+            1.0 / timing.kinds[:, 0],
+            table,
+            timing.half,
+            parts.white_kN**2,
+            parts.slow_kN**2,
+            timing.displacement_noise_mm**2,
+            heavy[:, None] * timing.turning_noise_mm**2,
+            of_turn,
+        )
     return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
+    out, slope, kind, share, table, half, white, slow, noise_x, noise_turn, of_turn
+):
+    """Turn standard draws into residuals: the recursion of the likelihood, driven by what is new."""
+    for j in range(out.shape[0]):
+        s, p = 0.0, slow[j]
+        for k in range(half.size - 1):
+            for i in range(half[k], half[k + 1]):
+                c = kind[i]
+                if c < 0:
+                    out[j, i] = 0.0
+                    continue
+                h, f, steep = table[j, c, 0], table[j, c, 1], slope[j, i]
+                variance = h * h * p + slow[j] * table[j, c, 2] + (white[j] + noise_x * steep * steep) * share[c]
+                variance += noise_turn[j, k] * steep * steep
+                new = math.sqrt(variance) * out[j, i]
+                gain = (h * f * p + slow[j] * table[j, c, 4]) / variance
+                out[j, i] = h * s + new + of_turn[j, k] * steep
+                s = f * s + gain * new
+                p = max(f * f * p + slow[j] * table[j, c, 3] - gain * gain * variance, 0.0)

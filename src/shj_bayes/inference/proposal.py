@@ -12,8 +12,8 @@ from shj_bayes.inference.shared import Density
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
 
-TAIL = 20.0  # degrees of freedom: heavier tails than a likelihood of many samples, so that no walker is stranded
-N_ROUNDS, N_DRAWS = (3, 10), 256  # rounds at least and at most
+TAIL = 5.0  # degrees of freedom: a knee that is bounded from below, or noise without a slow part, has long tails
+N_ROUNDS, N_DRAWS = (3, 14), 512  # rounds at least and at most
 GOOD = 0.6  # efficiency with which the rounds end
 COUNTED = 8.0  # effective draws per parameter that a fit is made from; steeper weights are flattened
 LEAST = 0.02  # share below which a component is given up

@@ -1,40 +1,66 @@
-"""Posteriors as ArviZ InferenceData and the files of a fit; the only module that writes them."""
+"""Posteriors and the files of a fit; the only module that writes them.
+
+``posterior.nc`` is an `xarray.DataTree` in groups that ArviZ knows, so that every version of ArviZ opens it.
+"""
 
 from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 import pandas as pd
+import xarray as xr
 from numpy.typing import NDArray
 
 import shj_bayes
 from shj_bayes.errors import InferenceError
 from shj_bayes.files import check_seal, file_digest, read_json, replacing, reserve, sealed, write_text
-from shj_bayes.inference.convergence import Diagnostics, Verdict
-from shj_bayes.inference.floor import Floor
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.predictive import add_noise, modelled_force
-from shj_bayes.inference.quiet_arviz import az
+from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 
-_read_netcdf: Any = az.from_netcdf  # carries no types
-SCHEMA = "shj-bayes/fit/1"
+if TYPE_CHECKING:  # whoever only reads files need not wait for ArviZ
+    from shj_bayes.inference.convergence import Diagnostics, Verdict
+    from shj_bayes.inference.floor import Floor
+
+SCHEMA, READABLE = "shj-bayes/fit/2", ("shj-bayes/fit/1", "shj-bayes/fit/2")
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
-N_STORED, N_LOOPS, N_PRIOR, N_PRIOR_LOOPS = 500, 25, 4000, 60  # draws; the first two for each ensemble
+N_STORED, N_LOOPS = 500, 25  # draws of each ensemble, and those of them with the force of every sample
+N_PRIOR, N_FORESEEN = 4000, 100  # draws of the prior, and those of them with forces of half-cycles
+N_POINTS = 12_000  # of each run in the file, about
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
 KINDS: dict[str, type] = {
     **{"device": str, "verdict": str, "reasons": list, "versions": dict, "model": dict},
     **{"prior_laws": list, "inputs": list, "sampling": dict, "parameters": list},
 }
 PACKAGES = ("arviz", "emcee", "h5py", "numba", "numpy", "pandas", "scipy", "xarray")
+MEANINGS = {  # unit and meaning of what is not a parameter, by name
+    "chain": ("1", "ensemble"),
+    "draw": ("1", "draw of the ensemble, through steps and walkers; the same number is the same draw in every group"),
+    "half_cycle": ("1", "half-cycle, through all runs; those without a sample that is evidence are left out"),
+    "number": ("1", "half-cycle within its run, 0 for the first"),
+    "point": ("1", "sample, through all runs"),
+    "run": ("1", "run, 1 for the first"),
+    "time_s": ("s", "time in the recording"),
+    "displacement_mm": ("mm", "displacement that drives the law (smoothed)"),
+    "speed_mm_s": ("mm/s", "absolute value of the velocity (smoothed)"),
+    "half_cycle_of_sample": ("1", "half-cycle within its run, 0 for the first"),
+    "used": ("1", "1 where the sample is evidence"),
+    "force": ("kN", "force as it was measured, or would be: with noise"),
+    "force_model": ("kN", "force without noise"),
+    "force_of_half_cycle": ("kN", "mean force of the half-cycle's evidence in the direction of motion"),
+    "lp": ("1", "log posterior density of the unbounded parameters, up to a constant"),
+}
+AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the record's cycles, widening is above 1"
 
 
 def natural_chains(posterior: Posterior, chains: FloatArray) -> FloatArray:
@@ -44,8 +70,8 @@ def natural_chains(posterior: Posterior, chains: FloatArray) -> FloatArray:
 
 def inference_data(
     posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int
-) -> az.InferenceData:
-    """Everything a reader of the fit needs, as one ArviZ object.
+) -> xr.DataTree:
+    """Everything a reader of the fit needs, in the groups of ArviZ.
 
     Parameters
     ----------
@@ -62,55 +88,73 @@ def inference_data(
 
     Returns
     -------
-    arviz.InferenceData
+    xarray.DataTree
         ``chain`` is the ensemble; ``draw`` goes through steps and walkers, thinned to nearly independent draws.
-        Groups: posterior, prior, posterior_predictive, prior_predictive, log_likelihood, sample_stats,
-        observed_data, constant_data.
+        Groups: posterior, prior, posterior_predictive, prior_predictive, log_likelihood, log_prior, sample_stats,
+        observed_data, constant_data, loops. Forces of half-cycles are there for all draws, those of samples (group
+        loops) for a few.
     """
-    names = posterior.names
     n_ensembles, n_steps, n_walkers, d = shown.shape
     step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED)))
-    flat = natural_chains(posterior, shown[:, ::step].reshape(n_ensembles, -1, d))
-    lp = heights[:, ::step].reshape(n_ensembles, -1)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
-
-    loops = flat[:, np.linspace(0, flat.shape[1] - 1, N_LOOPS).astype(int)].reshape(-1, d)
-    clean = modelled_force(posterior, loops)
-    noisy = add_noise(posterior, loops, clean, rng)
-    shape = (n_ensembles, N_LOOPS, -1)
-    laws = posterior.model.laws_of_parameters
-    prior = np.stack([law.distribution.rvs(N_PRIOR, random_state=rng) for law in laws], axis=1)
-    prior_loops = _prior_loops(posterior, prior)
-    by_half_cycle = posterior.log_likelihood_by_half_cycle(natural_chains(posterior, sampled[:, ::step]).reshape(-1, d))
-
-    sample = np.arange(clean.shape[1])
-    data: az.InferenceData = az.from_dict(
-        posterior={n: flat[:, :, i] for i, n in enumerate(names)},
-        prior={n: prior[None, :, i] for i, n in enumerate(names)},
-        posterior_predictive={
-            "force": _short(noisy).reshape(shape),
-            "force_model": _short(clean).reshape(shape),
-        },
-        prior_predictive={"force_model": _short(prior_loops)[None]},
-        log_likelihood={"force_of_half_cycle": by_half_cycle.reshape(*lp.shape, -1)},
-        sample_stats={"lp": lp},
-        observed_data={"force": np.concatenate([r.recording.force_kN for r in posterior.runs])},
-        constant_data=_constant(posterior),
-        coords={"sample": sample, "half_cycle": np.arange(sum(r.motion.n_half for r in posterior.runs))},
-        dims={
-            "force": ["sample"],
-            "force_model": ["sample"],
-            "force_of_half_cycle": ["half_cycle"],
-            **{
-                n: ["sample"]
-                for n in ("time_s", "displacement_mm", "speed_mm_s", "run", "half_cycle_of_sample", "used")
-            },
-        },
+    draws, own = (
+        natural_chains(posterior, chains[:, ::step].reshape(n_ensembles, -1, d)) for chains in (shown, sampled)
     )
-    for group in ("posterior", "prior"):
-        for parameter in posterior.model.parameters:
-            data[group][parameter.name].attrs.update(unit=parameter.unit, meaning=parameter.meaning)
-    return data
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
+    laws = [law.distribution for law in posterior.model.laws_of_parameters]
+    prior = np.stack([law.rvs(N_PRIOR, random_state=rng) for law in laws], axis=1)
+    log_prior = np.stack([law.logpdf(own[:, :, i]) for i, law in enumerate(laws)], axis=2)
+
+    likely, predicted, measured = half_cycles(posterior, own.reshape(-1, d), rng)
+    with np.errstate(over="ignore", invalid="ignore"):
+        foreseen = half_cycles(posterior, prior[:N_FORESEEN], rng)[1]
+    some = np.flatnonzero(np.isfinite(measured))
+    possible = np.flatnonzero(np.isfinite(foreseen[:, some]).all(axis=1))
+    n_half = [run.motion.n_half for run in posterior.runs]
+    half_cycle = {
+        "half_cycle": some,
+        "run": ("half_cycle", np.repeat(np.arange(len(n_half)) + 1, n_half)[some]),
+        "number": ("half_cycle", np.concatenate([np.arange(n) for n in n_half])[some]),
+    }
+    points = tuple(points_of(run, N_POINTS) for run in posterior.runs)
+    begins = np.cumsum([0, *(run.recording.n_samples for run in posterior.runs[:-1])])
+    point = {"point": np.concatenate([keep + begin for keep, begin in zip(points, begins, strict=True)])}
+    few = np.linspace(0, draws.shape[1] - 1, N_LOOPS).astype(int)
+    clean, noisy = force_at_points(posterior, draws[:, few].reshape(-1, d), points, rng)
+
+    def named(values: FloatArray) -> dict[str, FloatArray]:
+        return {name: values[..., i] for i, name in enumerate(posterior.names)}
+
+    def by_half(values: FloatArray, n_chains: int = n_ensembles) -> dict[str, NDArray[Any]]:
+        return {"force_of_half_cycle": values[:, some].reshape(n_chains, -1, some.size)}
+
+    words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
+    loops = {"force": noisy, "force_model": clean}
+    loops = {name: force.reshape(n_ensembles, few.size, -1) for name, force in loops.items()}
+    likely = np.round(likely * 2.0**20) / 2.0**20  # a millionth; the file is smaller
+    predicted, foreseen = predicted.astype(np.float32), foreseen[possible].astype(np.float32)
+    foreseen_at = half_cycle | {"draw": possible}
+    groups = {
+        "posterior": _group(words, "draws", named(draws)),
+        "prior": _group(words, "draws of the priors", named(prior[None])),
+        "posterior_predictive": _group(words, f"with noise; {AS_SAMPLED}", by_half(predicted), half_cycle),
+        "prior_predictive": _group(words, "with noise", by_half(foreseen, 1), foreseen_at),
+        "log_likelihood": _group(words, f"given those before it; {AS_SAMPLED}", by_half(likely), half_cycle),
+        "log_prior": _group(words, f"in natural units; {AS_SAMPLED}", named(log_prior)),
+        "sample_stats": _group(words, AS_SAMPLED, {"lp": heights[:, ::step].reshape(n_ensembles, -1)}),
+        "observed_data": _group(words, "measured", {"force_of_half_cycle": measured[some]}, half_cycle),
+        "constant_data": _group(words, "recordings, thinned where they are long", _channels(posterior, points), point),
+        "loops": _group(words, "posterior predictive at the points of constant_data", loops, point | {"draw": few}),
+    }
+    for name in ("log_likelihood", "log_prior"):
+        for variable in groups[name].data_vars.values():
+            variable.attrs.update(units="1", meaning=f"{name.replace('_', ' ')} of: {variable.attrs['meaning']}")
+    for name in loops:  # in 16 bits, to 1/16 384 of the largest or finer
+        stored = groups["loops"].variables[name]
+        unit = np.float32(2.0 ** (np.floor(np.log2(np.abs(stored).max())) - 13))
+        stored.values = np.round(stored.values / unit).astype(np.float32) * unit
+        chunks = (*stored.shape[:2], min(512, stored.shape[2]))
+        stored.encoding.update(dtype="int16", _FillValue=np.int16(-32768), scale_factor=unit, chunksizes=chunks)
+    return xr.DataTree.from_dict(groups)
 
 
 def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
@@ -131,19 +175,9 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.
         Columns of INTERFACE: name, unit, mean, sd, q05, q50, q95, ess_bulk, ess_tail, rhat.
     """
     flat = chains.reshape(-1, chains.shape[-1])
-    q05, q50, q95 = np.quantile(flat, [0.05, 0.5, 0.95], axis=0)
-    columns = (
-        list(figures.names),
-        [parameter.unit for parameter in model.parameters],
-        flat.mean(axis=0),
-        flat.std(axis=0, ddof=1),
-        q05,
-        q50,
-        q95,
-        figures.ess_bulk,
-        figures.ess_tail,
-        figures.rhat,
-    )
+    of_draws = (flat.mean(axis=0), flat.std(axis=0, ddof=1), *np.quantile(flat, [0.05, 0.5, 0.95], axis=0))
+    words = ([parameter.name for parameter in model.parameters], [parameter.unit for parameter in model.parameters])
+    columns = (*words, *of_draws, figures.ess_bulk, figures.ess_tail, figures.rhat)
     return pd.DataFrame(dict(zip(SUMMARY_COLUMNS, columns, strict=True)))
 
 
@@ -220,22 +254,15 @@ def fit_record(
     }
 
 
-def _short(force_kN: FloatArray) -> NDArray[np.float32]:
-    """Round simulated forces to at most 1/16 384 of the largest in each row: packed, the file is a third smaller."""
-    largest = np.maximum(np.abs(force_kN).max(axis=-1, keepdims=True), 1e-30)
-    step = 2.0 ** (np.floor(np.log2(largest)) - 14)
-    return np.asarray(np.round(force_kN / step) * step, dtype=np.float32)
-
-
-def write_fit(folder: Path, data: az.InferenceData, table: pd.DataFrame, record: dict[str, Any]) -> None:
+def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: dict[str, Any]) -> None:
     """Write ``posterior.nc``, ``summary.csv``, ``summary.json`` and, last, ``fit.json`` (each whole or not at all).
 
     The record gains ``files``, the SHA-256 of the other three, and ``digest``, that of the record itself.
     """
     data.attrs.update(schema=SCHEMA, device=record["device"], provenance=json.dumps(record))
     with replacing(folder / "posterior.nc") as part:
-        reserve(part, sum(data[group].nbytes for group in data.groups()) + 2**20)  # a MiB of names and attributes
-        data.to_netcdf(str(part), engine="h5netcdf", compress=True)
+        reserve(part, data.nbytes + 2**20)  # a MiB of names and attributes
+        data.to_netcdf(part, engine="h5netcdf")
     write_text(folder / "summary.csv", table.assign(schema=SCHEMA).to_csv(index=False))
     write_text(folder / "summary.json", json.dumps({"schema": SCHEMA, "parameters": record["parameters"]}, indent=1))
     record["files"] = {name: file_digest(folder / name) for name in FILES}
@@ -255,8 +282,10 @@ def read_record(folder: Path) -> dict[str, Any]:
     if not path.exists():
         raise InferenceError(f"{folder.name} holds no finished fit (no {path.name} in it); run shj-bayes fit")
     record = read_json(path, InferenceError)
-    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-        raise InferenceError(f"{path.name} in {folder.name} has not the schema {SCHEMA!r}; run the fit again")
+    if not isinstance(record, dict) or record.get("schema") not in READABLE:
+        raise InferenceError(
+            f"{path.name} in {folder.name} has none of the schemas {', '.join(READABLE)}; run the fit again"
+        )
     check_seal(record, path, InferenceError)
     for key, kind in KINDS.items():
         if not isinstance(record.get(key), kind):
@@ -284,25 +313,16 @@ def check_files(folder: Path, record: dict[str, Any]) -> None:
             )
 
 
-def read_posterior(folder: Path) -> az.InferenceData:
-    """Read ``posterior.nc`` of a results folder.
+def read_posterior(folder: Path) -> xr.DataTree:
+    """Read ``posterior.nc`` of a results folder, all groups.
 
     Raises
     ------
     InferenceError
         If it is missing, damaged, or not the one that ``fit.json`` belongs to.
     """
-    if (folder / "fit.json").exists():
-        check_files(folder, read_record(folder))
-    try:
-        data: az.InferenceData = _read_netcdf(str(folder / "posterior.nc"), engine="h5netcdf")
-        data.load()  # and close: an open file cannot be replaced on Windows
-        data.close()
-    except Exception as error:  # the readers below raise dozens of kinds for damaged files; all mean the same
-        raise InferenceError(
-            f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
-        ) from error
-    return data
+    with _whole(folder) as path, xr.open_datatree(path, engine="h5netcdf") as data:
+        return data.load()
 
 
 def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
@@ -328,12 +348,18 @@ def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
     InferenceError
         As for `read_posterior`.
     """
+    with _whole(folder) as path, h5py.File(path, "r") as file:
+        return {name: np.asarray(part) for name, part in file[group].items() if isinstance(part, h5py.Dataset)}
+
+
+@contextmanager
+def _whole(folder: Path) -> Iterator[Path]:
+    """Give ``posterior.nc`` to read; a damaged one is told in one line."""
     if (folder / "fit.json").exists():
         check_files(folder, read_record(folder))
     try:
-        with h5py.File(folder / "posterior.nc", "r") as file:
-            return {name: np.asarray(part) for name, part in file[group].items() if isinstance(part, h5py.Dataset)}
-    except Exception as error:  # as above
+        yield folder / "posterior.nc"
+    except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
         raise InferenceError(
             f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
         ) from error
@@ -350,21 +376,46 @@ def versions() -> dict[str, str]:
     return out
 
 
-def _prior_loops(posterior: Posterior, prior: FloatArray) -> FloatArray:
-    """Loops under the prior, without noise; sets whose law overflows are left out."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        loops = modelled_force(posterior, prior[: 2 * N_PRIOR_LOOPS])
-    return loops[np.all(np.isfinite(loops), axis=1)][:N_PRIOR_LOOPS]
+def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
+    """Channels that the law and the pages need, at points of the runs, one run after the other."""
+    of_runs = [
+        {
+            "time_s": run.recording.time_s,
+            "displacement_mm": run.motion.displacement_mm,
+            "speed_mm_s": run.motion.speed_mm_s,
+            "force": run.recording.force_kN,
+            "run": np.full(run.recording.n_samples, number),
+            "half_cycle_of_sample": run.motion.half_cycle,
+            "used": run.used.astype(np.int8),
+        }
+        for number, run in enumerate(posterior.runs, start=1)
+    ]
+    pairs = list(zip(of_runs, points, strict=True))
+    return {name: np.concatenate([channels[name][keep] for channels, keep in pairs]) for name in of_runs[0]}
 
 
-def _constant(posterior: Posterior) -> dict[str, Any]:
-    """Channels that the law and the pages need, runs one after the other."""
-    runs = posterior.runs
-    return {
-        "time_s": np.concatenate([r.recording.time_s for r in runs]),
-        "displacement_mm": np.concatenate([r.motion.displacement_mm for r in runs]),
-        "speed_mm_s": np.concatenate([r.motion.speed_mm_s for r in runs]),
-        "run": np.concatenate([np.full(r.recording.n_samples, i) for i, r in enumerate(runs, start=1)]),
-        "half_cycle_of_sample": np.concatenate([r.motion.half_cycle for r in runs]),
-        "used": np.concatenate([r.used for r in runs]).astype(np.int8),
-    }
+def _group(
+    words: Mapping[str, tuple[str, str]],
+    meaning: str,
+    variables: Mapping[str, NDArray[Any]],
+    coords: Mapping[str, Any] | None = None,
+) -> xr.Dataset:
+    """One group of the file: arrays by chain and draw, if by more than one number, and by the first of `coords`."""
+    coords = dict(coords or {})
+    last = list(coords)[:1]
+    data = xr.Dataset(
+        {name: (["chain", "draw", *last] if v.ndim > 1 else last, v) for name, v in variables.items()}, coords
+    )
+    data = data.assign_coords({name: np.arange(n) for name, n in data.sizes.items() if name not in coords})
+    for name, variable in data.variables.items():
+        units, what = words[str(name)]
+        variable.attrs.update(units=units, meaning=what)
+        variable.encoding.update(zlib=True, complevel=1, shuffle=True)
+    data.attrs.update(
+        meaning=meaning,
+        creation_library="shj-bayes",
+        creation_library_version=shj_bayes.__version__,
+        inference_library="emcee",
+        inference_library_version=version("emcee"),
+    )
+    return data

@@ -20,7 +20,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """One run: what was measured and what the posterior predicts.
+    """One run: what was measured and what the posterior predicts, at all samples or, of a long one, at some.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class RunData:
 
     @property
     def rate_Hz(self) -> float:
-        """Sampling rate, Hz."""
+        """Rate of the samples that are held, Hz."""
         return float(1 / np.median(np.diff(self.time_s)))
 
 
@@ -120,15 +120,17 @@ def read_device(folder: Path) -> DeviceData:
     """
     record = read_record(folder)
     names = [row["name"] for row in record["parameters"]]
-    data: Any = read_posterior(folder)  # its groups are attributes that the type does not know
+    data = read_posterior(folder)
+    # Files of shj-bayes/fit/1 hold every sample, in groups of ArviZ.
+    loops, measured = ("loops", "constant_data") if "loops" in data else ("posterior_predictive", "observed_data")
     try:
-        constant = {str(k): v.to_numpy() for k, v in data.constant_data.data_vars.items()}
-        force = data.observed_data["force"].to_numpy()
-        law = _flat(data.posterior_predictive["force_model"].to_numpy())
-        predicted = _flat(data.posterior_predictive["force"].to_numpy())
-        draws = {name: data.posterior[name].to_numpy() for name in names}
-        prior = {name: data.prior[name].to_numpy().ravel() for name in names}
-    except (AttributeError, KeyError) as error:
+        constant = {str(k): v.to_numpy() for k, v in data["constant_data"].data_vars.items()}
+        force = data[measured]["force"].to_numpy()
+        law = _flat(data[loops]["force_model"].to_numpy())
+        predicted = _flat(data[loops]["force"].to_numpy())
+        draws = {name: data["posterior"][name].to_numpy() for name in names}
+        prior = {name: data["prior"][name].to_numpy().ravel() for name in names}
+    except KeyError as error:
         raise ReportError(f"posterior.nc in {folder.name} lacks {error}; run the fit again") from error
     runs = []
     for number in np.unique(constant["run"]):

@@ -32,6 +32,13 @@ from shj_bayes.model.parameters import FloatArray
 
 IntArray = NDArray[np.int64]
 _LOG_2PI = math.log(2 * math.pi)
+LANES = 8  # parameter sets side by side
+N_ROWS = 11
+# Where each row of the recursion's work begins: the slow part's estimate and variance, what a turning point's error
+# would make of it, the white and slow variances, sums of squares, and the products of variances.
+STATE, VARIANCE, TURN, WHITE, SLOW, ACROSS, ALONG, OWN, PRODUCT, TOTAL, LAST = range(0, N_ROWS * LANES, LANES)
+LARGE_NU = 1e300  # beyond it Student's t is the normal law
+TOGETHER = 16  # variances that are multiplied before their logarithm is taken: within doubles from 1e-9 to 1e9 kN
 SHORT = 1e-4  # of the memory: a block for which the series is the more exact
 
 
@@ -97,8 +104,7 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
     seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
     decay = noise.decay(values, seconds, timing.step_s)
     within, before = np.split(decay, 2)
-    # Differences from 1 with all their digits: a memory of minutes at 1 kHz leaves 1 - r at 1e-5.
-    table = _coefficients(timing.kinds[:, :1], within, before)
+    table = _coefficients(timing.kinds[:, 0], within, before)
     out = np.empty((residual.shape[0], timing.half.size - 1))
     _filter(
         out,
@@ -166,70 +172,124 @@ def _student_constant(nu: FloatArray) -> FloatArray:
     )
 
 
-def _coefficients(m: FloatArray, r: FloatArray, a: FloatArray) -> FloatArray:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _coefficients(count, within, before):  # type: ignore[no-untyped-def]
     """h, f, V - h^2, 1 - f^2 and A - h f of each kind and parameter set, shape (n_sets, n_kinds, 5)."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        x = np.minimum(-np.log(np.abs(r)), 745.0)  # beyond it r is 0 in double precision
-        negative = r < 0.0
-        less = np.where(negative, 1.0 - r, -np.expm1(-x))  # 1 - r
-        power = np.where(negative & (np.mod(m, 2.0) == 1.0), -1.0, 1.0) * np.exp(-m * x)  # r^m
-        less_power = np.where(power < 0.5, 1.0 - power, -np.expm1(-m * x))
-        average = less_power / (m * less)
-        variance = (m * less * (1.0 + r) - 2.0 * r * less_power) / (m * less) ** 2
-        last = np.where(r == 0.0, 0.0, power / r)
-    # A memory far longer than the block: the closed form loses its digits.
-    short = ~negative & (m * x < SHORT)
-    average = np.where(short, 1.0 - x * (m - 1.0) / 2.0 + x**2 * (m - 1.0) * (2.0 * m - 1.0) / 12.0, average)
-    variance = np.where(short, 1.0 - x * (m**2 - 1.0) / (3.0 * m) + x**2 * (m**2 - 1.0) / 12.0, variance)
-    average, variance, last = (np.where(m == 1.0, 1.0, values) for values in (average, variance, last))
-    h, f = a * average, a * last
-    table = np.stack([h, f, np.maximum(variance - h**2, 0.0), 1.0 - f**2, average - h * f], axis=-1)
-    return np.ascontiguousarray(table.transpose(1, 0, 2))
+    n_kinds, n_sets = within.shape
+    out = np.empty((n_sets, n_kinds, 5))
+    for c in range(n_kinds):
+        m = count[c]
+        for j in range(n_sets):
+            r = within[c, j]
+            average, variance, last = 1.0, 1.0, 1.0
+            if m > 1.0 and r == 0.0:
+                average, variance, last = 1.0 / m, 1.0 / m, 0.0
+            elif m > 1.0:
+                x = -math.log(abs(r))
+                if r > 0.0 and m * x < SHORT:  # a memory far longer than the block: the closed form loses its digits
+                    average = 1.0 - x * (m - 1.0) / 2.0 + x * x * (m - 1.0) * (2.0 * m - 1.0) / 12.0
+                    variance = 1.0 - x * (m * m - 1.0) / (3.0 * m) + x * x * (m * m - 1.0) / 12.0
+                    last = math.exp(-(m - 1.0) * x)
+                else:
+                    power = math.exp(-m * x) * (-1.0 if r < 0.0 and m % 2.0 == 1.0 else 1.0)
+                    less = 1.0 - r if r < 0.0 else -math.expm1(-x)
+                    less_power = 1.0 - power if power < 0.5 else -math.expm1(-m * x)
+                    average = less_power / (m * less)
+                    variance = (m * less * (1.0 + r) - 2.0 * r * less_power) / (m * less) ** 2
+                    last = power / r
+            h, f = before[c, j] * average, before[c, j] * last
+            out[j, c, 0], out[j, c, 1] = h, f
+            out[j, c, 2], out[j, c, 3], out[j, c, 4] = max(variance - h * h, 0.0), 1.0 - f * f, average - h * f
+    return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nnan", "nsz"})
 def _filter(out, residual, slope, kind, share, table, half, scales, noise_x, noise_turn):  # type: ignore[no-untyped-def]
-    """Fill `out` with the log density of each half-cycle; arrays as in `log_density`, variances in place of sds."""
-    for j in range(residual.shape[0]):
-        white, slow, nu, constant = scales[j, 0], scales[j, 1], scales[j, 2], scales[j, 3]
-        s, p, u = 0.0, slow, 0.0
-        heavy = np.isfinite(nu)
+    """Fill `out` with the log density of each half-cycle; arrays as in `log_density`, variances in place of sds.
+
+    `LANES` parameter sets go through the recursion side by side, as one vector instruction does them all: its chain of
+    a division and a few products takes as long for one.
+    """
+    m, n = residual.shape
+    lines = np.empty(2 * n * LANES)
+    factors = np.empty(table.shape[1] * 5 * LANES)
+    work = np.empty(N_ROWS * LANES)  # one array, so that the compiler sees that its rows do not overlap
+    for first in range(0, m, LANES):
+        _load(lines, factors, work, residual, slope, table, scales, first)
+        heavy = scales[first, 2] < LARGE_NU
         for k in range(half.size - 1):
-            total, product, n = 0.0, 1.0, 0
-            along, across, own = 0.0, 0.0, 0.0
-            u = 0.0
+            for lane in range(LANES):
+                work[TURN + lane] = work[ACROSS + lane] = work[ALONG + lane] = work[OWN + lane] = 0.0
+                work[TOTAL + lane], work[PRODUCT + lane] = 0.0, 1.0
+            count, turn = 0, noise_turn[k] if heavy else 0.0
             for i in range(half[k], half[k + 1]):
                 c = kind[i]
                 if c < 0:
                     continue
-                h, f = table[j, c, 0], table[j, c, 1]
-                steep = slope[j, i]
-                variance = h * h * p + slow * table[j, c, 2] + (white + noise_x * steep * steep) * share[c]
+                _step(work, lines, factors, 2 * i * LANES, c * 5 * LANES, share[c], noise_x, turn)
+                count += 1
                 if heavy:
-                    variance += noise_turn[k] * steep * steep
-                inverse = 1.0 / variance
-                new = residual[j, i] - h * s
-                also = steep - h * u
-                gain = (h * f * p + slow * table[j, c, 4]) * inverse
-                s = f * s + gain * new
-                u = f * u + gain * also
-                p = max(f * f * p + slow * table[j, c, 3] - gain * gain * variance, 0.0)
-                n += 1
-                product *= variance
-                if product < 1e-200 or product > 1e200:
-                    total -= 0.5 * math.log(product)
-                    product = 1.0
-                if heavy:
-                    total += constant - 0.5 * (nu + 1.0) * math.log1p(new * new * inverse / nu)
-                else:
-                    across += new * new * inverse
-                    along += new * also * inverse
-                    own += also * also * inverse
-            total -= 0.5 * math.log(product)
-            if not heavy:
-                spread = 1.0 + noise_turn[k] * own
-                total -= 0.5 * (n * _LOG_2PI + across + math.log(spread) - noise_turn[k] * along * along / spread)
-            out[j, k] = total
+                    _add_tails(work, scales, first)
+                if count % TOGETHER == 0:
+                    for lane in range(LANES):
+                        work[TOTAL + lane] -= 0.5 * math.log(work[PRODUCT + lane])
+                        work[PRODUCT + lane] = 1.0
+            for lane in range(min(LANES, m - first)):
+                value = work[TOTAL + lane] - 0.5 * math.log(work[PRODUCT + lane])
+                if not heavy:
+                    spread = 1.0 + noise_turn[k] * work[OWN + lane]
+                    left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] ** 2 / spread
+                    value -= 0.5 * (count * _LOG_2PI + left + math.log(spread))
+                out[first + lane, k] = value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _load(lines, factors, work, residual, slope, table, scales, first):  # type: ignore[no-untyped-def]
+    """Lay out what the recursion needs of `LANES` parameter sets side by side; the last lanes repeat the last set."""
+    m, n = residual.shape
+    for lane in range(LANES):
+        j = min(first + lane, m - 1)
+        work[WHITE + lane], work[SLOW + lane] = scales[j, 0], scales[j, 1]
+        work[STATE + lane], work[VARIANCE + lane] = 0.0, scales[j, 1]
+        for c in range(table.shape[1]):
+            for q in range(5):
+                factors[(c * 5 + q) * LANES + lane] = table[j, c, q]
+        for i in range(n):
+            lines[2 * i * LANES + lane] = residual[j, i]
+            lines[(2 * i + 1) * LANES + lane] = slope[j, i]
+
+
+@njit(error_model="numpy", fastmath={"contract", "nnan", "nsz"}, inline="always")
+def _step(work, lines, factors, at, of, share, noise_x, turn):  # type: ignore[no-untyped-def]
+    """Go on by one block, in all lanes."""
+    for lane in range(LANES):
+        h, f, steep = factors[of + lane], factors[of + LANES + lane], lines[at + LANES + lane]
+        before, slow = work[VARIANCE + lane], work[SLOW + lane]
+        square = steep * steep
+        noise = (work[WHITE + lane] + noise_x * square) * share + turn * square
+        variance = h * h * before + slow * factors[of + 2 * LANES + lane] + noise
+        inverse = 1.0 / variance
+        new = lines[at + lane] - h * work[STATE + lane]
+        also = steep - h * work[TURN + lane]
+        gain = (h * f * before + slow * factors[of + 4 * LANES + lane]) * inverse
+        work[STATE + lane] = f * work[STATE + lane] + gain * new
+        work[TURN + lane] = f * work[TURN + lane] + gain * also
+        after = f * f * before + slow * factors[of + 3 * LANES + lane] - gain * gain * variance
+        work[VARIANCE + lane] = max(after, 0.0)
+        work[PRODUCT + lane] *= variance
+        work[ACROSS + lane] += new * new * inverse
+        work[ALONG + lane] += new * also * inverse
+        work[OWN + lane] += also * also * inverse
+        work[LAST + lane] = new * new * inverse
+
+
+@njit(error_model="numpy", inline="always")
+def _add_tails(work, scales, first):  # type: ignore[no-untyped-def]
+    """Add the log density of the last block's news under Student's t, in all lanes."""
+    for lane in range(LANES):
+        j = min(first + lane, scales.shape[0] - 1)
+        work[TOTAL + lane] += scales[j, 3]
+        work[TOTAL + lane] -= 0.5 * (scales[j, 2] + 1.0) * math.log1p(work[LAST + lane] / scales[j, 2])
 
 
 @njit(cache=True, error_model="numpy")
