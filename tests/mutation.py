@@ -60,32 +60,32 @@ BREAKAGES = (
     Breakage(
         "noise: normalising constant left out",
         "model/noise/filter.py",
-        "            total -= 0.5 * math.log(product)\n            if not heavy:\n",
-        "            if not heavy:\n",
+        "value = work[TOTAL + lane] - 0.5 * math.log(work[PRODUCT + lane])",
+        "value = work[TOTAL + lane]",
     ),
     Breakage(
         "noise: nothing is remembered",
         "model/noise/filter.py",
-        "                s = f * s + gain * new\n",
-        "                s = 0.0\n",
+        "work[STATE + lane] = f * work[STATE + lane] + gain * new",
+        "work[STATE + lane] = 0.0",
     ),
     Breakage(
         "noise: an average remembered as if it were one sample",
         "model/noise/filter.py",
-        "    h, f = a * average, a * last\n",
-        "    h, f = a * average, a * np.ones_like(last)\n",
+        "h, f = before[c, j] * average, before[c, j] * last",
+        "h, f = before[c, j] * average, before[c, j]",
     ),
     Breakage(
         "noise: averages as noisy as single samples",
         "model/noise/filter.py",
-        "(white + noise_x * steep * steep) * share[c]",
-        "(white + noise_x * steep * steep)",
+        "(work[WHITE + lane] + noise_x * square) * share",
+        "(work[WHITE + lane] + noise_x * square)",
     ),
     Breakage(
         "noise: error of the turning points left out",
         "model/noise/filter.py",
-        " - noise_turn[k] * along * along / spread)",
-        ")",
+        "left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] * work[ALONG + lane] / spread",
+        "left = work[ACROSS + lane]",
     ),
     Breakage(
         "reduction: unused samples averaged too",
@@ -108,9 +108,9 @@ BREAKAGES = (
     Breakage(
         "runs: ratio of the third run against the second",
         "model/device.py",
-        "            capacity = capacity * theta[:, self.index(run_name(\"ratio\", run))]\n",
+        '            capacity = capacity * theta[:, self.index(run_name("ratio", run))]\n',
         "            for i in range(2, run + 1):\n"
-        "                capacity = capacity * theta[:, self.index(run_name(\"ratio\", i))]\n",
+        '                capacity = capacity * theta[:, self.index(run_name("ratio", i))]\n',
     ),
     Breakage(
         "prior: Jacobian of the free space left out",
