@@ -24,7 +24,9 @@ TESTS = (
     "tests/oracle/test_loop_energy.py",
     "tests/unit/model",
     "tests/unit/inference/test_posterior_density.py",
+    "tests/unit/inference/test_reduction.py",
     "tests/unit/inference/test_starting_point.py",
+    "tests/unit/inference/test_floor.py",
     "tests/contract/test_registered_models.py",
 )
 READER_TESTS = ("tests/unit/recording",)
@@ -56,16 +58,59 @@ BREAKAGES = (
         "_span(out[j, a:b], x[a:b], direction[k] * speed[a:b], part,",
     ),
     Breakage(
-        "likelihood: log sqrt(1 - phi^2) left out",
-        "model/noise.py",
-        "+ 0.5 * stretches.n_follow * np.log1p(-(phi**2)))",
-        "+ 0.0 * stretches.n_follow * np.log1p(-(phi**2)))",
+        "noise: normalising constant left out",
+        "model/noise/filter.py",
+        "value = work[TOTAL + lane] - 0.5 * math.log(work[PRODUCT + lane])",
+        "value = work[TOTAL + lane]",
     ),
     Breakage(
-        "likelihood: AR(1) treated as white",
-        "model/noise.py",
-        "        d = r[i] - phi * before[i]",
-        "        d = r[i] - 0.0 * before[i]",
+        "noise: nothing is remembered",
+        "model/noise/filter.py",
+        "work[STATE + lane] = f * work[STATE + lane] + gain * new",
+        "work[STATE + lane] = 0.0",
+    ),
+    Breakage(
+        "noise: an average remembered as if it were one sample",
+        "model/noise/filter.py",
+        "h, f = before[c, j] * average, before[c, j] * last",
+        "h, f = before[c, j] * average, before[c, j]",
+    ),
+    Breakage(
+        "noise: averages as noisy as single samples",
+        "model/noise/filter.py",
+        "(work[WHITE + lane] + noise_x * square) * share",
+        "(work[WHITE + lane] + noise_x * square)",
+    ),
+    Breakage(
+        "noise: error of the turning points left out",
+        "model/noise/filter.py",
+        "left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] * work[ALONG + lane] / spread",
+        "left = work[ACROSS + lane]",
+    ),
+    Breakage(
+        "reduction: unused samples averaged too",
+        "inference/reduction.py",
+        "            if not used[i]:\n",
+        "            if not used[i] and i < 0:\n",
+    ),
+    Breakage(
+        "reduction: one point in the middle of each block",
+        "inference/reduction.py",
+        "    double = (count > 1) & (spread > 1e-9 * stroke)\n",
+        "    double = (count > 1) & (spread > 1e9 * stroke)\n",
+    ),
+    Breakage(
+        "floor: the posterior is always believed",
+        "inference/floor.py",
+        "np.where(told & (ratio > limit), ratio, 1.0)",
+        "np.where(told & (ratio > 1e9), ratio, 1.0)",
+    ),
+    Breakage(
+        "runs: ratio of the third run against the second",
+        "model/device.py",
+        '            capacity = capacity * theta[:, self.index(run_name("ratio", run))]\n',
+        "            for i in range(2, run + 1):\n"
+        '                capacity = capacity * theta[:, self.index(run_name("ratio", i))]\n',
     ),
     Breakage(
         "prior: Jacobian of the free space left out",

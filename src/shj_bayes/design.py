@@ -203,7 +203,7 @@ def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[t
         (str(entry["folder"]), str(entry["name"]), str(group["name"]))
         for group in (campaign["sets"] if campaign else ())
         for entry in group["devices"]
-        if str(entry["name"]) in members.get(str(group["name"]), ()) and safe_folder(str(entry["folder"]))
+        if str(entry["name"]) in members.get(str(group["name"]), ())
     ]
 
 

@@ -5,18 +5,30 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from shj_bayes.inference.problem import Problem
 
-from shj_bayes.inference.predictive import add_noise, log_likelihood_of_half_cycles
+from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.start import find_start
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
-from shj_bayes.model.noise import Stretches, log_density, log_density_terms, simulate_noise
-from shj_bayes.model.parameters import BASE, NOISE_PARAMETERS, SHAREABLE, Layout
+from shj_bayes.model.noise.catalogue import noise_model, noise_models
+from shj_bayes.model.noise.filter import Timing, log_density, simulate
+from shj_bayes.model.parameters import BASE, LAW_PARAMETERS, NOISE_PARAMETERS, SHAREABLE
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.protocol import exact_motion, table_1
 
 UNITS = {"kN/mm", "kN", "1", "s/mm", "mm", "mm/s", "s"}
 N = 60
+STEP = 0.05
+VALUES = {"sigma": 1.2, "phi": 0.7, "sigma_white": 1.2, "sigma_slow": 0.9, "tau_slow": 0.3, "nu": 4.0}
+
+
+def singles(n: int, breaks: tuple[int, ...], unused: tuple[int, ...] = ()) -> Timing:
+    """Samples on their own in two half-cycles; at breaks the noise begins anew, unused ones are no evidence."""
+    kinds = np.array([[1, STEP, np.inf], [1, STEP, STEP]])
+    kind = np.where(np.isin(np.arange(n), breaks), 0, 1)
+    kind[list(unused)] = -1
+    return Timing(kind, kinds, np.array([0, n // 2, n]), STEP, 0.0, np.zeros(2))
 
 
 def laws() -> np.ndarray:
@@ -67,112 +79,107 @@ class TestLaw:
         for row in force_of_laws(motion, laws() * np.array([1.0, 1.0, 1.0, 0.0]), variant=variant):
             assert np.sum(0.5 * (row[1:] + row[:-1]) * np.diff(motion.displacement_mm)) > 0
 
-    def test_fits_its_own_recording(self, variant: str, make_small: Callable[..., Problem]) -> None:
-        problem = make_small(variant=variant)
-        theta = problem.natural(find_start(problem).free[None])[0]
-        values = dict(zip(problem.layout.names, theta, strict=True))
+    def test_fits_its_own_recording(self, variant: str, make_small: Callable[..., Posterior]) -> None:
+        posterior, start = find_start(make_small(variant=variant))
+        values = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
         assert values["Fy"] == pytest.approx(80.0, rel=0.05)
         assert values["ratio"] == pytest.approx(0.8, rel=0.05)
 
 
-@pytest.mark.parametrize("model", NOISE_PARAMETERS)
+@pytest.mark.parametrize("model", noise_models())
 class TestNoise:
     """One noise model."""
 
-    stretches = Stretches(np.arange(N) % 17 != 3, np.array([0, 25]))
+    timing = singles(N, (0, 25), tuple(range(3, N, 17)))
+    flat = np.zeros((5, N))
 
     def parameters(self, model: str, m: int) -> dict[str, np.ndarray]:
         """Every parameter of a model, m times."""
-        values = {"sigma": 1.2, "phi": 0.7, "nu": 4.0}
-        return {name: np.full(m, values[name]) for name in NOISE_PARAMETERS[model]}
+        return {name: np.full(m, VALUES[name]) for name in noise_model(model).parameters}
 
     def test_shape_type_and_finite(self, model: str) -> None:
         residual = np.random.default_rng(1).normal(0, 50, (5, N))
-        value = log_density(model, residual, self.stretches, **self.parameters(model, 5))
-        assert value.shape == (5,)
+        value = log_density(noise_model(model), self.parameters(model, 5), residual, self.flat, self.timing)
+        assert value.shape == (5, 2)
         assert value.dtype == np.float64
         assert np.all(np.isfinite(value))
         one = {k: float(v[0]) for k, v in self.parameters(model, 1).items()}
-        terms = log_density_terms(model, residual[0], self.stretches, **one)
-        assert terms.shape == (N,)
-        assert terms.sum() == pytest.approx(value[0], rel=1e-12)
-        series = simulate_noise(model, self.stretches, np.random.default_rng(1), **one)
+        time, restarts = STEP * np.arange(N), np.isin(np.arange(N), (0, 25))
+        series = simulate(noise_model(model), one, time, restarts, np.random.default_rng(1))
         assert series.shape == (N,)
         assert np.all(np.isfinite(series))
 
     def test_inputs_are_left_alone_and_may_be_read_only(self, model: str) -> None:
         residual = np.random.default_rng(1).normal(0, 1, (3, N))
-        copy = residual.copy()
+        slope = np.ones((3, N))
+        copies = residual.copy(), slope.copy()
         parameters = self.parameters(model, 3)
-        for array in (residual, *parameters.values()):
+        for array in (residual, slope, *parameters.values()):
             array.setflags(write=False)
-        log_density(model, residual, self.stretches, **parameters)
-        assert np.array_equal(residual, copy)
+        log_density(noise_model(model), parameters, residual, slope, self.timing)
+        assert np.array_equal(residual, copies[0])
+        assert np.array_equal(slope, copies[1])
 
     def test_scale_is_a_scale(self, model: str) -> None:
-        """Residuals and sigma in other units: the density changes by the factor of the unit and by nothing else."""
+        """Residuals and scales in other units: the density changes by the factor of the unit and by nothing else."""
         residual = np.random.default_rng(2).normal(0, 1, (1, N))
-        kN, N_ = self.parameters(model, 1), self.parameters(model, 1)
-        N_["sigma"] = 1000 * N_["sigma"]
-        difference = log_density(model, residual, self.stretches, **kN) - log_density(
-            model, 1000 * residual, self.stretches, **N_
+        kN = self.parameters(model, 1)
+        N_ = {name: (1000 if name.startswith("sigma") else 1) * value for name, value in kN.items()}
+        noise, flat = noise_model(model), self.flat[:1]
+        difference = log_density(noise, kN, residual, flat, self.timing) - log_density(
+            noise, N_, 1000 * residual, flat, self.timing
         )
-        assert difference[0] == pytest.approx(self.stretches.n_used * np.log(1000), rel=1e-12)
+        assert difference.sum() == pytest.approx(np.sum(self.timing.kind >= 0) * np.log(1000), rel=1e-12)
 
     def test_mirror_image_is_as_likely(self, model: str) -> None:
         residual = np.random.default_rng(3).normal(0, 1, (4, N))
-        parameters = self.parameters(model, 4)
-        forward = log_density(model, residual, self.stretches, **parameters)
-        assert np.array_equal(log_density(model, -residual, self.stretches, **parameters), forward)
+        parameters, slope = self.parameters(model, 4), np.ones((4, N))
+        forward = log_density(noise_model(model), parameters, residual, slope, self.timing)
+        assert np.array_equal(log_density(noise_model(model), parameters, -residual, -slope, self.timing), forward)
 
     def test_simulated_noise_prefers_its_own_parameters(self, model: str) -> None:
-        """The mean log density of simulated series is largest at the parameters they were simulated with."""
-        stretches = Stretches(np.ones(400, dtype=bool), np.array([0, 150]))
-        rng = np.random.default_rng(4)
+        """The mean log density of series that are drawn is largest at the parameters they were drawn with."""
+        n = 400
+        timing, rng = singles(n, (0, 150)), np.random.default_rng(4)
         truth = {k: float(v[0]) for k, v in self.parameters(model, 1).items()}
-        series = np.stack([simulate_noise(model, stretches, rng, **truth) for _ in range(60)])
+        flat = np.zeros((60, n))
+        series = draw_noise(noise_model(model), self.parameters(model, 60), flat, timing, rng)
 
         def mean(**change: float) -> float:
             values = {k: np.full(60, v) for k, v in (truth | change).items()}
-            return float(log_density(model, series, stretches, **values).mean())
+            return float(log_density(noise_model(model), values, series, flat, timing).sum(axis=1).mean())
 
         for name, value in truth.items():
             assert mean() > max(mean(**{name: 0.8 * value}), mean(**{name: 1.25 * value})), name
 
-    def test_whole_problem(
-        self, model: str, make_small: Callable[..., Problem], as_vector: Callable[..., np.ndarray]
+    def test_whole_posterior(
+        self, model: str, make_small: Callable[..., Posterior], as_vector: Callable[..., np.ndarray]
     ) -> None:
-        problem = make_small(noise=model, free=SHAREABLE)
-        theta = np.repeat(as_vector(problem), 3, axis=0)
-        assert np.all(np.isfinite(problem.log_likelihood(theta)))
-        np.testing.assert_allclose(
-            log_likelihood_of_half_cycles(problem, theta).sum(axis=1), problem.log_likelihood(theta), rtol=1e-11
-        )
-        clean = np.zeros((3, sum(run.recording.n_samples for run in problem.runs)))
-        assert np.all(np.isfinite(add_noise(problem, theta, clean, np.random.default_rng(1))))
-        assert not clean.any()
+        posterior = make_small(noise=model, free=SHAREABLE)
+        theta = np.repeat(as_vector(posterior), 3, axis=0)
+        assert np.all(np.isfinite(posterior.log_likelihood(theta)))
+        points = tuple(points_of(run, 200) for run in posterior.runs)
+        clean, noisy = force_at_points(posterior, theta, points, np.random.default_rng(1))
+        assert clean.shape == noisy.shape == (3, sum(own.size for own in points))
+        assert np.all(np.isfinite(noisy))
+        assert 0.3 < (noisy - clean).std() < 3.0
 
     def test_parameters_are_described_and_have_priors(self, model: str) -> None:
-        layout = Layout(3, model, SHAREABLE)
-        for parameter in layout.parameters:
-            assert parameter.unit in UNITS, parameter
-            assert parameter.meaning
-            for family in ("afc", "general"):
-                assert read_priors(family).of(parameter.name).unit == parameter.unit
+        for family in ("afc", "general"):
+            device = DeviceModel(3, read_priors(family), noise=noise_model(model), free=SHAREABLE)
+            for parameter, prior in zip(device.parameters, device.laws_of_parameters, strict=True):
+                assert parameter.unit in UNITS, parameter
+                assert parameter.meaning
+                assert prior.unit == parameter.unit
 
 
 def test_registries_and_descriptions_agree() -> None:
-    assert {name for names in NOISE_PARAMETERS.values() for name in names} | {
-        "K",
-        "Fy",
-        "beta",
-        "gamma",
-        "ratio",
-    } == set(BASE)
+    assert {name for noise in noise_models().values() for name in noise.parameters} == set(NOISE_PARAMETERS)
+    assert set(NOISE_PARAMETERS) | set(LAW_PARAMETERS) == set(BASE)
 
 
-def test_values_survive_pickling(small_device: Problem, as_vector: Callable[..., np.ndarray]) -> None:
-    """Campaigns send problems to other processes."""
+def test_values_survive_pickling(small_device: Posterior, as_vector: Callable[..., np.ndarray]) -> None:
+    """Campaigns send posteriors to other processes."""
     copy = pickle.loads(pickle.dumps(small_device))
     theta = as_vector(small_device)
     assert np.array_equal(copy.log_likelihood(theta), small_device.log_likelihood(theta))

@@ -11,7 +11,7 @@ from shj_bayes.recording.protocol import Block, exact_motion
 RIGID = 1e6  # kN/mm: the knee is a ten-thousandth of a millimetre wide
 # dep in mm/s and the factor on the energy at a peak speed of 10 mm/s
 FACTORS = {30: 1.2618, 60: 1.1309, -30: 0.7382, -60: 0.8691, -90: 0.9127, -120: 0.9346, -150: 0.9476}
-VARIANTS = ("seed", "continuous")
+VARIANTS = ("published", "continuous")
 
 
 def steady_energy(*, amplitude: float, speed: float = 10.0, n: int = 40_000, **law: float | str) -> float:

@@ -96,7 +96,9 @@ def test_the_other_parts_draw_the_same_again(calibrate, tmp_path, monkeypatch):
 def test_the_law_with_effects_is_sampled(calibrate, tmp_path):
     row = calibrate.run(1, 1, tmp_path / "effects.jsonl", part="effects", workers=1, progress=False)[0]
     assert row["verdict"] == "reliable"
-    assert {"K", "slack.size", "slack.softness", "asymmetry.size", "wear.size", "sigma", "phi"} <= set(row["ranks"])
+    assert {"K", "slack.size", "slack.softness", "asymmetry.size", "wear.size", "sigma_white", "tau_slow"} <= set(
+        row["ranks"]
+    )
 
 
 def test_the_command_line_answers(monkeypatch):

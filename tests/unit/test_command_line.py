@@ -167,6 +167,8 @@ def test_wrong_usage_is_status_2():
         (("--phi", "1.5"), "phi = 1.5"),
         (("--rate", "1"), "rate 1"),
         (("--last-cycles", "7"), "5 or 6"),
+        (("--sigma-slow", "-1"), "sigma_slow = -1 kN"),
+        (("--tau-slow", "0"), "tau_slow = 0"),
     ],
 )
 def test_simulate_refuses_in_words(tmp_path, options, words):
@@ -247,6 +249,20 @@ def test_slips_of_one_fit_are_said(recordings, tmp_path):
     assert "K, beta cannot differ between runs where there is one run" in idle.output
     record = json.loads((tmp_path / "idle" / "fit.json").read_text(encoding="utf-8"))
     assert "free-without-effect" in {f["code"] for f in record["inputs"][0]["findings"]}
+
+
+def test_simulated_slow_noise_is_on_top_of_the_rest(tmp_path):
+    series = {}
+    for name, options in (("plain", ()), ("slow", ("--sigma-slow", 1.5, "--tau-slow", 4))):
+        assert run("simulate", "-o", tmp_path / name, "--rate", 4, "--seed", 3, *options).exit_code == 0
+        series[name] = np.loadtxt(tmp_path / f"{name}-run1.csv", delimiter=",", skiprows=2)
+    assert np.array_equal(series["plain"][:, :2], series["slow"][:, :2])
+    added = series["slow"][:, 2] - series["plain"][:, 2]
+    assert 0.9 < added.std() < 2.1
+    assert np.corrcoef(added[:-4], added[4:])[0, 1] > 0.6  # one second later
+    truth = json.loads((tmp_path / "slow.json").read_text(encoding="utf-8"))
+    assert (truth["truth"]["sigma_slow"], truth["truth"]["tau_slow"]) == (1.5, 4)
+    assert (truth["units"]["sigma_slow"], truth["units"]["tau_slow"]) == ("kN", "s")
 
 
 def test_unwritable_folder_is_one_line(recordings, tmp_path):

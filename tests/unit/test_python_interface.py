@@ -13,7 +13,7 @@ from shj_bayes.simulated import write_simulated
 
 SIMULATED = {
     "K": 18.0, "Fy": 80.0, "beta": 10.0, "dep_mm_s": 60.0, "ratio": 0.875, "sigma": 1.0, "phi": 0.8,
-    "displacement_noise": 0.02, "rate_Hz": 3.0, "last_cycles": 5, "model": "seed", "seed": 3,
+    "displacement_noise": 0.02, "rate_Hz": 3.0, "last_cycles": 5, "model": "published", "seed": 3,
 }  # fmt: skip
 SHORT = {"max_steps": 200, "threads": 1}
 
@@ -84,8 +84,12 @@ def test_a_temporary_folder_goes_with_its_result(runs: list[Path]) -> None:
 
 
 def test_wrong_words_name_the_nearest_right_one(runs: list[Path]) -> None:
-    with pytest.raises(ModelError, match="did you mean 'seed'"):
-        shj_bayes.fit(runs, model="sead")
+    with pytest.raises(ModelError, match="did you mean 'published'"):
+        shj_bayes.fit(runs, model="publishd")
+    with pytest.raises(ModelError, match="did you mean 'slow'"):
+        shj_bayes.fit(runs, noise="slo")
+    with pytest.raises(ModelError, match="did you mean 'slack'"):
+        shj_bayes.fit(runs, effects=("slak",))
     with pytest.raises(ModelError, match="did you mean 'gamma'"):
         shj_bayes.fit(runs, free=("gama",))
     with pytest.raises(ModelError, match="did you mean 'prying'"):

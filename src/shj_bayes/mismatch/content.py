@@ -136,7 +136,8 @@ def heldout(evidence: Evidence, result: Search, shown: Refit) -> dict[str, Any]:
 
 def shift(before: Mapping[str, FloatArray], after: Mapping[str, FloatArray]) -> dict[str, dict[str, dict[str, float]]]:
     """Say what the omission did to the parameters of the base law, from draws without and with the effects found."""
-    shared = [name for name in before if name in after and base_and_run(name)[0] in LAW_PARAMETERS]
+    base = [name for name in before if "." not in name]  # not of effects that were given
+    shared = [name for name in base if name in after and base_and_run(name)[0] in LAW_PARAMETERS]
     return {name: {"before": _spread(before[name]), "after": _spread(after[name])} for name in shared}
 
 

@@ -15,6 +15,7 @@ from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.noise.catalogue import noise_models
+from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.priors import MAX_SPREAD, Prior, read_priors
 from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.protocol import Block, exact_motion
@@ -37,6 +38,11 @@ def corners(posterior: Posterior) -> np.ndarray:
 def with_model(posterior: Posterior, **changes: object) -> Posterior:
     """The same runs under another model."""
     return make_posterior(posterior.runs, dataclasses.replace(posterior.model, **changes))
+
+
+def no_number(_noise: object, _values: object, residual: np.ndarray, _slope: object, timing: Timing) -> np.ndarray:
+    """Density of a noise model that is broken."""
+    return np.full((residual.shape[0], timing.half.size - 1), np.nan)
 
 
 def test_likelihood_is_law_plus_noise(make_small: Make, truth: Truth, as_vector: Callable[..., np.ndarray]) -> None:
@@ -144,7 +150,7 @@ def test_threads_do_not_share_memory(make_small: Make) -> None:
 
 def test_nan_is_reported_with_the_parameters(make_small: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     small = make_small()
-    monkeypatch.setattr(posterior_module, "log_density", lambda _noise, _values, rows, *_: np.full_like(rows, np.nan))
+    monkeypatch.setattr(posterior_module, "log_density", no_number)
     with pytest.raises(
         InferenceError, match=r"not a number at K = .*, Fy = .*, beta = .*, tau_slow = .*; this is a bug"
     ):
@@ -219,7 +225,7 @@ def test_fingerprint_sees_how_well_the_displacement_is_known(make_small: Make) -
 
 def test_an_effect_that_leaves_no_force_has_no_density(make_small: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     small = make_small(effects=("slack",))
-    monkeypatch.setattr(posterior_module, "log_density", lambda _noise, _values, rows, *_: np.full_like(rows, np.nan))
+    monkeypatch.setattr(posterior_module, "log_density", no_number)
     assert np.all(small.log_posterior_free(points(small, 2)) == -np.inf)
 
 

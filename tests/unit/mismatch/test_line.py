@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.mismatch.calibrate import strongest_line
-from shj_bayes.model.noise import Stretches, simulate_noise
+from shj_bayes.model.noise.catalogue import noise_model
+from shj_bayes.model.noise.filter import simulate
 
 N, RATE_HZ = 3000, 5.0
 
@@ -18,8 +19,8 @@ def look(residual):
 
 
 def noise(phi, seed):
-    stretches = Stretches(np.ones(N, dtype=np.bool_), np.zeros(1, dtype=np.int64))
-    return simulate_noise("ar1", stretches, np.random.default_rng(seed), sigma=1.0, phi=phi)
+    rng, values = np.random.default_rng(seed), {"sigma": 1.0, "phi": phi}
+    return simulate(noise_model("ar1"), values, np.arange(N) / RATE_HZ, np.arange(N) == 0, rng)
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.8, 0.95, 0.99])

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from shj_bayes.inference.problem import Run
 
+from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.repeats import repeating_share, repeats
-from shj_bayes.model.noise import Stretches, simulate_noise
+from shj_bayes.model.noise.catalogue import noise_model
+from shj_bayes.model.noise.filter import simulate
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion
 
@@ -21,8 +22,8 @@ X, SENSE = EVIDENCE.stack("position_mm"), EVIDENCE.stack("direction")
 
 
 def noise(phi, seed):
-    stretches = Stretches(np.ones(N, dtype=np.bool_), np.zeros(1, dtype=np.int64))
-    return simulate_noise("ar1", stretches, np.random.default_rng(seed), sigma=1.0, phi=phi)
+    rng, values = np.random.default_rng(seed), {"sigma": 1.0, "phi": phi}
+    return simulate(noise_model("ar1"), values, np.arange(N) / RATE_HZ, np.arange(N) == 0, rng)
 
 
 def look(residual, seed=0):

@@ -5,14 +5,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from shj_bayes.inference.problem import Run
 
+from shj_bayes.inference.run import Run
 from shj_bayes.mismatch import search, unknown
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.name import Candidate, _simplest, compare
-from shj_bayes.mismatch.refit import extend_starts, make_model, refit
+from shj_bayes.mismatch.refit import View, extend_starts, refit
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.verdict import judge
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -21,6 +22,13 @@ from shj_bayes.recording.protocol import Block
 
 EFFECTS, PRIORS = catalogue(), read_priors("afc")
 BLOCKS = (Block(24.0, 0.067, 3), Block(48.0, 0.033, 3))
+
+
+def free_law(model: DeviceModel, more: dict[str, float] | None = None) -> np.ndarray:
+    """Law parameters of an ordinary device in the unbounded space."""
+    law = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0} | (more or {})
+    pairs = zip(model.law_names, model.laws_of_parameters, strict=False)
+    return np.array([float(prior.to_free(np.asarray(law[name]))) for name, prior in pairs])
 
 
 def candidate(name: str, gain: np.ndarray) -> Candidate:
@@ -44,17 +52,13 @@ def fitted() -> tuple[search.Setting, search.Refit]:
     even = simulate_device(Truth(gamma=0.0), seed=3, rate_Hz=5.0, n_runs=1, blocks=BLOCKS)[0]
     uneven = replace(even, force_kN=even.force_kN + 4.0)
     evidence = evidence_of([Run(uneven, motion_of(uneven))], 1000)
-    model = make_model(PRIORS, 1, ())
-    law = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0}
-    start = [float(p.to_free(np.asarray(law[n]))) for n, p in zip(model.names, model.priors, strict=True)]
-    fit = refit(evidence, model, [np.array(start)])
+    model = DeviceModel(1, PRIORS)
+    fit = refit(evidence, model, [free_law(model)])
     for k, name in enumerate(("wear", "asymmetry"), start=1):
-        model = make_model(PRIORS, 1, tuple(EFFECTS[e] for e in ("wear", "asymmetry")[:k]))
+        model = DeviceModel(1, PRIORS, tuple(EFFECTS[e] for e in ("wear", "asymmetry")[:k]))
         fit = refit(evidence, model, extend_starts(fit, model, EFFECTS[name]))
     tried = tuple(EFFECTS[e] for e in ("wear", "asymmetry", "load_offset"))
-    setting = search.Setting(
-        evidence, evidence, evidence, regions_of(evidence), PRIORS, tried, "seed", 1, lambda _: None
-    )
+    setting = search.Setting(evidence, evidence, evidence, regions_of(evidence), tried, 1, lambda _: None)
     return setting, fit
 
 
@@ -85,12 +89,10 @@ def test_the_state_in_which_a_test_began_is_not_predicted_for_its_first_cycle() 
     """A clearance of 3 mm, 2.7 of it ahead at first: the other cycles say nothing of that, the prior says 1.5 mm."""
     plain = simulate_device(Truth(gamma=0.0), seed=5, rate_Hz=5.0, n_runs=1, blocks=BLOCKS)[0]
     evidence = evidence_of([Run(plain, motion_of(plain))], 1000)
-    law = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0}
-    law |= {"slack.size": 3.0, "slack.softness": 0.3, "slack.start": 0.9}
-    model = make_model(PRIORS, 1, (EFFECTS["slack"],))
-    z = np.array([float(p.to_free(np.asarray(law[n]))) for n, p in zip(model.names, model.priors, strict=True)])
+    model = DeviceModel(1, PRIORS, (EFFECTS["slack"],))
+    z = free_law(model, {"slack.size": 3.0, "slack.softness": 0.3, "slack.start": 0.9})
     noise = np.random.default_rng(1).standard_normal(evidence.force_kN.size)
-    loose = replace(evidence, force_kN=model.force(evidence, z) + noise)
+    loose = replace(evidence, force_kN=View(evidence, model).force(z) + noise)
     fit = refit(loose, model, [z])
     assert [name for name, known in zip(model.names, model.predicted, strict=True) if not known] == ["slack.start"]
     first = slice(*loose.block_edges[:2])
@@ -103,12 +105,11 @@ def test_a_step_of_leaving_out_that_leads_nowhere_is_halved() -> None:
     """A change of clamping in one and a half half-cycles: without either, the other says little of when it began."""
     plain = simulate_device(Truth(gamma=0.0), seed=5, rate_Hz=5.0, n_runs=1, blocks=BLOCKS)[0]
     evidence = evidence_of([Run(plain, motion_of(plain))], 1000)
-    law = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0}
-    law |= {"tension_step.size": -0.2, "tension_step.begin": 0.5, "tension_step.length": 0.1, "tension_step.side": 0.0}
-    model = make_model(PRIORS, 1, (EFFECTS["tension_step"],))
-    z = np.array([float(p.to_free(np.asarray(law[n]))) for n, p in zip(model.names, model.priors, strict=True)])
+    model = DeviceModel(1, PRIORS, (EFFECTS["tension_step"],))
+    law = {"tension_step.size": -0.2, "tension_step.begin": 0.5, "tension_step.length": 0.1, "tension_step.side": 0.0}
+    z = free_law(model, law)
     noise = np.random.default_rng(1).standard_normal(evidence.force_kN.size)
-    fit = refit(replace(evidence, force_kN=model.force(evidence, z) + noise), model, [z])
+    fit = refit(replace(evidence, force_kN=View(evidence, model).force(z) + noise), model, [z])
     stepped = replace(evidence, force_kN=fit.force_kN + fit.residual_kN)
     far, near = (fit.held_out_squares(stepped, check=check) for check in (False, True))
     own = stepped.block_sums(fit.residual_kN**2)

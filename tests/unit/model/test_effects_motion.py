@@ -38,7 +38,7 @@ def run(history: History, variant: str = "continuous", base: Base = BASE, **valu
     return force_with_effects(history, base, effects, values, variant=variant)
 
 
-@pytest.mark.parametrize("variant", ["seed", "continuous"])
+@pytest.mark.parametrize("variant", ["published", "continuous"])
 def test_the_loop_is_as_wide_at_zero_force_as_the_slack(variant: str):
     h = ramps([0.0, 30.0, -30.0, 30.0])
     f = run(h, variant, slack={"size": 3.0, "softness": 0.02, "start": 0.5})

@@ -26,7 +26,7 @@ GOOD = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.01}
         ({"beta": 0.99}, "beta = 0.99: allowed is 1 to 500"),
         ({"beta": 501.0}, "beta = 501: allowed is 1 to 500"),
         ({"gamma": math.nan}, "gamma = nan s/mm"),
-        ({"variant": "smooth"}, "model 'smooth' is not known; choose one of seed, continuous"),
+        ({"variant": "smooth"}, "model 'smooth' is not known; choose one of published, continuous"),
         ({"start_force_kN": math.nan}, "start force = nan kN: it must be a finite number"),
     ],
 )
@@ -44,7 +44,7 @@ def test_shapes_are_checked() -> None:
             force_of_laws(MOTION, np.tile(list(GOOD.values()), (2, 1)), out=out)
 
 
-@pytest.mark.parametrize("variant", ["seed", "continuous"])
+@pytest.mark.parametrize("variant", ["published", "continuous"])
 def test_batch_is_one_by_one_to_the_bit(variant: str) -> None:
     rng = np.random.default_rng(1)
     m = 9

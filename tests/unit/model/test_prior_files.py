@@ -132,6 +132,32 @@ def test_good_file(tmp_path: Path) -> None:
         priors.of("ratio_3")
 
 
+OLD_NOISE = """[sigma]
+unit = "kN"
+law = "lognormal"
+median = 1.2
+spread = 0.9
+source = "test"
+"""
+
+
+def test_a_file_with_one_noise_scale_serves_for_both_parts(tmp_path: Path) -> None:
+    """Files written before the noise had two parts; what one says itself goes before that."""
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + OLD_NOISE)
+    priors = read_priors(path)
+    for name in ("sigma_white", "sigma_slow"):
+        law = priors.of(name)
+        assert (law.name, law.unit, law.law, law.a, law.b) == (name, "kN", "lognormal", 1.2, 0.9)
+    assert priors.of("tau_slow").unit == "s"
+    assert read_priors("afc").of("tau_slow").a == priors.of("tau_slow").a
+    path.write_text(GOOD + OLD_NOISE + OLD_NOISE.replace("sigma", "sigma_slow").replace("1.2", "0.3"))
+    assert [read_priors(path).of(name).a for name in ("sigma_white", "sigma_slow")] == [1.2, 0.3]
+    path.write_text(GOOD)
+    with pytest.raises(PriorError, match=r"hold no law for sigma_white; add a table \[sigma_white\]"):
+        read_priors(path).of("sigma_white")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -186,6 +212,7 @@ def test_gamma_must_be_symmetric_about_no_dependence(tmp_path: Path, low: float,
         ('[beta]\nunit = "1"\nlaw = "uniform"\nlow = 0.5\nhigh = 10.0\nsource = "test"', "[beta]"),
         ('[phi]\nunit = "1"\nlaw = "normal"\nmean = 0.5\nsd = 0.2\nsource = "test"', "[phi]"),
         ('[sigma]\nunit = "kN"\nlaw = "normal"\nmean = 1.0\nsd = 0.5\nsource = "test"', "[sigma]"),
+        ('[tau_slow]\nunit = "s"\nlaw = "normal"\nmean = 2.0\nsd = 1.0\nsource = "test"', "[tau_slow]"),
         ('[Fy]\nunit = "kN"\nlaw = "uniform"\nlow = -5.0\nhigh = 90.0\nsource = "test"', "[Fy]"),
     ],
 )

@@ -30,7 +30,7 @@ def test_first_run_does_not_depend_on_the_number_of_runs() -> None:
     assert np.array_equal(one[0].force_kN, two[0].force_kN)
 
 
-@pytest.mark.parametrize("variant", ["seed", "continuous"])
+@pytest.mark.parametrize("variant", ["published", "continuous"])
 def test_without_noise_it_is_the_law(variant: str) -> None:
     truth = Truth(K=10.0, Fy=60.0, beta=30.0, gamma=-0.02, ratio=0.5, sigma=0.0, displacement_noise_mm=0.0)
     runs = simulate_device(truth, seed=1, blocks=BLOCKS, variant=variant)
@@ -58,6 +58,30 @@ def test_noise_is_as_stated() -> None:
     assert abs(np.corrcoef(wobble, noise)[0, 1]) < 4 / math.sqrt(n / 4)
 
 
+def test_slow_noise_is_as_stated_and_adds_to_the_rest() -> None:
+    """Exactly the recording without it, and a series whose memory is in seconds at any rate."""
+    for rate in (5.0, 50.0):
+        plain, slow = (
+            simulate_device(Truth(sigma_slow=size, tau_slow=2.0), seed=2, n_runs=1, rate_Hz=rate)[0]
+            for size in (0, 1.5)
+        )
+        assert np.array_equal(plain.displacement_mm, slow.displacement_mm)
+        series = slow.force_kN - plain.force_kN
+        steps = round(rate)  # in one second
+        n = slow.duration_s / 4.0  # about as many independent values: twice the memory for each
+        assert series.std() == pytest.approx(1.5, rel=4 / math.sqrt(2 * n))
+        assert np.corrcoef(series[:-steps], series[steps:])[0, 1] == pytest.approx(math.exp(-0.5), abs=4 / math.sqrt(n))
+
+
+def test_each_run_slides_at_the_ratio_of_the_one_before() -> None:
+    truth = Truth(ratio=0.8, sigma=0.0, displacement_noise_mm=0.0)
+    runs = simulate_device(truth, seed=1, n_runs=4, blocks=BLOCKS)
+    _, motion = exact_motion(BLOCKS, 20.0)
+    assert [run.source.name for run in runs] == [f"simulated-run{k}" for k in range(1, 5)]
+    for k, run in enumerate(runs):
+        assert np.array_equal(run.force_kN, force(motion, K=truth.K, Fy=80.0 * 0.8**k, beta=truth.beta, gamma=0.0))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -65,8 +89,10 @@ def test_noise_is_as_stated() -> None:
         ({"Fy": -1.0}, "Fy = -1: allowed is above 0"),
         ({"ratio": 0.0}, "ratio = 0: allowed is above 0"),
         ({"gamma": math.inf}, "gamma = inf: it must be a finite number"),
-        ({"sigma": -1.0}, "noise scales must be 0 or more; got -1 kN"),
-        ({"displacement_noise_mm": -0.1}, "-0.1 mm"),
+        ({"sigma": -1.0}, "sigma = -1 kN: a noise scale must be 0 or more"),
+        ({"sigma_slow": -0.5}, "sigma_slow = -0.5 kN: a noise scale must be 0 or more"),
+        ({"tau_slow": 0.0}, "tau_slow = 0: allowed is above 0"),
+        ({"displacement_noise_mm": -0.1}, "displacement_noise_mm = -0.1 mm: a noise scale must be 0 or more"),
         ({"phi": 1.0}, "phi = 1: allowed is above -1 and below 1"),
     ],
 )
@@ -78,8 +104,9 @@ def test_truths_that_cannot_be(change: dict[str, float], message: str) -> None:
 def test_what_simulate_refuses() -> None:
     with pytest.raises(ModelError, match=r"beta = 0\.5: allowed is 1 to 500"):
         simulate_device(Truth(beta=0.5), seed=1, blocks=BLOCKS)
-    with pytest.raises(ModelError, match="3 runs asked for; simulate makes 1 or 2"):
-        simulate_device(Truth(), seed=1, n_runs=3, blocks=BLOCKS)
+    for n_runs in (0, 10):
+        with pytest.raises(ModelError, match=f"{n_runs} runs asked for; simulate makes 1 to 9"):
+            simulate_device(Truth(), seed=1, n_runs=n_runs, blocks=BLOCKS)
     with pytest.raises(ModelError, match="seed = -1: allowed is 0 or more"):
         simulate_device(Truth(), seed=-1, blocks=BLOCKS)
     for rate in (1.0, 2e5, math.nan):

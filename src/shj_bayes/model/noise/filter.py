@@ -238,9 +238,11 @@ def _filter(out, residual, slope, kind, share, table, half, scales, noise_x, noi
                 value = work[TOTAL + lane] - 0.5 * math.log(work[PRODUCT + lane])
                 if not heavy:
                     spread = 1.0 + noise_turn[k] * work[OWN + lane]
-                    left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] ** 2 / spread
+                    # From the left: a product of 0 and the square, which may overflow, would be no number.
+                    left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] * work[ALONG + lane] / spread
                     value -= 0.5 * (count * _LOG_2PI + left + math.log(spread))
-                out[first + lane, k] = value
+                # Variances that vanish together: so little noise has no density, not an infinite one.
+                out[first + lane, k] = value if value < math.inf else -math.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

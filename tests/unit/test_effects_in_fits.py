@@ -1,0 +1,155 @@
+"""A device as it was found to be: `fit --effects` and `diagnose` fit the same model and write the same files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import shj_bayes
+from shj_bayes.cli import main
+from shj_bayes.errors import InferenceError, ModelError
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.history import histories
+from shj_bayes.model.noise.catalogue import noise_models
+from shj_bayes.model.priors import read_priors
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.pipeline import Options
+from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.writer import write_csv
+
+BLOCKS = (Block(12.0, 0.13, 4), Block(24.0, 0.067, 4), Block(48.0, 0.034, 4))
+RATE_HZ = 4.0
+LAW = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.005, "ratio": 0.8}
+SLACK = {"slack.size": 3.0, "slack.softness": 0.1, "slack.start": 0.5}
+# Not the defaults: every option of a fit is one of a diagnosis.
+CHOSEN = {"noise": "ar1", "free": ("K",), "max_steps": 250, "seed": 3, "threads": 1}
+NAMES = ["K", "Fy", "beta", "gamma", "ratio", "K_2", *SLACK, "sigma", "phi"]
+FILES = {"posterior.nc", "summary.csv", "summary.json", "fit.json", "report.html"}
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two runs of a device with a clearance of 3 mm."""
+    time, motion = exact_motion(BLOCKS, RATE_HZ)
+    device = DeviceModel(2, read_priors(), effects=effects_named(["slack"]))
+    theta = device.natural(np.zeros((1, len(device.names))))
+    for name, value in (LAW | SLACK).items():
+        theta[0, device.index(name)] = value
+    folder, rng = tmp_path_factory.mktemp("runs"), np.random.default_rng(1)
+    paths = []
+    for history in histories([time, time], [motion, motion]):
+        force = device.force(theta, history, 0.0)[0] + rng.normal(0, 0.5, time.size)
+        recording = Recording(time, motion.displacement_mm + rng.normal(0, 0.01, time.size), force)
+        paths.append(write_csv(folder / f"loose-run{history.run}.csv", recording, comment="SIMULATED"))
+    return paths
+
+
+@pytest.fixture(scope="module")
+def found(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> shj_bayes.Diagnosis:
+    return shj_bayes.diagnose(recordings, tmp_path_factory.mktemp("found"), **CHOSEN)
+
+
+@pytest.fixture(scope="module")
+def fitted(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> shj_bayes.FitResult:
+    return shj_bayes.fit(recordings, tmp_path_factory.mktemp("fitted"), effects=("slack",), **CHOSEN)
+
+
+def test_the_slack_is_named(found: shj_bayes.Diagnosis) -> None:
+    assert found.verdict in ("named", "family")
+    assert found.effects == ("slack",)
+
+
+def test_the_parameters_are_the_same(found: shj_bayes.Diagnosis, fitted: shj_bayes.FitResult) -> None:
+    assert list(fitted.summary.index) == NAMES
+    assert list(found.fit.summary.index) == NAMES
+    assert list(found.fit.draws.columns) == NAMES
+    assert list(found.fit.summary["unit"]) == list(fitted.summary["unit"])
+    assert found.fit.record["model"] == fitted.record["model"]
+    assert fitted.record["model"]["effects"] == ["slack"]
+
+
+def test_the_files_are_the_same(found: shj_bayes.Diagnosis, fitted: shj_bayes.FitResult) -> None:
+    beside, alone = ({path.name for path in result.folder.iterdir()} for result in (found, fitted))
+    assert alone >= FILES
+    assert beside >= FILES | {"diagnosis.json", "diagnosis.nc", "diagnosis.html"}
+    assert "loose-run1" in (found.folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_numbers_are_the_same_and_near_the_truth(found: shj_bayes.Diagnosis, fitted: shj_bayes.FitResult) -> None:
+    one, two = found.fit.summary, fitted.summary
+    assert np.all(np.abs(one["mean"] - two["mean"]) < 0.4 * two["sd"])  # two short runs of the sampler
+    assert two.loc["slack.size", "mean"] == pytest.approx(3.0, abs=0.1)
+    assert two.loc["Fy", "mean"] == pytest.approx(80.0, rel=0.01)
+
+
+def test_the_diagnosis_shows_the_numbers_of_its_fit(found: shj_bayes.Diagnosis) -> None:
+    shown = found.record["effects"][0]["parameters"]["size"]
+    row = found.fit.summary.loc["slack.size"]
+    assert shown["unit"] == row["unit"] == "mm"
+    for key in ("mean", "q05", "q95"):
+        assert shown[key] == pytest.approx(row[key], abs=0.1 * row["sd"])
+    assert found.record["sampling"]["verdict"] == found.fit.verdict
+    assert found.fit.record["sampling"]["n_steps_kept"] <= CHOSEN["max_steps"]
+
+
+def test_a_fit_beside_a_diagnosis_is_kept(recordings: list[Path], found: shj_bayes.Diagnosis) -> None:
+    """The same effects, recordings and options: it is the same fit."""
+    stamp = (found.folder / "posterior.nc").stat().st_mtime_ns
+    again = shj_bayes.fit(recordings, found.folder, effects=found.effects, **CHOSEN)
+    assert (found.folder / "posterior.nc").stat().st_mtime_ns == stamp
+    assert again.record == found.fit.record
+
+
+def test_a_first_look_writes_no_fit(recordings: list[Path], tmp_path: Path) -> None:
+    look = shj_bayes.diagnose(recordings, tmp_path, quick=True)
+    assert look.effects == ("slack",)
+    assert not FILES & {path.name for path in tmp_path.iterdir()}
+    with pytest.raises(InferenceError, match="holds no finished fit"):
+        _ = look.fit
+
+
+def test_what_is_known_is_not_looked_for(recordings: list[Path], tmp_path: Path) -> None:
+    look = shj_bayes.diagnose(recordings, tmp_path, quick=True, effects=("slack",))
+    assert look.verdict == "adequate"
+    assert look.effects == ()
+    assert look.record["model"]["given"] == ["slack"]
+    assert not {"slack", "velocity"} & set(look.candidates.index)
+
+
+def test_the_command_takes_the_effects_too(recordings: list[Path], tmp_path: Path) -> None:
+    words = ["-o", str(tmp_path), "--effects", "slack, wear", "--max-steps", "200", "--quiet"]
+    done = CliRunner().invoke(main, ["fit", str(recordings[0]), *words])
+    assert done.exit_code == 0, done.output
+    names = list(shj_bayes.load(tmp_path).summary.index)
+    assert names == ["K", "Fy", "beta", "gamma", *SLACK, "wear.size", "sigma_white", "sigma_slow", "tau_slow"]
+    done = CliRunner().invoke(main, ["fit", str(recordings[0]), "-o", str(tmp_path), "--effects", "slak"])
+    assert done.exit_code == 1
+    assert "'slak' is not an effect" in done.output
+    assert "did you mean 'slack'" in done.output
+
+
+def test_speed_is_in_the_law_already() -> None:
+    with pytest.raises(ModelError, match=r"the base law depends on speed already; take 'velocity' out"):
+        Options(effects=("velocity",))
+
+
+@pytest.mark.parametrize("command", ["fit", "diagnose"])
+def test_the_commands_offer_every_noise(command: str) -> None:
+    option = next(p for p in main.get_command(None, command).params if p.name == "noise")  # type: ignore[arg-type]
+    assert list(option.type.choices) == list(noise_models())
+    assert option.default == next(iter(noise_models()))
+
+
+def test_three_runs_have_two_ratios(tmp_path: Path) -> None:
+    """Each against the first run; in the table, the draws and the files."""
+    truth = Truth(ratio=0.8, sigma=0.3, phi=0.0, displacement_noise_mm=0.0)
+    runs = simulate_device(truth, seed=2, n_runs=3, rate_Hz=4.0, blocks=BLOCKS[:2])
+    result = shj_bayes.fit(list(runs), tmp_path, max_steps=200, threads=1)
+    table = result.summary
+    assert [name for name in table.index if name.startswith("ratio")] == ["ratio", "ratio_3"]
+    for name, value in (("ratio", 0.8), ("ratio_3", 0.64)):
+        assert table.loc[name, "mean"] == pytest.approx(value, abs=max(5 * table.loc[name, "sd"], 0.003))
+        assert result.draws[name].mean() == pytest.approx(table.loc[name, "mean"], abs=0.1 * table.loc[name, "sd"])
+    assert "ratio_3" in result.page.read_text(encoding="utf-8")
