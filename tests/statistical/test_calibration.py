@@ -96,7 +96,7 @@ def test_the_other_parts_draw_the_same_again(calibrate, tmp_path, monkeypatch):
 def test_fits_under_noise_are_counted(calibrate, tmp_path):
     rows = calibrate.run(3, 1, tmp_path / "noise.jsonl", part="noise", effects=True, workers=1, progress=False)
     assert [row["effect"] for row in rows] == ["slack", "wear", "asymmetry"]
-    assert {"K", "Fy", "beta", "gamma", "ratio", "slack.size", "slack.softness"} == set(rows[0]["z"])
+    assert {"K", "Fy", "beta", "gamma", "ratio", "slack.size", "slack.softness", "slack.start"} == set(rows[0]["z"])
     text = calibrate.noise_page(rows, "this")
     assert "3 devices" in text
     assert all(f"| {row['noise']} | 1 |" in text for row in rows)
