@@ -11,9 +11,13 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from shj_bayes.elsewhere import import_elsewhere
+
 if TYPE_CHECKING:
     from shj_bayes.api import Campaign, CampaignResult, Diagnosis, FitResult, diagnose, fit, load, tables
     from shj_bayes.recording.recording import Recording
+
+import_elsewhere()
 
 __version__ = "0.1.0"
 __all__ = [  # noqa: RUF022 - in the order of the pipeline

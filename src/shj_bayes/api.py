@@ -20,12 +20,14 @@ import pandas as pd
 
 from shj_bayes.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.errors import ReportError
-from shj_bayes.files import read_json
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.store import check_files, read_record
 from shj_bayes.pipeline import Options, diagnose_device, fit_device
+from shj_bayes.population.results import population_record
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
+from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.summary import compare_sets, summarise_campaign, summarise_tables
 
 
@@ -253,6 +255,7 @@ def fit(
     name: str | None = None,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
     **options: Any,
 ) -> FitResult:
     """Sample the posterior of one device.
@@ -269,8 +272,11 @@ def fit(
         Show a progress bar on standard error.
     threads : int
         Ensembles at the same time, 0 for one per processor.
+    force : bool
+        Replace the result of another device in `out`.
     **options
-        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps.
+        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps,
+        runs.
 
     Returns
     -------
@@ -283,7 +289,7 @@ def fit(
     """
     folder, held = _place(out)
     shared = Options(**options)
-    result = fit_device(_listed(recordings), folder, shared, name=name, progress=progress, threads=threads)
+    result = fit_device(_listed(recordings), folder, shared, name=name, progress=progress, threads=threads, force=force)
     return FitResult(folder, result.record, held)
 
 
@@ -296,13 +302,14 @@ def diagnose(
     quick: bool = False,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
     **options: Any,
 ) -> Diagnosis:
     """Find what the law leaves out of one device.
 
     Parameters
     ----------
-    recordings, out, name, progress, threads, **options
+    recordings, out, name, progress, threads, force, **options
         As for `fit`.
     without : sequence of str
         ``velocity`` runs the law without speed dependence; other ids are not tried.
@@ -321,7 +328,15 @@ def diagnose(
     folder, held = _place(out)
     shared = Options(**options)
     result = diagnose_device(
-        _listed(recordings), folder, shared, without=without, name=name, quick=quick, progress=progress, threads=threads
+        _listed(recordings),
+        folder,
+        shared,
+        without=without,
+        name=name,
+        quick=quick,
+        progress=progress,
+        threads=threads,
+        force=force,
     )
     return Diagnosis(folder, result.record, held)
 
@@ -353,15 +368,17 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
     Raises
     ------
     ReportError
-        If it holds no result.
+        If it holds no result, or one that is damaged.
     """
     place = Path(folder)
     if (place / "fit.json").is_file() and not (place / "diagnosis.json").is_file():
         return FitResult(place, read_record(place))
-    for name, kind in (("diagnosis", Diagnosis), ("campaign", CampaignResult), ("population", CampaignResult)):
-        if (place / f"{name}.json").is_file():
-            result: Diagnosis | CampaignResult = kind(place, read_json(place / f"{name}.json", ReportError))
-            return result
+    if (place / "diagnosis.json").is_file():
+        return Diagnosis(place, diagnosis_record(place))
+    if (place / "campaign.json").is_file():
+        return CampaignResult(place, read_campaign(place))
+    if (place / "population.json").is_file():
+        return CampaignResult(place, population_record(place))
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 

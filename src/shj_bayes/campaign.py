@@ -5,21 +5,25 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from functools import partial
-from multiprocessing import get_context
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from shj_bayes.alone import alone_in
 from shj_bayes.cluster import results_on
-from shj_bayes.errors import CampaignError, ShjError, plain_text
-from shj_bayes.files import folder_name, plain_name, read_toml, sealed, write_text
+from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
+from shj_bayes.files import folder_name, make_writable, plain_name, read_toml, sealed, toml_line, write_text
+from shj_bayes.mistaken import repeated
+from shj_bayes.model.priors import read_priors
 from shj_bayes.pipeline import DeviceResult, Options, fit_device
 from shj_bayes.population.device import NO_TAGS, Tags
+from shj_bayes.processes import Workers
+from shj_bayes.report.device import is_simulated
 from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/campaign/1"
@@ -35,6 +39,11 @@ OPTION_KINDS: dict[str, Any] = {
     "free": list,
     "seed": int,
     "max_steps": int,
+    "runs": int | str,
+}
+_KIND_WORDS: dict[Any, str] = {
+    **{str: "a text", list: "a list of texts", int: "a whole number"},
+    int | str: 'a number of runs, "split" or "one"',
 }
 TAG_KINDS: dict[str, tuple[Any, str]] = {
     "material": (str, "a text"),
@@ -94,16 +103,32 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one device: ``done``, ``kept`` (unchanged) or ``failed``, with the reason."""
+    """What became of one device.
+
+    Parameters
+    ----------
+    device : Device
+        The device.
+    status : {"done", "kept", "failed"}
+        Fitted, found unchanged, or not fitted.
+    reason, verdict : str
+        Why it failed, or what there is to say; verdict of the fit.
+    simulated : bool
+        A recording says that it is simulated.
+    inputs : tuple of (str, str)
+        Name and digest of each recording.
+    """
 
     device: Device
     status: str
     reason: str = ""
     verdict: str = ""
+    simulated: bool = False
+    inputs: tuple[tuple[str, str], ...] = ()
 
 
 def read_manifest(path: Path) -> Manifest:
-    """Read a campaign manifest.
+    """Read a campaign manifest, and check the whole of it before anything is fitted.
 
     Parameters
     ----------
@@ -118,12 +143,19 @@ def read_manifest(path: Path) -> Manifest:
     Raises
     ------
     CampaignError
-        With the table and the value at fault.
+        With the line, the table and the value at fault, and what is allowed.
     """
+    for cache in (_priors, _fit_for):
+        cache.cache_clear()  # the files may have changed since
     table, _ = read_toml(path, SCHEMA, 50_000_000, CampaignError)
-    _known(path, "the manifest", table, ("schema", "name", "simulated", "defaults", "set"))
-    defaults = _options(path, "[defaults]", Options(), table.get("defaults", {}))
-    devices = tuple(_devices(path, table, defaults))
+    top = _Place(path, "the manifest")
+    _known(top, table, ("schema", "name", "simulated", "defaults", "set"), "[defaults]")
+    name = _text(top, table, "name") if "name" in table else plain_name(path.stem)
+    simulated = table.get("simulated", False)
+    if not isinstance(simulated, bool):
+        raise top.error(f"has simulated = {shown(simulated)}; allowed are true and false", "simulated")
+    defaults = _options(top, Options(), table, "defaults")
+    devices = tuple(_devices(top, table, defaults))
     if not 1 <= len(devices) <= MAX_DEVICES:
         raise CampaignError(f"{path.name} names {len(devices)} devices; allowed are 1 to {MAX_DEVICES}")
     seen: set[str] = set()
@@ -131,9 +163,10 @@ def read_manifest(path: Path) -> Manifest:
         if device.folder in seen:
             raise CampaignError(f"{path.name}: device '{device.name}' stands twice in set '{device.set_name}'")
         seen.add(device.folder)
-    return Manifest(plain_name(str(table.get("name", path.stem))), devices, table.get("simulated") is True)
+    return Manifest(name, devices, simulated)
 
 
+@alone_in("folder")
 def run_campaign(
     manifest: Manifest, folder: Path, *, workers: int = 0, cluster: str = "", progress: bool = False
 ) -> list[Outcome]:
@@ -158,7 +191,7 @@ def run_campaign(
     list of Outcome
         One per device, in the manifest's order; also written to ``campaign.json``.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_writable(folder)
     outcomes: dict[str, Outcome] = {}
     bar = tqdm(total=len(manifest.devices), unit="device", desc="devices", disable=None if progress else True)
     if cluster:
@@ -179,7 +212,7 @@ def _fit_all(manifest: Manifest, folder: Path, workers: int) -> Iterator[Outcome
     waiting = list(manifest.devices)
     tries: dict[str, int] = {}
     while waiting:
-        pool = ProcessPoolExecutor(max_workers=min(workers, len(waiting)), mp_context=get_context("spawn"))
+        pool = Workers(min(workers, len(waiting)))
         try:
             broken = False
             running: dict[Future[Outcome], Device] = {}
@@ -241,7 +274,15 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
         return Outcome(device, "failed", "not enough memory; use fewer --workers, or export fewer samples")
     except Exception as error:  # one bad device must not stop a thousand good ones; the type says it is a bug
         return Outcome(device, "failed", plain_text(f"unexpected {type(error).__name__}: {error}"))
-    return Outcome(device, "done" if result.fresh else "kept", result.note, result.record["verdict"])
+    inputs = result.record["inputs"]
+    return Outcome(
+        device,
+        "done" if result.fresh else "kept",
+        result.note,
+        result.record["verdict"],
+        any(map(is_simulated, inputs)),
+        tuple((source["name"], source["sha256"]) for source in inputs),
+    )
 
 
 def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -255,40 +296,81 @@ def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str
         {
             "schema": SCHEMA,
             "name": manifest.name,
-            "simulated": manifest.simulated,
+            "simulated": manifest.simulated or any(o.simulated for o in outcomes),
+            "warnings": repeated(
+                (f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs
+            ),
             "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
         }
     )
 
 
-def _devices(path: Path, table: dict[str, Any], defaults: Options) -> Iterator[Device]:
+@dataclass(frozen=True)
+class _Place:
+    """A table of a manifest: what a message calls it, and the way to it."""
+
+    path: Path
+    words: str
+    keys: tuple[str | int, ...] = ()
+
+    def inside(self, words: str, *keys: str | int) -> _Place:
+        """Give a table in this one."""
+        return _Place(self.path, words, (*self.keys, *keys))
+
+    def error(self, said: str, *key: str) -> CampaignError:
+        """Say what is wrong with the table, or with a key of it and on which line that stands."""
+        line = toml_line(self.path, (*self.keys, *key)) if key else None
+        return CampaignError(f"{self.path.name}{f', line {line}' if line else ''}: {self.words} {said}")
+
+
+def _devices(top: _Place, table: dict[str, Any], defaults: Options) -> Iterator[Device]:
     sets = table.get("set", [])
     if not isinstance(sets, list) or not sets:
-        raise CampaignError(f"{path.name} has no [[set]] table; each set needs a name and [[set.device]] tables")
-    for number, entry in enumerate(sets, start=1):
-        set_name = _text(path, f"[[set]] number {number}", entry, "name")
-        where = f"set '{set_name}'"
-        _known(path, where, entry, ("name", "options", "device", *TAG_KINDS))
-        tags = _tags(path, where, entry)
+        raise top.error("has no [[set]] table; each set needs a name and [[set.device]] tables")
+    for i, entry in enumerate(sets):
+        at = top.inside(f"[[set]] number {i + 1}", "set", i)
+        set_name = _text(at, entry, "name")
+        at = top.inside(f"set '{set_name}'", "set", i)
+        _known(at, entry, ("name", "options", "device", *TAG_KINDS), "[set.options]")
+        tags = _tags(at, entry)
         if not isinstance(entry.get("device"), list) or not entry["device"]:
-            raise CampaignError(f"{path.name}: {where} has no [[set.device]] table (mind the double brackets)")
-        own = _options(path, where, defaults, entry.get("options", {}))
-        for device in entry.get("device", []):
-            name = _text(path, where, device, "name")
-            at = f"{where}, device '{name}'"
-            _known(path, at, device, ("name", "recordings", "options"))
+            raise at.error("has no [[set.device]] table (mind the double brackets)")
+        own = _options(at, defaults, entry)
+        for j, device in enumerate(entry["device"]):
+            name = _text(at.inside(at.words, "device", j), device, "name")
+            here = at.inside(f"{at.words}, device '{name}'", "device", j)
+            _known(here, device, ("name", "recordings", "runs", "options"), "[set.device.options]")
             files = device.get("recordings")
             if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
-                raise CampaignError(
-                    f'{path.name}: {at} needs recordings = ["run1.csv", ...] in the order they were run'
+                raise here.error(
+                    'needs recordings = ["run1.csv", ...] in the order they were run',
+                    *(["recordings"] if files else []),
                 )
             if "\x00" in "".join(files):
-                raise CampaignError(f"{path.name}: {at} names a file with a NUL character")
-            recordings = tuple(path.parent / f for f in files)
-            yield Device(name, set_name, recordings, _options(path, at, own, device.get("options", {})), tags)
+                raise here.error("names a file with a NUL character", "recordings")
+            recordings = tuple(top.path.parent / f for f in files)
+            for_all = own if "runs" not in device else _with_option(here, own, "runs", device["runs"], ("runs",))
+            options = _options(here, for_all, device)
+            try:
+                _fit_for(options, len(files))
+            except ShjError as error:
+                raise here.error(f"cannot be fitted: {error}", "recordings") from error
+            yield Device(name, set_name, recordings, options, tags)
 
 
-def _tags(path: Path, where: str, entry: dict[str, Any]) -> Tags:
+@lru_cache
+def _priors(which: str) -> None:
+    """Refuse priors that cannot be read, once for all devices that name them."""
+    read_priors(which)
+
+
+@lru_cache
+def _fit_for(options: Options, n_runs: int) -> None:
+    """Refuse options with which no device of so many runs can be fitted; a thousand devices share them."""
+    options.check(n_runs)
+
+
+def _tags(at: _Place, entry: dict[str, Any]) -> Tags:
     """Read what makes a set what it is, for contrasts between sets."""
     values: dict[str, Any] = {}
     for key, (kind, words) in TAG_KINDS.items():
@@ -296,48 +378,65 @@ def _tags(path: Path, where: str, entry: dict[str, Any]) -> Tags:
         if value is None:
             continue
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise CampaignError(f"{path.name}: {where} has {key} = {value!r}; it needs {words}")
+            raise at.error(f"has {key} = {shown(value)}; it needs {words}", key)
         values[key] = plain_name(value) if isinstance(value, str) else value
     percent = values.get("coverage_percent")
     if percent is not None:
         if not 0 <= percent <= 100:
-            raise CampaignError(f"{path.name}: {where} has coverage_percent = {percent!r}; allowed is 0 to 100")
+            raise at.error(f"has coverage_percent = {shown(percent)}; allowed is 0 to 100", "coverage_percent")
         values["coverage_percent"] = float(percent)
     return Tags(**values)
 
 
-def _known(path: Path, where: str, entry: dict[str, Any], allowed: tuple[str, ...]) -> None:
-    """Refuse keys that would be silently without effect."""
+def _known(at: _Place, entry: Any, allowed: tuple[str, ...], options: str) -> None:
+    """Refuse keys that would be silently without effect, with the table where they belong."""
+    if not isinstance(entry, dict):
+        raise at.error(f"must be a table, not {shown(entry)}")
     for key in entry:
-        if key not in allowed:
-            hint = "; it is an option: put it into its options table" if key in OPTION_KINDS else ""
-            raise CampaignError(f"{path.name}: {where} has the key '{key}'; known are {', '.join(allowed)}{hint}")
+        if key in allowed:
+            continue
+        if key in OPTION_KINDS:
+            place = f"it is an option: put it into a table {options}"
+        elif key in TAG_KINDS:
+            place = "it describes a set: put it directly below [[set]]"
+        else:
+            place = f"known are {', '.join(allowed)}{did_you_mean(key, allowed)}"
+        raise at.error(f"has the key '{key}', which has no effect there; {place}", key)
 
 
-def _text(path: Path, where: str, entry: Any, key: str) -> str:
+def _text(at: _Place, entry: Any, key: str) -> str:
     value = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(value, str) or not value.strip():
-        raise CampaignError(f"{path.name}: {where} has {key} = {value!r}; it needs a text")
+        raise at.error(f"has {key} = {shown(value)}; it needs a text", *([] if value is None else [key]))
     return plain_name(value)
 
 
-def _options(path: Path, where: str, base: Options, entry: Any) -> Options:
-    """Options with those of a manifest table put over them."""
+def _options(at: _Place, base: Options, table: dict[str, Any], key: str = "options") -> Options:
+    """Options with those of a manifest table put over them, one by one, so that a message can name the line."""
+    entry = table.get(key, {})
     if not isinstance(entry, dict):
-        raise CampaignError(f"{path.name}: {where} options must be a table, not {entry!r}")
-    values: dict[str, Any] = {}
-    for key, value in entry.items():
-        if key not in OPTION_KINDS:
-            known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(key, OPTION_KINDS)}"
-            raise CampaignError(f"{path.name}: {where} has the option '{key}'; {known}")
-        if not isinstance(value, OPTION_KINDS[key]) or isinstance(value, bool):
-            words = {str: "a text", list: "a list of texts", int: "a whole number"}.get(OPTION_KINDS[key], "a number")
-            raise CampaignError(f"{path.name}: {where} option {key} = {value!r}; it needs {words}")
-        values[key] = tuple(str(v) for v in value) if isinstance(value, list) else value
-    priors = values.get("priors", "")
-    if priors.endswith(".toml"):
-        values["priors"] = str(path.parent / priors)
+        raise at.error(f"{key} must be a table, not {shown(entry)}", key)
+    # The rate last: columns of the same table may take away the time column that it would contradict.
+    for name, value in sorted(entry.items(), key=lambda item: item[0] == "rate_Hz"):
+        base = _with_option(at, base, name, value, (key, name))
+    return base
+
+
+def _with_option(at: _Place, base: Options, name: str, value: Any, where: tuple[str, ...]) -> Options:
+    """Options with one more of a manifest table, which stands at `where`."""
+    if name not in OPTION_KINDS:
+        known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(name, OPTION_KINDS)}"
+        raise at.error(f"has the option '{name}'; {known}", *where)
+    kind = OPTION_KINDS[name]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise at.error(f"option {name} = {shown(value)}; it needs {_KIND_WORDS.get(kind, 'a number')}", *where)
+    if name == "priors" and value.endswith(".toml"):
+        value = str(at.path.parent / value)
+    change: dict[str, Any] = {name: tuple(map(str, value)) if isinstance(value, list) else value}
     try:
-        return replace(base, **values)
+        base = replace(base, **change)
+        if name == "priors":
+            _priors(base.priors)
     except ShjError as error:
-        raise CampaignError(f"{path.name}: {where}: {error}") from error
+        raise at.error(f"option {error}", *where) from error
+    return base

@@ -13,13 +13,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import shj_bayes
-from shj_bayes.errors import CampaignError, ShjError
+from shj_bayes.errors import CampaignError, RecordingError, ShjError
 from shj_bayes.examples import EXAMPLES
+from shj_bayes.files import make_writable, need_files, need_population
+from shj_bayes.processes import quiet_libraries
 
 if TYPE_CHECKING:
     from shj_bayes.pipeline import Options
 
 Command = Callable[..., Any]
+SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
+NAMED = 5  # failed devices that one line names
 
 
 class _Command(click.Command):
@@ -78,6 +82,7 @@ SEED = click.option(
 WORKERS = click.option(
     "--workers", type=click.IntRange(1, 256), help="Processors to use; the numbers do not depend on it."
 )
+FORCE = click.option("--force", is_flag=True, help="Replace the result of another device in the folder.")
 OUTPUT = _options(
     click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else."),
     click.option("--quiet", is_flag=True, help="Print nothing but errors."),
@@ -86,6 +91,9 @@ READING = _options(
     click.option("--columns", metavar="ROLE=COLUMN,...", help="time=, displacement=, force=: name, number or formula."),
     click.option("--units", metavar="mm,kN,s", help="Units, where the header does not say."),
     click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Sampling rate of files without time, Hz."),
+    click.option("--runs", "n_runs", type=click.IntRange(1), metavar="N", help="Runs that the files hold together."),
+    click.option("--split", is_flag=True, help="Split files where several runs are found."),
+    click.option("--one-run", is_flag=True, help="Each file is one run, whatever it looks like."),
 )
 RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REC...")
 
@@ -132,13 +140,21 @@ def _shared(options: dict[str, Any]) -> Options:
 
     for name in ("free", "effects"):
         options[name] = tuple(part.strip() for part in options[name].split(",") if part.strip())
-    return Options(**options)
+    return Options(**_reading(**options))
+
+
+def _reading(n_runs: int | None, split: bool, one_run: bool, **options: Any) -> dict[str, Any]:
+    """Options of reading, with the three on runs as one."""
+    if (n_runs is not None) + split + one_run > 1:
+        raise click.UsageError("--runs, --split and --one-run exclude one another; give one of them.")
+    return options | {"runs": "split" if split else "one" if one_run else n_runs}
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(shj_bayes.__version__, prog_name="shj-bayes")
 def main() -> None:
     """Posteriors and design margins for sliding steel friction connections."""
+    quiet_libraries()
 
 
 @main.command()
@@ -163,9 +179,12 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
 
     Exit status 1 when one of them cannot be used.
     """
+    reading = _reading(**reading)
+    if not as_json and not any(path.exists() for path in recordings):
+        need_files(recordings, RecordingError)
     from shj_bayes.pipeline import check_recording
 
-    results = [check_recording(path, **reading) for path in recordings]
+    results = [result for path in recordings for result in check_recording(path, **reading)]
     if as_json:
         click.echo(json.dumps([facts for facts, _ in results], indent=1, allow_nan=False))
     elif not quiet:
@@ -181,23 +200,26 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
 @MODELLING
 @SEED
 @click.option("--name", help="Name of the device; by default that of the first file.")
+@FORCE
 @WORKERS
 @OUTPUT
 def fit(
     recordings: tuple[Path, ...],
     out: Path,
     name: str | None,
+    force: bool,
     workers: int | None,
     as_json: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
     """Posterior of one device; several recordings are its consecutive runs."""
+    need_files(recordings, RecordingError)
     from shj_bayes.pipeline import fit_device
 
     shared = _shared(options)
     speak = not (as_json or quiet)
-    result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0)
+    result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0, force=force)
     if as_json:
         click.echo(json.dumps(result.record, indent=1))
     elif speak:
@@ -215,6 +237,7 @@ def fit(
 @click.option("--quick", is_flag=True, help="A first look: approximate intervals, no sampling.")
 @SEED
 @click.option("--name", help="Name of the device; by default that of the first file.")
+@FORCE
 @WORKERS
 @OUTPUT
 def diagnose(
@@ -223,12 +246,14 @@ def diagnose(
     without: tuple[str, ...],
     quick: bool,
     name: str | None,
+    force: bool,
     workers: int | None,
     as_json: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
     """Fit, then locate, name, model and show what the base law leaves out."""
+    need_files(recordings, RecordingError)
     from shj_bayes.pipeline import diagnose_device
 
     speak = not (as_json or quiet)
@@ -241,6 +266,7 @@ def diagnose(
         quick=quick,
         progress=speak,
         threads=workers or 0,
+        force=force,
         tell=(lambda line: click.echo(f"  {line}", err=True)) if speak else (lambda _: None),
     )
     if as_json:
@@ -259,7 +285,10 @@ def diagnose(
 def campaign(
     manifest: Path, out: Path, seed: int, workers: int | None, cluster: str | None, as_json: bool, quiet: bool
 ) -> None:
-    """Fit every device of a TOML manifest, then population, comparison and report; resumes where it stopped."""
+    """Fit every device of a TOML manifest, then population, comparison and report; resumes where it stopped.
+
+    Exit status 3 when it is done but for devices that failed.
+    """
     if cluster is not None and workers:
         raise click.UsageError("--workers is for this machine and --dask for a cluster; give one of them.")
     if cluster is not None and not cluster.strip():
@@ -277,6 +306,8 @@ def _run_campaign(
     as_json: bool,
     cluster: str | None = None,
 ) -> None:
+    need_files([manifest], CampaignError)
+    make_writable(out)
     from shj_bayes.campaign import read_manifest, run_campaign
     from shj_bayes.summary import summarise_campaign
 
@@ -290,6 +321,11 @@ def _run_campaign(
         click.echo(result.text)
     if not result.usable:
         raise CampaignError("no device could be used; the reasons stand above and in campaign.json")
+    if failed := [f"{o.device.set_name}, {o.device.name} ({o.reason})" for o in outcomes if o.status == "failed"]:
+        more = f"; and {len(failed) - NAMED} more, in campaign.json" if len(failed) > NAMED else ""
+        done = f"done, but {len(failed)} of {len(outcomes)} devices failed: {'; '.join(failed[:NAMED])}{more}"
+        click.echo(f"shj-bayes: {done}", err=True)
+        raise SystemExit(SOME_FAILED)
 
 
 @main.command()
@@ -298,6 +334,7 @@ def _run_campaign(
 @OUTPUT
 def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     """Bands and comparisons from the published, rounded parameter tables alone."""
+    make_writable(out)
     from shj_bayes.summary import summarise_tables
 
     result = summarise_tables(out, seed=seed, progress=not (quiet or as_json))
@@ -322,18 +359,25 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     show_default=True,
     help="Importance class of the structure (EN 15129).",
 )
-@click.option("--set", "sets", multiple=True, metavar="NAME", help="Print this set only; may be given again.")
+@click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="NAME",
+    help="Print this set only, and take --nominal for it alone; may be given again.",
+)
 @OUTPUT
 def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **request: Any) -> None:
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
+    need_population(folder)
     from shj_bayes.design import design_margins
     from shj_bayes.margins.sheet import Request
 
-    design = design_margins(folder, Request(**request), progress=not (quiet or as_json))
+    design = design_margins(folder, Request(sets=sets, **request), progress=not (quiet or as_json))
     if as_json:
         click.echo(json.dumps(design.record, indent=1))
     elif not quiet:
-        click.echo(design.text(sets))
+        click.echo(design.text)
 
 
 @main.command()
@@ -344,6 +388,7 @@ def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **r
 @OUTPUT
 def export(folder: Path, target: str, out: Path | None, amplitude_mm: float | None, as_json: bool, quiet: bool) -> None:
     """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
+    need_population(folder)
     from shj_bayes.design import export_analysis
 
     paths = export_analysis(folder, out, amplitude_mm, progress=not (quiet or as_json))
@@ -372,6 +417,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
     A and B are names of sets, or kinds of sets that are compared pair by pair: corroded and uncorroded, coated and
     uncoated, "70 %" and "100 %".
     """
+    need_population(folder)
     from shj_bayes.summary import compare_sets
 
     record, text = compare_sets(folder, set_a, set_b, rope)

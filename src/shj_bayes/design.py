@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.errors import CampaignError, PopulationError
-from shj_bayes.files import check_seal, read_json, write_text
+from shj_bayes.errors import PopulationError
+from shj_bayes.files import need_population, write_text
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
 from shj_bayes.margins.files import design_table, to_json, write_margins
@@ -21,7 +21,7 @@ from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
-from shj_bayes.report.campaign import safe_folder
+from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 
@@ -38,21 +38,25 @@ class Design:
         The margins.
     page : Path
         The designer's sheet.
+    sets : tuple of str
+        Sets that were asked for; all where empty.
     """
 
     sheet: Sheet
     page: Path
+    sets: tuple[str, ...] = ()
 
     @property
     def record(self) -> dict[str, Any]:
         """For machines: content of ``margins.json``."""
         return to_json(self.sheet)
 
-    def text(self, sets: tuple[str, ...] = ()) -> str:
+    @property
+    def text(self) -> str:
         """For people: the design table, what to mind, and where the sheet is."""
         return "\n".join(
             [
-                margin_text(self.sheet, sets),
+                margin_text(self.sheet, self.sets),
                 "",
                 *(f"- {line}" for line in (*self.sheet.diagnoses, *self.sheet.warnings)),
                 "",
@@ -84,18 +88,23 @@ def design_margins(
     Returns
     -------
     Design
+
+    Raises
+    ------
+    PopulationError
+        If a set that was asked for is not there, or a cycle was not tested; nothing is written then.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    need_population(folder)
     result = load_population(folder) if population is None else population
+    request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
     campaign, others, words = _models(folder, result, progress)
     sheet = margins(result, request, diagnosed=others or None, words=words)
-    write_margins(sheet, folder)
     loop_bands = loops(next(iter(others.values()), result), sheet.motion)
+    write_margins(sheet, folder)
     write_loops(loop_bands, folder)
     name = str(campaign["name"]) if campaign else TABLES_NAME
     page = render_margins(folder, sheet, loop_bands, name=name, simulated=bool(campaign and campaign.get("simulated")))
-    return Design(sheet, page)
+    return Design(sheet, page, request.sets)
 
 
 def export_analysis(
@@ -119,8 +128,7 @@ def export_analysis(
     tuple of Path
         ``connection_materials.py``, ``connection_materials.tcl``, ``link-elements.csv``.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+    need_population(folder)
     result = load_population(folder)
     motion = motion_of(result, Request(amplitude_mm=amplitude_mm))
     if motion is None:
@@ -144,6 +152,11 @@ def export_analysis(
     return tuple(place / name for name in files)
 
 
+def _set_named(result: PopulationResult, name: str) -> str:
+    """Name of a set as the population has it; case does not matter."""
+    return ANY_SET if name == ANY_SET else result.set_names[result.index(name)]
+
+
 def _models(
     folder: Path, result: PopulationResult, progress: bool
 ) -> tuple[dict[str, Any] | None, dict[str, PopulationResult], tuple[str, ...]]:
@@ -161,19 +174,7 @@ def _models(
 
 def _campaign(folder: Path) -> dict[str, Any] | None:
     """Content of ``campaign.json``; None for the published tables."""
-    path = folder / "campaign.json"
-    if not path.exists():
-        return None
-    record = read_json(path, CampaignError)
-    check_seal(record, path, CampaignError)
-    try:
-        for group in record["sets"]:
-            for device in group["devices"]:
-                str(group["name"]), str(device["name"]), str(device["folder"])
-        str(record["name"])
-    except (KeyError, TypeError) as error:
-        raise CampaignError(f"{path.name} is damaged ({error}); run shj-bayes campaign again") from error
-    return dict(record)
+    return read_campaign(folder) if (folder / "campaign.json").exists() else None
 
 
 def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> Cases:
@@ -185,7 +186,7 @@ def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> 
         for entry in group["devices"]:
             name, place = str(entry["name"]), str(entry["folder"])
             known = group["name"] in tags and name in result.sets[result.index(group["name"])].devices
-            if not known or not safe_folder(place):
+            if not known:
                 continue
             diagnosis, why = find_diagnosis(folder / place)
             if diagnosis is not None:
@@ -202,9 +203,6 @@ def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
     """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
     table = design_table(sheet)
     names = list(dict.fromkeys(row.set_name for row in sheet.rows))
-    unknown = [s for s in sets if s not in names]
-    if unknown:
-        raise PopulationError(f"there is no set {unknown[0]!r}; sets are: {', '.join(repr(n) for n in names)}")
     tested = [name for name in names if name != ANY_SET]
     enough = sets_suffice(len(tested))
     lines = []

@@ -27,6 +27,15 @@ def plain_text(text: str) -> str:
     return "".join(" " if unicodedata.category(c) in _STEERING else c for c in text)
 
 
+def shown(value: object, length: int = 80) -> str:
+    """Give a value from a file as short text, also a whole number of more digits than Python writes out."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) <= length else f"{text[:length]}..."
+
+
 class ShjError(Exception):
     """Base of every error that a user can mend; the command line prints it as one line and exits 1.
 

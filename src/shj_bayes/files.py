@@ -10,15 +10,19 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
-from shj_bayes.errors import ShjError, plain_text
+from shj_bayes.errors import PopulationError, ShjError, plain_text
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
+MAX_SEARCHED = 100_000  # characters of TOML in which the line of a value is looked for
+MAX_SEARCHES = 60  # a file that a text of many lines makes hard to search is left; each costs some 50 ms at most
 
 
 @contextmanager
@@ -85,6 +89,35 @@ def reserve(path: Path, n_bytes: int) -> None:
         else:
             for _ in range(n_bytes // 2**20 + 1):
                 stream.write(bytes(2**20))
+
+
+def need_files(paths: Iterable[Path], error: type[ShjError]) -> None:
+    """Refuse files that are not there; before anything heavy is imported, so that the answer comes at once."""
+    for path in paths:
+        if not path.exists():
+            raise error(f"{path}: there is no such file; check the name and the folder")
+
+
+def need_population(folder: Path) -> None:
+    """Refuse what is no folder, where one that ``tables`` or ``campaign`` wrote is needed."""
+    if not folder.is_dir():
+        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
+
+
+def make_writable(folder: Path) -> None:
+    """Make a folder for results; one that cannot be written to is found before the work, not after it.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made or written to.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -204,6 +237,48 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
         shown = repr(table.get("schema"))[:80]
         raise error(f"{path.name}: schema is {shown}; this version reads {schema!r}; write that, or update shj-bayes")
     return table, hashlib.sha256(raw).hexdigest()
+
+
+def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
+    """Line of a valid TOML file on which the value of a key ends.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    keys : sequence of str or int
+        Way to the value: keys of tables, places in lists.
+
+    Returns
+    -------
+    int or None
+        From 1; None where there is no such key, or looking for it would take long.
+    """
+    lines = path.read_text(encoding="utf-8-sig").split("\n")
+    if sum(map(len, lines)) > MAX_SEARCHED:
+        return None
+
+    searches = iter(range(MAX_SEARCHES))
+
+    def holds(n: int) -> bool:
+        for end in range(n, len(lines) + 1):  # what ends in the midst of a list or a text is no TOML yet
+            next(searches)
+            try:
+                node: Any = tomllib.loads("\n".join(lines[:end]) + "\n")
+            except ValueError:
+                continue
+            try:
+                for key in keys:
+                    node = node[key]
+            except (KeyError, IndexError, TypeError):
+                return False
+            return True
+        return False
+
+    try:
+        return bisect_left(range(len(lines) + 1), True, key=holds) if holds(len(lines)) else None
+    except StopIteration:
+        return None
 
 
 def file_digest(path: Path) -> str:

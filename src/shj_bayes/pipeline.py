@@ -10,29 +10,33 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import shj_bayes
-from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text
+from shj_bayes.alone import alone_in
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text, shown
 from shj_bayes.files import plain_name
 from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.inference.store import check_files, read_group, read_record
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.model.device import DeviceModel, effects_named, meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.parameters import BASE, FloatArray
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.recording.check import describe, to_dict
+from shj_bayes.recording.columns import check_rate, parse_columns
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.runs import Runs, check_runs, settle
+from shj_bayes.recording.units import parse_units
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.residual_file import read_residual
 
+SEEDS, STEPS = (0, 2**32 - 1), (1, 1_000_000)
 SURE_P = 1e-3  # below it, digits of a p value say nothing to a reader; diagnosis.json keeps them
 
 
@@ -60,6 +64,8 @@ class Options:
         Same seed, same numbers.
     max_steps : int
         Steps after which to stop.
+    runs : int, "split", "one" or None
+        Number of runs that the files hold; ``"split"`` parts files where runs are found, ``"one"`` never does.
     """
 
     columns: str | None = None
@@ -72,10 +78,19 @@ class Options:
     free: tuple[str, ...] = ()
     seed: int = 1
     max_steps: int = 10_000
+    runs: Runs = None
 
     def __post_init__(self) -> None:
         """Refuse choices that no fit could take, before any device is read."""
         object.__setattr__(self, "model", variant_named(self.model))
+        for number, found, (low, high) in (("seed", self.seed, SEEDS), ("max_steps", self.max_steps, STEPS)):
+            if not low <= found <= high:
+                raise ModelError(f"{number} = {shown(found, 20)}; allowed is {low} to {high}")
+        asked = parse_columns(self.columns)
+        parse_units(self.units)
+        if self.rate_Hz is not None:
+            check_rate(self.rate_Hz, asked)
+        check_runs(self.runs)
         if "velocity" in self.effects:
             raise ModelError(
                 "the base law depends on speed already; take 'velocity' out of the effects (or --without velocity)"
@@ -92,6 +107,10 @@ class Options:
             free=self.free,
             variant=self.model,
         )
+
+    def check(self, n_runs: int) -> None:
+        """Refuse priors that cannot be read, or that lack a law that a device of so many runs needs."""
+        assert self.device_model(n_runs, read_priors(self.priors)).laws_of_parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +191,7 @@ class DeviceResult:
         return "\n".join(lines)
 
 
+@alone_in("folder", kept="fit.json")
 def fit_device(
     paths: Sequence[Path | Recording],
     folder: Path,
@@ -180,6 +200,7 @@ def fit_device(
     name: str | None = None,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
 ) -> DeviceResult:
     """Fit one device from its recordings and write the files and the page of INTERFACE.
 
@@ -199,6 +220,8 @@ def fit_device(
         Show a progress bar.
     threads : int
         Ensembles that run at the same time, 0 for one per processor.
+    force : bool
+        Replace the result of another device in `folder`.
 
     Returns
     -------
@@ -208,9 +231,14 @@ def fit_device(
     ------
     RecordingError
         If a recording cannot be used.
+    InferenceError
+        If `folder` holds the result of another device.
     """
+    options.check(len(paths))
     recordings = _usable(paths, options)
-    name = plain_name(name) if name else _default_name(recordings[0])
+    name = plain_name(name) if name else _default_name(paths[0])
+    if not force:
+        refuse_used_folder(folder, name, recordings, InferenceError)
     priors = read_priors(options.priors)
     key = _key(_digests(paths, recordings), options, priors.sha256, name)
     finished, note = _finished(folder, key)
@@ -246,28 +274,35 @@ def _fit(
     return result.record
 
 
-def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
-    """Read and check one recording.
+def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple[dict[str, Any], str]]:
+    """Read and check one file.
 
     Parameters
     ----------
     path : Path
         The file.
+    runs : int, "split", "one" or None
+        As in `Options`.
     **reading
         ``columns``, ``units``, ``rate_Hz`` as for `shj_bayes.recording.reader.read`.
 
     Returns
     -------
-    dict, str
-        Facts for machines (``usable`` says whether it may be fitted) and text for people. A file that cannot be read
-        at all gives its reason in both.
+    list of (dict, str)
+        For each run in the file facts for machines (``usable`` says whether it may be fitted) and text for people. A
+        file that cannot be read at all gives its reason in both.
     """
     try:
-        recording = read(path, **reading)
+        recordings = settle([read(path, **reading)], runs)
     except RecordingError as error:
         name = plain_text(path.name)
         reason = str(error).removeprefix(f"{name}: ")
-        return {"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}"
+        return [({"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}")]
+    return [_checked(recording) for recording in recordings]
+
+
+def _checked(recording: Recording) -> tuple[dict[str, Any], str]:
+    """Facts and text of one run."""
     try:
         motion = motion_of(recording)
     except RecordingError:
@@ -275,6 +310,7 @@ def check_recording(path: Path, **reading: Any) -> tuple[dict[str, Any], str]:
     return to_dict(recording, motion), describe(recording, motion)
 
 
+@alone_in("folder")
 def diagnose_device(
     paths: Sequence[Path | Recording],
     folder: Path,
@@ -285,13 +321,14 @@ def diagnose_device(
     quick: bool = False,
     progress: bool = False,
     threads: int = 0,
+    force: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisResult:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
     Parameters
     ----------
-    paths, folder, options, name, progress, threads
+    paths, folder, options, name, progress, threads, force
         As for `fit_device`.
     without : sequence of str
         ``velocity`` runs the base law without speed dependence; other ids are taken out of the catalogue.
@@ -305,7 +342,9 @@ def diagnose_device(
     DiagnosisResult
     """
     recordings = _usable(paths, options)
-    name = plain_name(name) if name else _default_name(recordings[0])
+    name = plain_name(name) if name else _default_name(paths[0])
+    if not force:
+        refuse_used_folder(folder, name, recordings, InferenceError)
     priors, runs = read_priors(options.priors), runs_of(recordings)
     digests = _digests(paths, recordings)
 
@@ -349,12 +388,13 @@ def dep_words(row: dict[str, Any]) -> str:
 
 def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recording]:
     """Read recordings that are not read yet; refuse those that must not be fitted."""
-    recordings = [
+    given = [
         path
         if isinstance(path, Recording)
         else read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
         for path in paths
     ]
+    recordings = remarked(settle(given, options.runs), options.free)
     for recording in recordings:
         blocking = [f.message for f in recording.findings if f.severity == "unusable"]
         if blocking:
@@ -362,25 +402,16 @@ def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recordi
     return recordings
 
 
-def _default_name(recording: Recording) -> str:
+def _default_name(first: Path | Recording) -> str:
     """Name of the first file without its endings (a dot inside the name stays)."""
-    return plain_name(
-        re.sub(r"(\.(csv|tsv|txt|xlsx|mat|h5|hdf5|tdms|gz))+$", "", recording.source.name, flags=re.IGNORECASE)
-    )
+    name = first.source.name if isinstance(first, Recording) else first.name
+    return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", name, flags=re.IGNORECASE))
 
 
 def _digests(paths: Sequence[Path | Recording], recordings: Sequence[Recording]) -> list[str]:
-    """Digest of each file, or of what a recording holds that was given as such."""
-    return [
-        _digest(recording) if isinstance(given, Recording) else recording.source.sha256
-        for given, recording in zip(paths, recordings, strict=True)
-    ]
-
-
-def _digest(recording: Recording) -> str:
-    """Digest of what a recording holds, for one that may have been changed since it was read."""
-    arrays = (recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
-    return hashlib.sha256(b"".join(np.asarray(values).tobytes() for values in arrays)).hexdigest()
+    """Digest of each recording: of its file, or of what it holds where one was given that may have been changed."""
+    changeable = any(isinstance(given, Recording) for given in paths)
+    return [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
 
 
 def _key(digests: list[str], options: Options, priors: str, name: str, speed: bool = True) -> str:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from shj_bayes.alone import alone_in
 from shj_bayes.campaign import Manifest, Outcome, campaign_record
 from shj_bayes.design import design_margins
-from shj_bayes.errors import PopulationError
+from shj_bayes.files import make_writable, need_population
 from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
@@ -18,6 +19,7 @@ from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, to_json, write_population
+from shj_bayes.population.selectors import members, strata_of
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.sets import name_of
@@ -44,6 +46,7 @@ class Summary:
     usable: bool = True
 
 
+@alone_in("folder")
 def summarise_campaign(
     manifest: Manifest, outcomes: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False
 ) -> Summary:
@@ -69,6 +72,7 @@ def summarise_campaign(
     usable = [o for o in outcomes if o.status != "failed" and o.verdict != "unusable"]
     lines = [f"{o.device.set_name}, {o.device.name}: {o.status}, {o.verdict or o.reason}" for o in outcomes]
     record = campaign_record(manifest, outcomes)
+    lines += record["warnings"]
     population = None
     if usable:
         places = [folder / o.device.folder for o in usable]
@@ -84,20 +88,22 @@ def summarise_campaign(
         write_population(population, folder)
         design = design_margins(folder, population=population, progress=progress)
         record["population"], record["margins"] = to_json(population), design.record
-        lines += ["", band_text(population), "", design.text()]
+        lines += ["", band_text(population), "", design.text]
     page = render_campaign(folder, population)
     return Summary(record, "\n".join([*lines, f"report: {page}"]), bool(usable))
 
 
+@alone_in("folder")
 def summarise_tables(folder: Path, *, seed: int, progress: bool = False) -> Summary:
     """Pool the published tables and write their page; arguments as for `summarise_campaign`."""
+    make_writable(folder)
     population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
     claims = paper_claims()
     write_population(population, folder)
     design = design_margins(folder, population=population, progress=progress)
     page = render_tables(folder, population, claims)
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
-    text = "\n".join([band_text(population), "", *answers, "", design.text(), f"report: {page}"])
+    text = "\n".join([band_text(population), "", *answers, "", design.text, f"report: {page}"])
     record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
     return Summary(record, text)
 
@@ -119,16 +125,22 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     dict, str
         For machines, for people.
     """
-    if not folder.is_dir():
-        raise PopulationError(f"{folder} is not a folder; run `shj-bayes tables` or `shj-bayes campaign` first")
-    comparison = compare(load_population(folder), set_a, set_b, rope=rope_percent / 100.0)
+    need_population(folder)
+    result = load_population(folder)
+    first, second = members(result, strata_of(result, set_a, set_b)[2])
+    comparison = compare(result, set_a, set_b, rope=rope_percent / 100.0)
     table = comparison.to_table()
-    lines = [*comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
+    who = [
+        f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
+        for side, name, sets in (("a", comparison.set_a, first), ("b", comparison.set_b, second))
+    ]
+    lines = [*who, *comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
     rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
     record = {
         "schema": "shj-bayes/comparison/1",
         "set_a": comparison.set_a,
         "set_b": comparison.set_b,
+        "members": {"a": list(first), "b": list(second)},
         "strata": comparison.strata,
         "multiplicity": comparison.multiplicity,
         "contrasts": rows,
@@ -139,19 +151,22 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
 def comparison_lines(comparison: Comparison) -> list[str]:
     """Comparison as a table of text, one line per quantity."""
     head = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted", "Holm", "spread a/b")
-    lines = [f"a: {comparison.set_a}   b: {comparison.set_b}"]
-    lines.append(f"  {'':14}" + "".join(f"{word:>18}" if i < 2 else f"{word:>14}" for i, word in enumerate(head)))
+    rows = [["", *head]]
     for c in comparison.contrasts:
         p = ["-" if x is None else f"{x:.3f}" for x in (c.tests.welch_p, c.tests.permutation_p, c.holm_p)]
         cells = [c.probability_level, c.probability_rope, c.superiority]
         unit = "" if c.unit == "1" else f" {c.unit}"
-        lines.append(
-            f"  {c.quantity + unit:14}{c.q50:>18.3g}{f'{c.q05:.3g} to {c.q95:.3g}':>18}"
-            + "".join(f"{x:>14.2f}" for x in cells)
-            + "".join(f"{x:>14}" for x in p)
-            + f"{c.spread_factor[1]:>14.2f}"
+        numbers = [f"{c.q50:.3g}", f"{c.q05:.3g} to {c.q95:.3g}", *(f"{x:.2f}" for x in cells), *p]
+        rows.append([c.quantity + unit, *numbers, f"{c.spread_factor[1]:.2f}"])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  "
+        + "   ".join(
+            f"{cell:>{width}}" if i else f"{cell:{width}}"
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
-    return lines
+        for row in rows
+    ]
 
 
 def band_text(population: PopulationResult) -> str:

@@ -81,14 +81,15 @@ def _refusal(message: str, case: Case) -> str:
 def _recording(case: Case, folder: Path, _: Path | None) -> str:
     path = folder / case.name
     path.write_bytes(case.content)
-    facts, text = check_recording(path, **case.options)
-    json.dumps(facts, allow_nan=False)
-    if re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", text):
-        return f"BREACH control characters in {text[:200]!r}"
-    if "error" in facts:
-        return _refusal(facts["error"], case)
-    text.encode("utf-8")
-    return "read" if facts["usable"] else "refused"
+    results = check_recording(path, **case.options)
+    for facts, text in results:
+        json.dumps(facts, allow_nan=False)
+        if re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", text):
+            return f"BREACH control characters in {text[:200]!r}"
+        if "error" in facts:
+            return _refusal(facts["error"], case)
+        text.encode("utf-8")
+    return "read" if all(facts["usable"] for facts, _ in results) else "refused"
 
 
 def _manifest(case: Case, folder: Path, _: Path | None) -> str:

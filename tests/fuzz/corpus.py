@@ -15,6 +15,7 @@ import originals
 COLUMNS = (
     *(None, None, None, "time=1,displacement=2,force=3", "time=0,displacement=99", "force=#3*#2", "force=#3/0"),
     *("force=#3 - 2*#2", "time=time_s", "time=" + "(" * 300, "force=" + "-" * 399, "force='a", "force=1e999*#3"),
+    *("displacement=#" + "9" * 5000, "force=" + "9" * 5000),
 )
 UNITS = (None, None, None, "mm,kN,s", "in,kip,ms", "time=h", "force=V", "mm,mm", "kN**9,s", "force=1e300 kN", "\x00")
 RATES = (None, None, None, None, 100.0, 1e-6, 0.0, -1.0, float("nan"), float("inf"), 1e300)

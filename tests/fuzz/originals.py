@@ -34,7 +34,7 @@ name = "Spring tests"
 simulated = true
 
 [defaults]
-columns = "time=time_s,displacement=displacement_mm,force=force_kN"
+columns = "displacement=displacement_mm,force=force_kN"
 units = "s,mm,kN"
 priors = "afc"
 noise = "ar1"

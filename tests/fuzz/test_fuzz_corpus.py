@@ -37,7 +37,7 @@ def test_the_attack_sees_a_breach(runner, tmp_path, monkeypatch):
     monkeypatch.setattr(attack, "check_recording", broken)
     assert attack.attack(case, tmp_path).startswith("BREACH ZeroDivisionError")
     said = "run.csv: \x1b]0;title\x07 is no number"
-    monkeypatch.setattr(attack, "check_recording", lambda *_, **__: ({"error": said, "usable": False}, said))
+    monkeypatch.setattr(attack, "check_recording", lambda *_, **__: [({"error": said, "usable": False}, said)])
     assert attack.attack(case, tmp_path).startswith("BREACH control characters")
 
 

@@ -77,7 +77,7 @@ def test_windows_places_are_looked_at(tmp_path: Path, monkeypatch: pytest.Monkey
     edge = tmp_path / "Microsoft/Edge/Application/msedge.exe"
     edge.parent.mkdir(parents=True)
     edge.touch()
-    monkeypatch.setattr("shutil.which", lambda _: None)
+    monkeypatch.setattr("shj_bayes.report.browse.program", lambda _: None)
     monkeypatch.setenv("PROGRAMFILES", str(tmp_path))
     assert browse.find_browser() == str(edge)
 

@@ -1,9 +1,12 @@
 """Nothing that is read may run, reach out, exhaust the machine or steer the terminal (docs/security.md)."""
 
 import ast
+import gzip
 import io
 import os
 import socket
+import struct
+import subprocess
 import sys
 import time
 import zipfile
@@ -12,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import h5py
+import nptdms
 import numpy as np
 import openpyxl
 import pytest
@@ -23,7 +27,7 @@ from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError, PriorError, RecordingError, ShjError
 from shj_bayes.inference import store
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording import hdf5, read, read_table, tables
+from shj_bayes.recording import hdf5, numerals, read, read_table, tables, text
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "shj_bayes"
 ROWS = "".join(f"{0.1 * i},{i % 7},{i % 5}\n" for i in range(60))
@@ -59,6 +63,17 @@ def test_formulas_are_never_evaluated(tmp_path):
     for formula in ("__import__('os').system('id')", "().__class__", "open('/etc/passwd')", "#3 if 1 else 2", "#3**9"):
         with pytest.raises(RecordingError, match=r"--columns|no column"):
             read(path, columns=f"force={formula}")
+
+
+@pytest.mark.parametrize("formula", ["#" + "9" * 5000, "9" * 5000, "#3 + #" + "9" * 5000, "#" + "9" * 390, "x" * 5000])
+def test_a_column_number_of_thousands_of_digits_is_one_line(tmp_path, formula):
+    (tmp_path / "run.csv").write_text("time_s,displacement_mm,force_kN\n" + ROWS)
+    for arguments in (["check"], ["fit", "-o", str(tmp_path / "out")]):
+        command = [*arguments, str(tmp_path / "run.csv"), "--columns", f"displacement={formula}"]
+        result = CliRunner().invoke(main, command)
+        assert result.exit_code == 1
+        assert isinstance(result.exception, SystemExit)
+        assert "allowed are 400" in result.output or "allowed are 1 to 3" in result.output
 
 
 def test_pickled_arrays_are_refused(tmp_path):
@@ -216,6 +231,60 @@ def test_one_endless_line_costs_neither_time_nor_memory(tmp_path, character):
     assert time.process_time() - begin < 8
 
 
+HEAD = "time_s,displacement_mm,force_kN\n"
+
+
+@pytest.mark.parametrize("before", ["", HEAD + ROWS])
+@pytest.mark.parametrize("line", ["\r", "\n", "\r\n", " \n", "#\n"])
+def test_empty_lines_are_not_read_without_end(tmp_path, before, line):
+    path = tmp_path / "run.csv"
+    path.write_bytes((before + line * (20_000_000 // len(line)) + ROWS).encode())
+    begin = time.process_time()
+    with pytest.raises(RecordingError, match="100000 more empty lines and comments than rows"):
+        read_table(path)
+    assert time.process_time() - begin < 5
+
+
+def test_packed_empty_lines_are_not_unpacked_line_by_line(tmp_path):
+    path = tmp_path / "run.csv.gz"
+    path.write_bytes(gzip.compress(b"\r" * (496 * 1024**2), 6))
+    assert path.stat().st_size < 600_000
+    begin = time.process_time()
+    with pytest.raises(RecordingError, match="more empty lines"):
+        read_table(path)
+    assert time.process_time() - begin < 10
+
+
+def test_an_empty_line_behind_every_row_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(text, "MAX_EMPTY", 10)
+    path = tmp_path / "run.csv"
+    path.write_bytes((HEAD + ROWS).replace("\n", "\r\r\n").encode())
+    assert read_table(path).columns[0].values.size == 60
+
+
+def test_columns_of_words_are_not_read_to_their_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(numerals, "MAX_WORDS", 500)
+    monkeypatch.setattr(numerals, "BLOCK_ROWS", 1000)
+    looked = []
+    look = numerals._Column._from_text
+    monkeypatch.setattr(numerals._Column, "_from_text", lambda self, cells: (looked.append(0), look(self, cells))[1])
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{0.1 * i:g},{i % 7},{i % 5},ok\n" for i in range(10_000))
+    path.write_text("time_s,displacement_mm,force_kN,state\n" + rows)
+    table = read_table(path)
+    assert len(looked) == 1
+    assert np.all(np.isnan(table.columns[3].values))
+    assert table.columns[3].values.size == table.columns[0].values.size == 10_000
+    assert any("10000 cells hold text" in finding.message for finding in table.findings)
+    path.write_text(HEAD + ROWS + "a,b,c\n" * 10_000)
+    with pytest.raises(RecordingError, match=r"column time hold text, and fewer than two columns hold numbers"):
+        read_table(path)
+    monkeypatch.setattr(numerals, "MAX_SPECIAL", 900)
+    path.write_text(HEAD + ROWS + "1D1,2,3\n" * 10_000)
+    with pytest.raises(RecordingError, match=r"more than 900 numbers have groups"):
+        read_table(path)
+
+
 @pytest.mark.parametrize(
     "text", ["a = " + "[" * 100_000, "a" + ".a" * 100_000 + " = 1", "a = " + "9" * 100_000, "\ufeffa"]
 )
@@ -224,6 +293,62 @@ def test_toml_that_would_exhaust_the_parser(tmp_path, text):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(CampaignError, match=r"campaign\.toml"):
         read_manifest(path)
+
+
+# ---- files that are not what they seem ----
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="links need rights on this system")
+def test_a_ring_of_links_is_called_so(tmp_path):
+    for name in ("run.csv", "campaign.toml"):
+        (tmp_path / name).symlink_to(tmp_path / name)
+    with pytest.raises(RecordingError, match=r"run\.csv: too many levels of symbolic links; check"):
+        read_table(tmp_path / "run.csv")
+    with pytest.raises(CampaignError, match=r"campaign\.toml: Too many levels of symbolic links"):
+        read_manifest(tmp_path / "campaign.toml")
+    with pytest.raises(RecordingError, match=r"x\.csv: file name too long"):
+        read_table(tmp_path / ("x" * 300 + "x.csv"))
+
+
+@pytest.mark.parametrize(("at", "size"), [(132, 2**32 - 16), (132, 5), (188, 2**31 - 16), (188, 16), (188, 0)])
+def test_a_mat_file_whose_elements_lie_about_their_size(tmp_path, at, size):
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {name: np.arange(60.0) for name in ("time_s", "displacement_mm", "force_kN")})
+    raw = bytearray(path.read_bytes())
+    assert struct.unpack_from("<I", raw, at)[0] in (480, 536)
+    struct.pack_into("<I", raw, at, size)
+    path.write_bytes(raw)
+    with pytest.raises(RecordingError, match=r"run\.mat: the (element at byte \d+ claims|MAT file is damaged)"):
+        read_table(path)
+
+
+WARN = """
+import warnings, logging, sys
+import shj_bayes.pipeline as pipeline
+from shj_bayes.cli import main
+def check(path, **_):
+    import numpy
+    numpy.log(-numpy.ones(1))
+    warnings.warn("of a library")
+    return {"usable": True}, "text"
+pipeline.check_recording = check
+main()
+"""
+
+
+def test_warnings_of_libraries_stay_off_the_terminal(tmp_path):
+    done = subprocess.run([sys.executable, "-c", WARN, "check", "run.csv"], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("text\n", "")
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as writer:
+        for _ in range(3):
+            writer.write_segment([nptdms.ChannelObject("g", n, np.arange(60.0)) for n in ("time", "disp", "force")])
+    raw = (tmp_path / "run.tdms").read_bytes()
+    (tmp_path / "run.tdms").write_bytes(raw[:-100])
+    command = [sys.executable, "-c", "from shj_bayes.cli import main; main()", "check", str(tmp_path / "run.tdms")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "different lengths" in done.stdout
+    assert [f.code for f in read_table(tmp_path / "run.tdms").findings] == ["cut-short"]
 
 
 # ---- the terminal, and the network ----

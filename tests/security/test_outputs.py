@@ -8,14 +8,21 @@ from pathlib import Path
 
 import pytest
 
+import shj_bayes
 from shj_bayes.campaign import Device, read_manifest
+from shj_bayes.design import design_margins
 from shj_bayes.errors import InferenceError, ReportError
-from shj_bayes.files import folder_name, plain_name
+from shj_bayes.files import folder_name, plain_name, sealed
 from shj_bayes.inference import store
 from shj_bayes.pipeline import Options
-from shj_bayes.population.results import safe_cell
-from shj_bayes.report.campaign import render_campaign, safe_folder
+from shj_bayes.population.hierarchy import fit_population
+from shj_bayes.population.published import published_devices
+from shj_bayes.population.results import safe_cell, write_population
+from shj_bayes.report.campaign import render_campaign
+from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.device import render_device
+from shj_bayes.report.diagnosis import render_diagnosis
+from shj_bayes.report.diagnosis_data import KEYS, SCHEMA
 
 ANYWHERE = re.compile(
     r"""(?:src|href|action|data|poster|background)\s*=\s*["']?\s*(?!data:|#)(?:[a-z]+:)?//|url\((?!["']?(?:data:|#))|@import""",
@@ -91,18 +98,61 @@ def test_folders_of_devices_stay_below_the_campaign(tmp_path, name):
     shown.encode("utf-8")
 
 
-def test_a_campaign_record_cannot_lead_elsewhere(tmp_path):
-    for place in ("../secret", "/etc", "devices/../../x", "a//b", "C:\\x", "devices/..", "", "x\n"):
-        assert not safe_folder(place), place
-    devices = [{"name": "<b>", "folder": "../../etc", "status": "done", "reason": "<script>", "verdict": "reliable"}]
-    record = {"name": "<i>", "sets": [{"name": "=1+1", "devices": devices}]}
-    (tmp_path / "campaign.json").write_text(json.dumps(record), encoding="utf-8")
+def campaign_of(folder, place):
+    """Write a sealed record of a campaign with one device."""
+    device = {"name": "<b>", "folder": place, "status": "done", "reason": "<script>", "verdict": "reliable"}
+    record = sealed({"schema": "shj-bayes/campaign/1", "name": "<i>", "sets": [{"name": "=1+1", "devices": [device]}]})
+    (folder / "campaign.json").write_text(json.dumps(record), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def pooled(tmp_path_factory):
+    """A folder with a fitted population and without a campaign."""
+    folder = tmp_path_factory.mktemp("pooled")
+    write_population(fit_population(published_devices()[:4], seed=1), folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "place", ["../../..", "/etc", "devices/../../x", "link/x", "loop", "C:\\x", "x\n", "", 5, None]
+)
+def test_device_folders_stay_inside_the_campaigns(pooled, tmp_path, place):
+    folder = Path(shutil.copytree(pooled, tmp_path / "spring"))
+    (folder / "link").symlink_to(tmp_path)
+    (folder / "loop").symlink_to("../loop")
+    campaign_of(folder, place)
+    words = r"names the folder .* for the device '<b>' of the set '=1\+1'; it must be one below spring|is no text"
+    for reader in (render_campaign, shj_bayes.load, design_margins):
+        with pytest.raises(ReportError, match=words):
+            reader(folder)
+    assert not safe_folder(str(place)) or place in ("link/x", "loop", 5, None)
+
+
+def test_names_in_a_campaign_are_text_on_its_page(tmp_path):
+    campaign_of(tmp_path, "devices/x")
     page = render_campaign(tmp_path).read_text(encoding="utf-8")
-    assert "../../etc" not in page
     assert not re.search(r"<(b|i|script)>(alert|</)", page)
+    assert "&lt;b&gt;" in page
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1+1", "@SUM(A1)", " =1", "\t=1", "\r=1", "\n=1"])
+@pytest.mark.parametrize("key", ["effects", "family", "location", "shift", "aliases", "candidates", "words"])
+@pytest.mark.parametrize("value", [5, None, "x", [5], {"a": 5}])
+def test_fields_of_a_diagnosis_that_are_of_another_kind_are_named(tmp_path, key, value):
+    record = {"schema": SCHEMA, "verdict": "adequate", **dict.fromkeys(KEYS, 0.5)}
+    record |= {"effects": [], "family": [], "location": [], "shift": {}, "aliases": [], "candidates": [], "words": []}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(record), encoding="utf-8")
+    assert shj_bayes.load(tmp_path).effects == ()
+    (tmp_path / "diagnosis.json").write_text(json.dumps(record | {key: value}), encoding="utf-8")
+    for reader in (shj_bayes.load, render_diagnosis):
+        with pytest.raises(ReportError, match=rf"diagnosis\.json in .*: {key} is .*; it must be a (list|table) of"):
+            reader(tmp_path)
+
+
+FORMULAS = ("=1+1", "+1", "-1+1", "@SUM(A1)", " =1", "\t=1", "\r=1", "\n=1")
+WIDE = ("\uff1d1", " \uff0b1", "\uff0d1", "\uff20A", "\ufe661", "\u22121")
+
+
+@pytest.mark.parametrize("text", FORMULAS + WIDE)
 def test_formulas_are_neutral_in_tables(text):
     assert str(safe_cell(text)).startswith("'")
     assert safe_cell("Zinc 70") == "Zinc 70"

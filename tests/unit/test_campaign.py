@@ -1,15 +1,21 @@
 """Campaigns: one bad device never stops the rest, a second call does only what is missing or changed."""
 
+import importlib
 import json
+import time
+from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from shj_bayes.campaign import read_manifest, run_campaign
+from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError
 from shj_bayes.files import folder_name
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
+from shj_bayes.resources import shipped
 from shj_bayes.summary import compare_sets, summarise_campaign
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
@@ -88,6 +94,148 @@ def test_manifest_mistakes_are_named(tmp_path, text, words):
     with pytest.raises(CampaignError) as error:
         read_manifest(path)
     assert words in str(error.value)
+
+
+SET = '[[set]]\nname = "a"\n[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n'
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("seed = -1", "option seed = -1; allowed is 0 to 4294967295"),
+        (f"seed = {'9' * 400}", "option seed = 99999999999999999999...; allowed is 0 to 4294967295"),
+        (f"seed = 0x{'f' * 5000}", "option seed = a number of thousands of digits; allowed"),
+        ("max_steps = 0", "option max_steps = 0; allowed is 1 to 1000000"),
+        ("rate_Hz = nan", "rate nan Hz: allowed is 1e-6 to 1e7 Hz"),
+        (f"rate_Hz = {'9' * 400}", "Hz: allowed is 1e-6 to 1e7 Hz"),
+        ('priors = "/etc/passwd"', "do not ship with shj-bayes; choose one of afc, general, or name a .toml file"),
+        ('priors = "none.toml"', "cannot read none.toml"),
+        ('columns = "speed=3"', "--columns: cannot read 'speed=3'"),
+        ('units = "mm,mm"', "--units"),
+        ('free = ["Fy"]', "'Fy' cannot be freed"),
+        ('noise = "none"', "noise 'none' is not known"),
+    ],
+)
+def test_options_of_a_manifest_are_checked_with_their_line(tmp_path, option, words):
+    path = tmp_path / "m.toml"
+    path.write_text(HEAD + SET + "[set.device.options]\n" + option, encoding="utf-8")
+    with pytest.raises(CampaignError) as error:
+        read_manifest(path)
+    assert str(error.value).startswith("m.toml, line 11: set 'a', device 'd' ")
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('simulated = "yes"\n', "m.toml, line 2: the manifest has simulated = 'yes'; allowed are true and false"),
+        ("simulated = 1\n", "line 2: the manifest has simulated = 1"),
+        ("name = 3\n", "line 2: the manifest has name = 3; it needs a text"),
+        ('name = """\nsimulated = 1\n"""\nsimulated = 1\n', "line 5: the manifest has simulated = 1"),
+    ],
+)
+def test_the_head_of_a_manifest_is_checked_with_its_line(tmp_path, text, words):
+    path = tmp_path / "m.toml"
+    path.write_text('schema = "shj-bayes/campaign/1"\n' + text + SET, encoding="utf-8")
+    with pytest.raises(CampaignError) as error:
+        read_manifest(path)
+    assert words in str(error.value)
+
+
+def test_a_rate_may_stand_before_the_columns_that_allow_it(tmp_path):
+    path = tmp_path / "m.toml"
+    own = '[set.device.options]\nrate_Hz = 100.0\ncolumns = "force=3"\n'
+    path.write_text(HEAD + 'columns = "time=1"\n' + SET + own, encoding="utf-8")
+    assert read_manifest(path).devices[0].options.columns == "force=3"
+
+
+def test_the_fuzzers_manifest_is_a_good_one(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "fuzz"))
+    path = tmp_path / "m.toml"
+    path.write_text(importlib.import_module("originals").MANIFEST, encoding="utf-8")
+    assert len(read_manifest(path).devices) == 3
+
+
+def test_the_line_is_left_out_where_looking_for_it_takes_long(tmp_path):
+    path = tmp_path / "m.toml"
+    many = 'schema = "shj-bayes/campaign/1"\nname = """' + "x\n" * 40_000 + '"""\nsimulated = 1\n'
+    path.write_text(many + SET, encoding="utf-8")
+    begin = time.process_time()
+    with pytest.raises(CampaignError, match=r"m\.toml: the manifest has simulated = 1"):
+        read_manifest(path)
+    assert time.process_time() - begin < 5
+
+
+def test_priors_that_lack_a_law_are_refused_before_any_device_is_fitted(tmp_path):
+    own = shipped("priors", "afc.toml").read_text(encoding="utf-8")
+    (tmp_path / "own.toml").write_text(own.replace("[gamma]", "[skip]").split("[skip]")[0], encoding="utf-8")
+    path = tmp_path / "m.toml"
+    path.write_text(HEAD + 'priors = "own.toml"\n' + SET, encoding="utf-8")
+    with pytest.raises(CampaignError, match=r"m\.toml, line 10: set 'a', device 'd' .* hold no law for gamma"):
+        read_manifest(path)
+
+
+def test_failed_devices_have_a_status_of_their_own_even_when_quiet(campaign):
+    _, out, _ = campaign
+    path = out.parent / "campaign.toml"
+    for option in ("--quiet", "--json"):
+        done = CliRunner().invoke(main, ["campaign", str(path), "-o", str(out), option])
+        assert done.exit_code == 3
+        assert "1 of 4 devices failed: coated <b>, ../../broken" in done.stderr
+        assert (option == "--json") == bool(done.stdout)
+
+
+def test_what_recordings_say_of_themselves_reaches_campaign_and_sheet(tmp_path):
+    """A recording in two sets is said; so is that it was simulated, whatever the manifest says."""
+    (made,) = simulate_device(Truth(phi=0.3), seed=1, rate_Hz=4.0, blocks=BLOCKS, n_runs=1)
+    write_csv(tmp_path / "a.csv", made, comment="SIMULATED")
+    (tmp_path / "b.csv").write_bytes((tmp_path / "a.csv").read_bytes())
+    text = HEAD
+    for set_name, file in (("bare", "a.csv"), ("coated", "b.csv")):
+        text += f'[[set]]\nname = "{set_name}"\n[[set.device]]\nname = "d"\nrecordings = ["{file}"]\n'
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    manifest = read_manifest(tmp_path / "m.toml")
+    assert manifest.simulated is False
+    out = tmp_path / "out"
+    result = summarise_campaign(manifest, run_campaign(manifest, out, workers=1), out, seed=1)
+    said = "The same recording is in 2 devices, which counts one test as several: bare, d (a.csv), coated, d (b.csv)."
+    assert said in result.text
+    for page in ("report.html", "margins.html"):
+        assert "Simulated data." in (out / page).read_text(encoding="utf-8")
+    assert said in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_runs_stand_with_a_device_or_among_the_options(tmp_path):
+    path = tmp_path / "m.toml"
+    device = '[[set.device]]\nname = "{}"\nrecordings = ["x.csv"]\n'
+    text = HEAD + 'runs = "one"\n[[set]]\nname = "a"\n' + device.format("d") + "runs = 3\n" + device.format("e")
+    path.write_text(text, encoding="utf-8")
+    assert [d.options.runs for d in read_manifest(path).devices] == [3, "one"]
+    for wrong in ("0", '"two"', "true", "1.5"):
+        path.write_text(text.replace("runs = 3", f"runs = {wrong}"), encoding="utf-8")
+        with pytest.raises(CampaignError, match=r"m\.toml, line \d+: set 'a', device 'd'.*runs"):
+            read_manifest(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ('units = "s,in,kip"', "put it into a table [set.device.options]"),
+        ('coating = "zinc"', "put it directly below [[set]]"),
+        ("recording = 3", "did you mean 'recordings'?"),
+    ],
+)
+def test_a_key_below_a_device_is_refused_with_the_table_where_it_belongs(tmp_path, key, words):
+    path = tmp_path / "m.toml"
+    device = f'[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n{key}\n'
+    path.write_text(HEAD + f'[[set]]\nname = "a"\n{device}', encoding="utf-8")
+    with pytest.raises(CampaignError) as error:
+        read_manifest(path)
+    assert f"set 'a', device 'd' has the key '{key.split()[0]}'" in str(error.value)
+    assert words in str(error.value)
+    path.write_text(HEAD + '[[set]]\nname = "a"\ndevice = ["d"]\n', encoding="utf-8")
+    with pytest.raises(CampaignError, match="'a'"):
+        read_manifest(path)
 
 
 def test_folder_names_stay_inside_and_differ():

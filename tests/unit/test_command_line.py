@@ -54,6 +54,48 @@ def test_help_imports_nothing_heavy():
     assert out.stdout.strip() == "[]"
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("fit", "none.csv", "-o", "out"),
+        ("check", "none.csv"),
+        ("diagnose", "none.csv", "-o", "out"),
+        ("campaign", "none.toml", "-o", "out"),
+        ("margins", "none"),
+        ("compare", "none", "a", "b"),
+        ("export", "none", "--to", "opensees"),
+    ],
+)
+def test_a_missing_file_is_told_before_anything_heavy_is_imported(tmp_path, command):
+    code = (
+        "import sys, shj_bayes.cli as c\n"
+        f"try: c.main({list(command)!r})\n"
+        "finally: print([m for m in ('numpy', 'numba', 'scipy', 'pandas', 'arviz') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "none" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stdout.strip() == "[]"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("the work began")
+
+    def denied(*_, **__):
+        raise PermissionError(13, "Permission denied", "tmpabc")
+
+    monkeypatch.setattr("shj_bayes.summary.fit_population", never)
+    (tmp_path / "file").write_text("x", encoding="utf-8")
+    done = run("tables", "-o", tmp_path / "file" / "below")
+    assert (done.exit_code, "rights" in done.output) == (1, True)
+    monkeypatch.setattr("shj_bayes.files.TemporaryFile", denied)
+    done = run("tables", "-o", tmp_path / "locked")
+    assert (done.exit_code, "Permission denied (locked)" in done.output) == (1, True)
+
+
 def test_fit_writes_the_files_of_the_contract(fitted):
     assert {p.name for p in fitted.iterdir()} >= {
         "posterior.nc",
@@ -160,6 +202,67 @@ def test_simulated_slow_noise_is_on_top_of_the_rest(tmp_path):
     truth = json.loads((tmp_path / "slow.json").read_text(encoding="utf-8"))
     assert (truth["truth"]["sigma_slow"], truth["truth"]["tau_slow"]) == (1.5, 4)
     assert (truth["units"]["sigma_slow"], truth["units"]["tau_slow"]) == ("kN", "s")
+
+
+@pytest.fixture(scope="module")
+def both_runs(recordings, tmp_path_factory) -> Path:
+    """Two runs in one file, whose clock goes on after a rest without samples."""
+    runs = [np.loadtxt(path, delimiter=",", skiprows=2) for path in recordings]
+    runs[1][:, 0] += runs[0][-1, 0] + 60.0
+    path = tmp_path_factory.mktemp("both") / "both.csv"
+    np.savetxt(path, np.vstack(runs), delimiter=",", header="time_s,displacement_mm,force_kN", comments="")
+    return path
+
+
+def test_two_runs_in_one_file_are_refused_until_somebody_says(both_runs, tmp_path):
+    refused = run("fit", both_runs, "-o", tmp_path / "out")
+    assert refused.exit_code == 1
+    assert "--runs 2, --split or --one-run" in refused.output
+    assert run("check", both_runs, "--quiet").exit_code == 1
+    assert run("check", both_runs, "--quiet", "--one-run").exit_code == 0
+    assert run("check", both_runs, "--runs", 3).exit_code == 1
+    assert run("check", both_runs, "--runs", 2, "--split").exit_code == 2
+    checked = json.loads(run("check", both_runs, "--split", "--json").output)
+    assert [facts["name"] for facts in checked] == ["both.csv run 1", "both.csv run 2"]
+
+
+def test_two_runs_in_one_file_fit_as_two_files_do(both_runs, fitted, tmp_path):
+    done = run("fit", both_runs, "-o", tmp_path, "--runs", 2, "--max-steps", 200, "--json")
+    assert done.exit_code == 0, done.output
+    record, apart = json.loads(done.stdout), json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
+    assert record["device"] == "both"
+    assert [source["name"] for source in record["inputs"]] == ["both.csv run 1", "both.csv run 2"]
+    assert len({source["sha256"] for source in record["inputs"]}) == 1
+    for row, other in zip(record["parameters"], apart["parameters"], strict=True):
+        assert row["name"] == other["name"]
+        assert row["mean"] == pytest.approx(other["mean"], abs=0.5 * other["sd"])
+
+
+def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_path):
+    first, second = recordings
+    assert run("fit", first, "-o", tmp_path, "--max-steps", 200, "--quiet").exit_code == 0
+    before = (tmp_path / "fit.json").read_bytes()
+    for command in ("fit", "diagnose"):
+        refused = run(command, second, "-o", tmp_path)
+        assert refused.exit_code == 1
+        assert "another device, 'run1'" in refused.output
+        assert "--force" in refused.output
+    assert (tmp_path / "fit.json").read_bytes() == before
+    assert run("fit", first, "-o", tmp_path, "--name", "renamed", "--max-steps", 200, "--quiet").exit_code == 0
+    assert run("fit", second, "-o", tmp_path, "--force", "--max-steps", 200, "--quiet").exit_code == 0
+    assert json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))["device"] == "run2"
+
+
+def test_slips_of_one_fit_are_said(recordings, tmp_path):
+    copy, rows = tmp_path / "copy.csv", np.loadtxt(recordings[0], delimiter=",", skiprows=2)
+    rows[:, 0] += 500.0  # on another clock
+    np.savetxt(copy, rows, delimiter=",", header="time_s,displacement_mm,force_kN", comments="", fmt="%.17g")
+    twice = run("fit", recordings[0], copy, "-o", tmp_path / "twice", "--max-steps", 200)
+    assert "run 2 (copy.csv) holds the same samples as run 1 (run1.csv)" in twice.output
+    idle = run("fit", recordings[0], "-o", tmp_path / "idle", "--free", "K,beta", "--max-steps", 200)
+    assert "K, beta cannot differ between runs where there is one run" in idle.output
+    record = json.loads((tmp_path / "idle" / "fit.json").read_text(encoding="utf-8"))
+    assert "free-without-effect" in {f["code"] for f in record["inputs"][0]["findings"]}
 
 
 def test_unwritable_folder_is_one_line(recordings, tmp_path):

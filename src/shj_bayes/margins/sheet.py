@@ -36,6 +36,8 @@ class Request:
         Importance class of the structure, for EN 15129.
     nominal_kN : float or None
         Nominal sliding force for phi, phi_o and the bounds; that of a typical device of the set where not given.
+    sets : tuple of str
+        Sets that are shown and that the nominal force is for; all where empty.
     """
 
     amplitude_mm: float | None = None
@@ -43,11 +45,16 @@ class Request:
     extrapolate: bool = False
     importance: str = "II"
     nominal_kN: float | None = None
+    sets: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a nominal force that is none."""
         if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
             raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
+
+    def nominal_of(self, set_name: str) -> float | None:
+        """Nominal sliding force stated for a set, kN."""
+        return self.nominal_kN if not self.sets or set_name in self.sets else None
 
 
 PLAIN = Request()
@@ -145,7 +152,6 @@ def _rows(result: PopulationResult, motion: Motion | None, request: Request) -> 
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in SAMPLED}
     together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
     by_set[ANY_SET] = {q: _all_as_one(parts) for q, parts in together.items() if parts}
-    words = "typical device" if request.nominal_kN is None else "stated by the user"
     for name, samples in by_set.items():
         found = list(bands.of_set(result, name, {q: s.n for q, s in samples.items()}, motion))
         for quantity, sample in samples.items():
@@ -155,7 +161,9 @@ def _rows(result: PopulationResult, motion: Motion | None, request: Request) -> 
             found += testing.en1990_values(name, quantity, sample, ways)
             found += testing.tolerance_limits(name, quantity, sample, ways)
         found += [_degradation(row) for row in found if row.quantity == "ratio"]
-        parts = parts_of(result, name, motion, request.nominal_kN)
+        nominal = request.nominal_of(name)
+        words = "typical device" if nominal is None else "stated by the user"
+        parts = parts_of(result, name, motion, nominal)
         found += factor_rows(name, parts, samples["Fy"].n if "Fy" in samples else 0, request.importance, words)
         yield from found
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
-from shj_bayes.errors import PriorError
+from shj_bayes.errors import PriorError, shown
 from shj_bayes.files import read_toml
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.parameters import BASE, FloatArray, base_and_run, describe
@@ -30,6 +30,7 @@ LAWS = {
 }
 # Where the law and the noise exist (above 0 for all others); a prior with mass beyond stops a fit half-way.
 ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf), "phi": (-1.0, 1.0)}
+MIN_NUMBER = 1e-30  # of what is not 0; the inverse of a smaller one overflows, and 1e-320 has four digits left
 MAX_NUMBER = 1e30  # squares and ratios of two such numbers still fit into a double
 FREE_EDGE = 8.0  # normal quantile at which the upper end of a law is still told from 1 in double precision
 MAX_SPREAD = 5.0  # squares of what lies 30 spreads out, as far as the sampler can step, still fit into a double
@@ -71,8 +72,18 @@ class Prior:
             raise PriorError(f"prior of {self.name}: {LAWS[self.law][1]} = {self.b:g}; it must be above 0")
         if self.law in ("lognormal", "loguniform") and not self.a > 0:
             raise PriorError(f"prior of {self.name}: {LAWS[self.law][0]} = {self.a:g}; it must be above 0")
+        for key, value in zip(LAWS[self.law], (self.a, self.b), strict=True):
+            if 0 < abs(value) < MIN_NUMBER:
+                raise PriorError(f"prior of {self.name}: {key} = {value:g}; 0 or {MIN_NUMBER:g} and above is allowed")
         if self.law in ("uniform", "loguniform") and not self.b > self.a:
             raise PriorError(f"prior of {self.name}: high = {self.b:g} must be above low = {self.a:g}")
+        with np.errstate(over="ignore"):
+            values = self.from_free(np.linspace(-FREE_EDGE, FREE_EDGE, 33))
+        if not np.all(np.diff(values) > 0):
+            raise PriorError(
+                f"prior of {self.name}: the values of a {self.law} law of {self.a!r} and {self.b!r} cannot be told "
+                "apart in double precision; make it wider"
+            )
 
     @property
     def distribution(self) -> Any:
@@ -183,6 +194,8 @@ def read_priors(which: str | Path = "afc") -> Priors:
         path = shipped("priors", f"{which}.toml")
     table, digest = read_toml(path, SCHEMA, 1_000_000, PriorError)
     laws = {name: _prior(path.name, name, entry) for name, entry in table.items() if isinstance(entry, dict)}
+    if not laws:
+        raise PriorError(f"{path.name} holds no law; add a table such as [K] for each of {', '.join(BASE)}")
     return Priors(str(table.get("family", path.stem)), str(table.get("statement", "")), laws, digest)
 
 
@@ -205,9 +218,9 @@ def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
     for key in LAWS[law]:
         value = entry.get(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise PriorError(f"{file}: [{name}] {key} = {value!r}; a {law} law needs a number there")
+            raise PriorError(f"{file}: [{name}] {key} = {shown(value)}; a {law} law needs a number there")
         if abs(value) > MAX_NUMBER:  # also keeps out whole numbers that are too long for a double
-            raise PriorError(f"{file}: [{name}] {key} = {str(value)[:20]}; at most {MAX_NUMBER:g} in size is allowed")
+            raise PriorError(f"{file}: [{name}] {key} = {shown(value, 20)}; at most {MAX_NUMBER:g} in size is allowed")
         numbers.append(float(value))
     if not str(entry.get("source", "")).strip():
         raise PriorError(f"{file}: [{name}] has no source; say in one line where the law comes from")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -15,10 +14,13 @@ from shj_bayes.population.device import Tags
 from shj_bayes.population.priors import PopulationPrior
 from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.tested import RangeTested
+from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/population/1"
 ANY_SET = "(any set)"
 """Name of a set that was never tested, like the tested ones."""
+LISTED = 12
+"""Sets that a refusal lists."""
 R_HAT_LIMIT = 1.01
 ESS_LIMIT = 400.0
 """Chains have met when R-hat is below and the effective sample size above these (Vehtari et al. 2021)."""
@@ -162,16 +164,16 @@ class PopulationResult:
         Raises
         ------
         PopulationError
-            If there is no such set; the message names the nearest ones.
+            If there is no such set; the message lists the sets and names the nearest.
         """
         if name in self.set_names:
             return self.set_names.index(name)
         folded = {s.casefold(): s for s in self.set_names}
         if name.casefold() in folded:
             return self.set_names.index(folded[name.casefold()])
-        near = [folded[m] for m in difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.4)]
-        hint = f"nearest: {', '.join(near)}" if near else f"sets are: {', '.join(repr(s) for s in self.set_names)}"
-        raise PopulationError(f"there is no set {name!r}; {hint}")
+        known = ", ".join(repr(s) for s in self.set_names[:LISTED])
+        more = f" and {len(self.set_names) - LISTED} more" if len(self.set_names) > LISTED else ""
+        raise PopulationError(f"there is no set {name!r}; sets are: {known}{more}{did_you_mean(name, self.set_names)}")
 
     def fit(self, name: str, prior: str = "default") -> QuantityPosterior:
         """Return the posterior of one quantity under the prior asked for.

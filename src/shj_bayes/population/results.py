@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import unicodedata
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -26,11 +27,11 @@ _DRAWS = "population.npz"
 
 def safe_cell(value: object) -> object:
     """Text that a spreadsheet would run as a formula, with an apostrophe before it; all else unchanged."""
-    if isinstance(value, str) and value.startswith(("\t", "\r")):
-        return "'" + value
-    if isinstance(value, str) and value.lstrip().startswith(("=", "+", "-", "@")):
-        return "'" + value
-    return value
+    if not isinstance(value, str):
+        return value
+    first = unicodedata.normalize("NFKC", value.lstrip()[:1])  # full-width and small signs as the plain ones
+    runs = value.startswith(("\t", "\r")) or first in ("=", "+", "-", "@", "\u2212")
+    return "'" + value if runs else value
 
 
 def to_tables(result: PopulationResult) -> dict[str, pd.DataFrame]:
@@ -164,13 +165,13 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
     return folder / "population.csv", folder / "population.json", folder / _DRAWS
 
 
-def load_population(folder: Path) -> PopulationResult:
-    """Read back what ``write_population`` wrote.
+def population_record(folder: Path) -> dict[str, Any]:
+    """Content of ``population.json``.
 
     Raises
     ------
     PopulationError
-        If the folder holds no population, or one of another schema.
+        If the folder holds none, or one of another schema, or one that was altered.
     """
     path = folder / "population.json"
     if not path.exists():
@@ -182,12 +183,24 @@ def load_population(folder: Path) -> PopulationResult:
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise PopulationError(f"{path} is not of schema {SCHEMA}; write it again with this version")
     check_seal(document, path, PopulationError)
+    return document
+
+
+def load_population(folder: Path) -> PopulationResult:
+    """Read back what ``write_population`` wrote.
+
+    Raises
+    ------
+    PopulationError
+        If the folder holds no population, or one of another schema.
+    """
+    document = population_record(folder)
     if not (folder / _DRAWS).is_file():
         raise PopulationError(f"{_DRAWS} is missing in {folder.name}; run `shj-bayes tables` or `campaign` again")
     if document.get("draws_sha256") not in (None, file_digest(folder / _DRAWS)):
         raise PopulationError(
             f"{_DRAWS} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one in "
-            f"{path.name}); restore it or run the command again"
+            "population.json); restore it or run the command again"
         )
     with damage_told(f"population.json or {_DRAWS} in {folder.name}", PopulationError):
         with np.load(folder / _DRAWS, allow_pickle=False) as archive:

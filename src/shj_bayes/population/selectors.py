@@ -13,6 +13,8 @@ from shj_bayes.population.posterior import PopulationResult
 Kind = tuple[Callable[[Tags], bool], Callable[[Tags], Tags]]
 """Which sets belong, and their tags without what is compared: sets with the same rest form a stratum."""
 Stratum = tuple[tuple[int, ...], tuple[int, ...]]
+BARE = {"", "none", "bare", "uncoated", "plain", "blasted", "machined", "polished", "mill scale", "as rolled"}
+"""Words for a surface without a coating; ``sweep blasted`` and the like are too."""
 WORDS = "coated, uncoated, corroded, uncorroded, or a coverage such as '70 %'"
 
 
@@ -61,6 +63,20 @@ def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, s
     return first, second, found
 
 
+def is_bare(coating: str) -> bool:
+    """Whether a coating is none: bare steel, whatever was done to its surface."""
+    words = re.sub(r"[\s_-]+", " ", coating.strip().casefold())
+    return words in BARE or words.endswith(" blasted")
+
+
+def members(result: PopulationResult, strata: tuple[Stratum, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the sets on both sides of a comparison, in the order of the population."""
+    first, second = (
+        tuple(result.set_names[i] for i in sorted({i for stratum in strata for i in stratum[side]})) for side in (0, 1)
+    )
+    return first, second
+
+
 def _kind(result: PopulationResult, words: str) -> Kind | None:
     """Read a kind of sets from words; None for the name of a set, which goes first."""
     folded = words.strip().casefold()
@@ -71,7 +87,7 @@ def _kind(result: PopulationResult, words: str) -> Kind | None:
         return (lambda tags: tags.corroded is wanted), (lambda tags: replace(tags, corroded=False))
     if folded in ("coated", "uncoated", "not coated"):
         bare = folded != "coated"
-        return (lambda tags: (tags.coating == "none") is bare), (
+        return (lambda tags: is_bare(tags.coating) is bare), (
             lambda tags: replace(tags, coating="", coverage_percent=None)
         )
     match = re.fullmatch(r"(?:coverage\s*)?(\d+(?:\.\d+)?)\s*%?", folded)

@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import shj_bayes
+from shj_bayes.alone import alone_in
 from shj_bayes.errors import ProofError
 from shj_bayes.files import write_text
 from shj_bayes.proof.answers import CASES, Case, Judged
@@ -49,6 +50,7 @@ class RealProof:
         return "\n".join([*lines, "", f"{agreed} of {total} comparisons agree", f"page: {self.page}"])
 
 
+@alone_in("out")
 def prove_recordings(folder: Path, out: Path, *, workers: int = 2, progress: bool = False) -> RealProof:
     """Diagnose real recordings from displacement and force alone, then compare with what was withheld.
 

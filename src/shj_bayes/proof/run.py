@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from shj_bayes.alone import alone_in
 from shj_bayes.errors import ProofError
 from shj_bayes.files import read_json, write_text
 from shj_bayes.inference.store import versions
 from shj_bayes.model.priors import read_priors
+from shj_bayes.processes import Workers, program
 from shj_bayes.proof import seal
 from shj_bayes.proof.cases import Key, draw_keys
 from shj_bayes.proof.make import make
@@ -56,6 +55,7 @@ class Proof:
         return "\n".join([*lines, "", f"page: {self.page}"])
 
 
+@alone_in("folder")
 def prove(folder: Path, *, n: int, seed: int, workers: int = 2, quick: bool = True, progress: bool = False) -> Proof:
     """Run (or go on with) a proof.
 
@@ -136,7 +136,7 @@ def score_rows(folder: Path, keys: list[Key], workers: int, progress: bool) -> l
                 rows.append(_score_one(job))
                 bar.update()
             return rows
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with Workers(workers) as pool:
             for row in pool.map(_score_one, jobs):
                 rows.append(row)
                 bar.update()
@@ -224,7 +224,7 @@ def _transcribe(folder: Path, n: int) -> None:
 
 def _git_commit() -> str | None:
     """Commit of the source, with a + where files differ from it; None outside a repository."""
-    git = shutil.which("git")
+    git = program("git")
     if git is None:
         return None
     here = Path(__file__).parent

@@ -7,8 +7,11 @@ environment; FOLDER holds copies of the recordings and nothing else.
 from __future__ import annotations
 
 import json
+import os
 import sys
+import threading
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from shj_bayes.errors import ShjError
@@ -17,13 +20,15 @@ from shj_bayes.proof.fence import raise_fence
 
 
 def main() -> None:
-    """Answer until the input ends."""
+    """Answer until the input ends, which is at once when the process that asks is gone."""
     folder = Path(sys.argv[1])
     raise_fence(folder)
     answers = sys.stdout
     sys.stdout = sys.stderr  # whatever a library prints must not be taken for an answer
-    for line in sys.stdin:
-        task = json.loads(line)
+    tasks: SimpleQueue[str] = SimpleQueue()
+    threading.Thread(target=_listen, args=(tasks,), daemon=True).start()
+    while True:
+        task = json.loads(tasks.get())
         paths = [folder / name for name in task.pop("files")]
         try:
             answer: dict[str, Any] = {"record": diagnose_blind(paths, **task)}
@@ -31,6 +36,13 @@ def main() -> None:
             answer = {"error": f"{type(error).__name__}: {error}"}
         answers.write(json.dumps(answer, allow_nan=False) + "\n")
         answers.flush()
+
+
+def _listen(tasks: SimpleQueue[str]) -> None:
+    """Hand on the tasks; end the process, even in the midst of one, when no more can come."""
+    for line in sys.stdin:
+        tasks.put(line)
+    os._exit(0)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -94,19 +95,39 @@ def _from_mat(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any] | None, st
     from scipy.io import loadmat, whosmat  # noqa: PLC0415
 
     _refuse_bomb(path)
-    listing = whosmat(path)
+    with _sizes_told(path):
+        listing = whosmat(path)
     wanted = [name for name, _, kind in listing if kind in _NUMERIC_CLASSES]
     # math.prod, since the sizes of a damaged file overflow the integers of numpy
     refuse_large(sum(8 * math.prod(map(int, shape)) for name, shape, _ in listing if name in wanted), path.name)
-    loaded = loadmat(path, variable_names=wanted) if wanted else {}
+    with _sizes_told(path):
+        loaded = loadmat(path, variable_names=wanted) if wanted else {}
     for name, _, _ in listing:
         values = loaded.get(name)
         numeric = isinstance(values, np.ndarray) and values.dtype.kind in "fiub"
         yield name, shaped(values) if numeric and values is not None else None, None
 
 
+@contextmanager
+def _sizes_told(path: Path) -> Iterator[None]:
+    """Say in words what scipy says of elements that are shorter or longer than their tags claim."""
+    try:
+        yield
+    except (ValueError, OSError, TypeError, IndexError, struct.error, zlib.error) as error:
+        if str(error).startswith("Unknown mat file type"):
+            raise
+        raise RecordingError(
+            f"{path.name}: the MAT file is damaged, its elements do not have the sizes that they claim "
+            f"({str(error)[:100]}); check that it is complete, or save it again"
+        ) from error
+
+
 def _refuse_bomb(path: Path) -> None:
-    """Unpack the compressed elements of a v5 MAT file in pieces, counting, before scipy unpacks them whole."""
+    """Unpack the compressed elements of a v5 MAT file in pieces, counting, before scipy unpacks them whole.
+
+    An element that claims to be longer than the file would hide those behind it.
+    """
+    length = path.stat().st_size
     with path.open("rb") as stream:
         order = {b"IM": "<", b"MI": ">"}.get(stream.read(128)[126:128])
         if order is None:  # version 4 has no compression
@@ -114,6 +135,11 @@ def _refuse_bomb(path: Path) -> None:
         total = 0
         while len(tag := stream.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
+            if size > length - stream.tell():
+                raise RecordingError(
+                    f"{path.name}: the element at byte {stream.tell() - 8} claims {size} bytes, the file has "
+                    f"{length - stream.tell()} left; check that it is complete, or save it again"
+                )
             if kind != _COMPRESSED:
                 stream.seek(size, 1)
                 continue

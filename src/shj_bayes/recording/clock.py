@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from itertools import pairwise
 
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.limits import BAD_TIME_SHARE, GAP_STEPS, JITTER_SHARE, MANY_GAPS_SHARE, MAX_DURATION_S
+from shj_bayes.recording.limits import (
+    BAD_TIME_SHARE,
+    GAP_STEPS,
+    JITTER_SHARE,
+    MANY_GAPS_SHARE,
+    MAX_DURATION_S,
+    MIN_SAMPLES,
+    RESTART_GAP_STEPS,
+)
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 
 
@@ -60,6 +69,79 @@ def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding
     return keep, findings
 
 
+def restarts(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> list[int]:
+    """Rows at which the clock begins again, as where several runs were written into one file.
+
+    Parameters
+    ----------
+    time_s, displacement_mm, force_kN : array, shape (n_rows,)
+        NaN where there is no number.
+
+    Returns
+    -------
+    list of int
+        Time falls back there to before the middle of the run, and stays back. A clock that falls back while
+        displacement and force go on is a counter that overflowed, and is left to `orderly_rows`.
+    """
+    index = np.flatnonzero(np.isfinite(time_s))
+    times = time_s[index]
+    found: list[int] = []
+    begin = 0
+    for k in (np.flatnonzero(np.diff(times) < 0) + 1).tolist():
+        if k - begin < MIN_SAMPLES or times.size - k < MIN_SAMPLES:
+            continue
+        first, last, after = (
+            float(np.median(times[a : a + MIN_SAMPLES])) for a in (begin, k - MIN_SAMPLES, k)
+        )  # medians, since single times may be wrong
+        if after < 0.5 * (first + last) and not _goes_on(displacement_mm, force_kN, int(index[k])):
+            found.append(int(index[k]))
+            begin = k
+    return found
+
+
+def _goes_on(displacement_mm: FloatArray, force_kN: FloatArray, row: int) -> bool:
+    """Whether the device moves through a row as if nothing had happened: same speed, no step of the force."""
+    near = slice(max(0, row - 8), row + 8)
+    moves, changes = np.diff(displacement_mm[near]), np.diff(force_kN[near])
+    middle = row - near.start - 1
+    usual = float(np.nanmedian(moves))
+    noise = 1.5 * float(np.nanmedian(np.abs(moves - usual)))
+    still = abs(usual) <= noise or abs(usual) < 1e-4 * float(np.nanmax(displacement_mm) - np.nanmin(displacement_mm))
+    jump = abs(moves[middle] - usual) > 6 * noise + 0.5 * abs(usual)
+    step = abs(changes[middle]) > 0.05 * float(np.nanmax(force_kN) - np.nanmin(force_kN))
+    return not (still or jump or step)
+
+
+def follow_on(time_s: FloatArray, rows: list[int]) -> tuple[FloatArray, list[float]]:
+    """Put runs behind one another on one clock.
+
+    Parameters
+    ----------
+    time_s : array, shape (n_rows,)
+        NaN where there is no time.
+    rows : list of int
+        First row of each run after the first.
+
+    Returns
+    -------
+    time_s : array, shape (n_rows,)
+    shift_s : list of float
+        What was added to the times of each run after the first; 0 where its clock goes on.
+    """
+    out, shifts = time_s.copy(), list[float]()
+    for a, b in pairwise([*rows, time_s.size]):
+        before, own = out[:a][np.isfinite(out[:a])], out[a:b][np.isfinite(out[a:b])]
+        if before.size < 2 or own.size < 1:
+            shifts.append(0.0)
+            continue
+        last = before[-MIN_SAMPLES:]
+        step = float(np.median(np.abs(np.diff(last))))
+        end = float(np.median(last)) + last.size * step
+        shifts.append(0.0 if own[0] > before[-1] else end + RESTART_GAP_STEPS * step - float(own[0]))
+        out[a:b] += shifts[-1]
+    return out, shifts
+
+
 def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int, back: int, dropped: int) -> str:
     """Say which kind of broken clock it is and what to do."""
     allowed = f"allowed are {BAD_TIME_SHARE:.0%}"
@@ -72,7 +154,8 @@ def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int,
     return (
         f"{name}: time jumps back {back} times, first from {times[row]:.6g} s to {times[row + 1]:.6g} s "
         f"at row {row + 2}; "
-        f"{dropped} of {times.size} rows would be lost ({allowed}); if the file holds several runs, split it"
+        f"{dropped} of {times.size} rows would be lost ({allowed}); "
+        "export the time of the test anew, or one file for each run"
     )
 
 

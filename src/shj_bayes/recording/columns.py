@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.formula import Value, evaluate
+from shj_bayes.recording.limits import MIN_SAMPLES, RATE_AGREES
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
 from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units, role_of
@@ -24,6 +26,7 @@ _CONTAINS: dict[Role, tuple[str, ...]] = {
     "displacement": ("displacement", "disp", "stroke", "slip", "lvdt", "deflection", "deformation", "weg", "hub"),
     "force": ("force", "load", "kraft"),
 }
+_RUN = {"run", "run no", "run nr", "run number", "run id", "run index", "test run", "lauf"}
 _OPTION = re.compile(r"\s*(?P<role>\w+)\s*=(?P<what>.*)$", re.DOTALL)
 _HOW = "--columns time=...,displacement=...,force=... (column name, number, or a formula such as #7 - 49.087*#6)"
 
@@ -42,6 +45,8 @@ class Channels:
         What was assumed.
     named, assumed : frozenset of str
         Roles whose column the user named, and roles whose unit nobody stated.
+    run_rows : tuple of int
+        Rows at which a run column says that a further run begins.
     """
 
     time_s: FloatArray
@@ -52,6 +57,7 @@ class Channels:
     findings: tuple[Finding, ...]
     named: frozenset[str] = frozenset()
     assumed: frozenset[str] = frozenset()
+    run_rows: tuple[int, ...] = ()
 
 
 def choose(
@@ -85,7 +91,8 @@ def choose(
     values: dict[Role, Value] = {}
     chosen: dict[str, str] = {}
     if rate_Hz is not None:
-        _check_rate(rate_Hz, asked)
+        check_rate(rate_Hz, asked)
+        _rate_agrees(rate_Hz, table, given)
     for role in ROLES:
         if role == "time" and rate_Hz is not None:
             continue
@@ -121,7 +128,11 @@ def choose(
         used[role] = unit
         scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
-    _note_ignored(table, values, findings)
+    run, run_rows = _run_column(table, values)
+    if run is not None:
+        message = f"column {run.header or run.name!r} numbers {len(run_rows) + 1} runs"
+        findings.append(Finding("run-column", "assumed", message))
+    _note_ignored(table, values, run, findings)
     assumed = frozenset(role for role in ROLES if role not in given and not _stated(values.get(role)))
     return Channels(
         arrays["time"],
@@ -132,6 +143,7 @@ def choose(
         tuple(findings),
         frozenset(asked),
         assumed,
+        run_rows,
     )
 
 
@@ -234,11 +246,53 @@ def _by_unit(table: Table, role: Role) -> int:
     return places[0] if len(places) == 1 else 0
 
 
-def _check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:
-    if not (np.isfinite(rate_Hz) and 1e-6 <= rate_Hz <= 1e7):
-        raise RecordingError(f"--rate {rate_Hz:g} Hz: allowed is 1e-6 to 1e7 Hz")
+def check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:
+    """Refuse a sampling rate that is none, or that is given beside a time column.
+
+    Parameters
+    ----------
+    rate_Hz : float
+        Sampling rate, Hz.
+    asked : dict
+        What `parse_columns` read.
+
+    Raises
+    ------
+    RecordingError
+        With the rate.
+    """
+    if not 1e-6 <= rate_Hz <= 1e7:
+        raise RecordingError(f"--rate {shown(rate_Hz, 20)} Hz: allowed is 1e-6 to 1e7 Hz")
     if "time" in asked:
         raise RecordingError(f"both --rate {rate_Hz:g} and --columns time={asked['time']} are given; give one of them")
+
+
+def _rate_agrees(rate_Hz: float, table: Table, given: dict[Role, str]) -> None:
+    """Refuse a sampling rate that the file's own clock contradicts."""
+    for name, said in _rates(table, given):
+        # A clock printed with few digits repeats its times, and one with gaps ends late: each shows in one of the two.
+        if all(abs(rate / rate_Hz - 1) > RATE_AGREES for rate in said):
+            raise RecordingError(
+                f"{table.name}: {name} says {said[0]:.4g} Hz, --rate {rate_Hz:g} Hz; leave --rate out, which is for "
+                "files without time; where the time is wrong, correct it, or take its column out"
+            )
+
+
+def _rates(table: Table, given: dict[Role, str]) -> Iterator[tuple[str, tuple[float, ...]]]:
+    """Give the sampling rates that a file states: name of the column, its rate by the usual step and over all rows."""
+    step = table.scalars.get("wf_increment", 0.0)
+    if np.isfinite(step) and step > 0:
+        yield "wf_increment", (1.0 / step,)
+    try:
+        column = by_header(table, "time", [])
+        unit = factor(given.get("time") or (column and column.unit) or "s", "time")
+    except RecordingError:
+        return
+    times = np.zeros(0) if column is None else column.values[np.isfinite(column.values)] * unit
+    if column is None or times.size < 2 or times[-1] <= times[0]:
+        return
+    usual, mean = float(np.median(np.diff(times))), float(times[-1] - times[0]) / (times.size - 1)
+    yield f"column {column.header or column.name!r}", tuple(1.0 / s for s in (usual, mean) if s > 0)
 
 
 def _length(values: dict[Role, Value], table: Table) -> int:
@@ -323,9 +377,25 @@ def _same(left: str, right: str, role: Role) -> bool:
         return False
 
 
-def _note_ignored(table: Table, values: dict[Role, Value], findings: list[Finding]) -> None:
-    """List the columns that were not used."""
+def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None, tuple[int, ...]]:
+    """Column that numbers the runs, and the rows at which its number changes; None where no column does."""
     used = {id(column) for value in values.values() for column in value.columns}
+    for column in table.columns:
+        if _words(column.name) not in _RUN or id(column) in used:
+            continue
+        rows = np.flatnonzero(np.isfinite(column.values))
+        change = np.flatnonzero(np.diff(column.values[rows])) + 1
+        edges = [0, *change.tolist(), rows.size]
+        numbers = column.values[rows[[0, *change.tolist()]]] if rows.size else np.zeros(0)
+        # A number that comes again, or for a few rows only, counts something else.
+        if change.size and np.unique(numbers).size == numbers.size and np.min(np.diff(edges)) >= MIN_SAMPLES:
+            return column, tuple(rows[change].tolist())
+    return None, ()
+
+
+def _note_ignored(table: Table, values: dict[Role, Value], run: Column | None, findings: list[Finding]) -> None:
+    """List the columns that were not used."""
+    used = {id(column) for value in values.values() for column in value.columns} | {id(run)}
     rest = [c.header or c.name for c in table.columns if id(c) not in used]
     if rest:
         more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.headers import is_unit_cell, split_header
+from shj_bayes.recording.headers import bare_unit, is_unit_row, split_header
 from shj_bayes.recording.limits import MAX_CELL
 
 LOOK = 400  # lines looked at to find the header; exports with longer preambles do not occur
@@ -110,8 +110,8 @@ def header_of(above: list[str], dialect: Dialect) -> tuple[list[str], list[str |
     if not rows:
         return [""] * dialect.width, [None] * dialect.width, ["(no name)"] * dialect.width
     unit_row: list[str | None] = [None] * dialect.width
-    if len(rows) > 1 and all(is_unit_cell(cell) for cell in rows[-1]) and any(rows[-1]):
-        unit_row = [cell.strip("()[]{}<>").strip() or None for cell in rows.pop()]
+    if len(rows) > 1 and is_unit_row(rows[-1]):
+        unit_row = [bare_unit(cell) or None for cell in rows.pop()]
     pairs = [split_header(cell) for cell in rows[-1]]
     units = [unit or below for (_, unit), below in zip(pairs, unit_row, strict=True)]
     written = [

@@ -65,6 +65,8 @@ def evaluate(text: str, table: Table) -> Value:
         For unknown names, a product of two columns, or anything that is no formula.
     """
     text = text.strip()
+    if len(text) > _MAX_LENGTH:  # before int(), which refuses thousands of digits in words of its own
+        raise RecordingError(f"--columns: a formula of {len(text)} characters; allowed are {_MAX_LENGTH}")
     if re.fullmatch(r"#?\d+", text):
         return _column(_numbered(int(text.lstrip("#")), table))
     exact = _named(text.strip("\"'"), table)
@@ -109,8 +111,6 @@ def _named(name: str, table: Table) -> Value | None:
 
 def _tokens(text: str) -> list[tuple[str, str]]:
     """Split a formula into (kind, text)."""
-    if len(text) > _MAX_LENGTH:
-        raise RecordingError(f"--columns: a formula of {len(text)} characters; allowed are {_MAX_LENGTH}")
     tokens: list[tuple[str, str]] = []
     position = 0
     while position < len(text):

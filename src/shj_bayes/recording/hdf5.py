@@ -5,6 +5,7 @@ Found by fuzzing (``tests/fuzz``): about one damaged file in a thousand ended th
 
 from __future__ import annotations
 
+import faulthandler
 import io
 import json
 import subprocess
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
+from shj_bayes.processes import PYTHON, end_with_input, tether
 from shj_bayes.recording.limits import HDF5_SECONDS, MAX_BYTES, MAX_COLUMNS
 
 _CHILD = "import sys; from shj_bayes.recording.hdf5 import child; child(sys.argv[1])"
@@ -44,9 +46,14 @@ def apart(path: Path) -> Iterator[Item]:
     broken = f"{path.name}: the HDF5 library cannot read it and gave up"
     advice = "check that the file is complete; export it again"
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _CHILD, str(path.resolve())], capture_output=True, timeout=HDF5_SECONDS, check=False
-        )
+        with tether() as until_our_end:
+            done = subprocess.run(
+                [*PYTHON, "-c", _CHILD, str(path.resolve())],
+                stdin=until_our_end,
+                capture_output=True,
+                timeout=HDF5_SECONDS,
+                check=False,
+            )
     except subprocess.TimeoutExpired as error:
         raise RecordingError(f"{broken} after {HDF5_SECONDS} s; {advice}") from error
     if done.returncode:
@@ -61,6 +68,8 @@ def apart(path: Path) -> Iterator[Item]:
 
 def child(path: str) -> None:
     """Read a file and write what it holds to standard output: a line of names and units, then the arrays."""
+    end_with_input()
+    faulthandler.dump_traceback_later(HDF5_SECONDS, exit=True)  # also where the library holds every other thread up
     out = sys.stdout.buffer
     try:
         items = list(from_hdf5(Path(path)))

@@ -14,6 +14,9 @@ _SUFFIXES = {
     *("n", "kn", "mn", "lb", "lbs", "lbf", "kip", "kips", "kgf", "tonf"),
 }
 _TIME_SUFFIXES = {"min", "mins", "h", "hr"}  # behind "time" only: elsewhere min is a minimum
+_OTHER_UNITS = {"v", "mv", "mpa", "bar", "c", "%"}
+# degC, V, %, bar, 1/s, m/s^2, N/mm2, \u00b0C ...: a letter or sign and little behind it
+_UNIT_LIKE = re.compile(r"(1/)?[^\W\d_%]{0,10}[%\u00b0\u2126\u2030]?[^\W\d_]{0,4}([ */.\u00b7^-]{0,2}[^\W_]{1,6}){0,3}")
 _SUFFIXED = re.compile(r"^(?P<name>.+?)\s*[_,/: \-]\s*(?P<unit>[A-Za-z\u00b5\u03bc\"'.]{1,8})$")
 
 
@@ -41,7 +44,28 @@ def split_header(header: str) -> tuple[str, str | None]:
     return text, None
 
 
-def is_unit_cell(cell: str) -> bool:
-    """Whether a cell below a header holds a unit, bare or in brackets (or nothing, or a dash)."""
-    text = cell.strip().strip("()[]{}<>").strip()
-    return text in {"", "-", "--"} or role_of(text) is not None or text.lower() in {"v", "mv", "mpa", "bar", "c", "%"}
+def bare_unit(cell: str) -> str:
+    """Give the unit of a cell below a header, without its brackets."""
+    return cell.strip().strip("()[]{}<>").strip()
+
+
+def is_unit_row(cells: list[str]) -> bool:
+    """Whether a row below the names holds units, bare or in brackets.
+
+    Parameters
+    ----------
+    cells : list of str
+        One for each column.
+
+    Returns
+    -------
+    bool
+        True where every cell is empty, a dash or a usual unit, or, where units of two of these are
+        among them, anything that may be a unit of another quantity: a file has channels that nobody needs.
+    """
+    texts = [bare_unit(cell) for cell in cells]
+    filled = [text for text in texts if text not in {"", "-", "--"}]
+    roles = {text: role_of(text) for text in filled}
+    if filled and all(role or text.lower() in _OTHER_UNITS for text, role in roles.items()):
+        return True
+    return len({role for role in roles.values() if role}) > 1 and all(map(_UNIT_LIKE.fullmatch, filled))

@@ -6,6 +6,7 @@ from __future__ import annotations
 MAX_ROWS = 10_000_000
 MAX_COLUMNS = 512
 MAX_BYTES = 512 * 1024**2  # after decompression; holds 10 million rows of four numbers as text
+MAX_JSON_BYTES = 64 * 1024**2  # parsed it takes ten times as much memory: a million rows of three numbers
 CHUNK_BYTES = 4 * 1024**2  # a compressed file is unpacked in pieces of this size, so that it can be stopped
 BLOCK_ROWS = 200_000  # rows of text held at a time: some 50 MB, however long the file
 HDF5_SECONDS = 300  # for the largest file on the slowest disk; a damaged one can make the library loop
@@ -13,6 +14,9 @@ MAX_RATIO = 200  # unpacked over packed size of a workbook; sheets of numbers re
 MAX_PARTS = 2000  # files in a workbook; two hundred sheets with pictures stay below
 MAX_SHEET_ROWS = 1_048_576  # the last row that a workbook can have
 MAX_LINE = 65_536  # characters; 512 columns of 100 digits stay below
+MAX_EMPTY = 100_000  # lines without a row, beyond one for each row: a doubled line end makes one, a bomb millions
+MAX_WORDS = 100_000  # in a column, and half of it: a status, which is not read to its end as if it were numbers
+MAX_SPECIAL = 2_000_000  # numbers with groups of thousands or D exponents; each takes a microsecond or two
 MAX_CELL = 64  # characters of a number; no instrument prints more, and longer ones make pattern matching slow
 MAX_VALUE = 1e30  # in any unit; no channel holds more, and its square still fits into a double
 MAX_NAME = 200  # characters of a header that are looked at
@@ -21,6 +25,7 @@ MAX_NAME = 200  # characters of a header that are looked at
 GAP_STEPS = 3.5  # a step this many medians long is a gap: jitter and one or two lost samples stay below
 JITTER_SHARE = 0.02  # 5-95 % spread of the steps over the median; clocks that print rounded times stay below
 BAD_TIME_SHARE = 0.02  # more repeated or backward times than this is a broken clock, not a few broken rows
+RATE_AGREES = 0.02  # a rate that is given may differ by this share from what a time column says; clocks drift by less
 MANY_GAPS_SHARE = 0.01  # more gaps than this and the median step itself means little
 
 # --- cells that hold no number ---
@@ -54,6 +59,10 @@ LONG_TEST_S = 36_000.0  # ten hours, and slower than the above: mentioned even w
 # --- sign, order of columns, offset, lag, cycles ---
 SIGN_SHARE = 0.2  # friction dissipates: the loop area must be at least this share of (range x range), of either sign
 SWAPPED_BURSTS = 1.5  # burstiness of displacement over that of force; 0.4 to 0.9 for friction, 1.3 at most measured
+SWAPPED_SMOOTH = 3.0  # roughness of displacement over that of force; 1.4 at most measured, 3.6 and more where exchanged
+SWAPPED_PRODUCT = (
+    3.0  # the two ratios and that of the half-cycles, where the loop gives energy back; 1.8 at most measured
+)
 SWAPPED_ROUGHNESS = 0.5  # second over first differences; driven displacements reach 0.4, noisy forces exceed 0.6
 REST_SAMPLES = 10  # a rest at the start shorter than this is chance
 OFFSET_SHARE = 0.10  # mean of push and pull over half their difference, from which an offset is mentioned
@@ -75,3 +84,17 @@ SHORTEST_SHARE = 0.2  # half-window over the shortest half-cycle: a sine keeps i
 UNSURE_SD = 3.0  # standard deviations of the turning time within which a sample may lie on either side
 UNSURE_SHARE = 0.1  # of the shorter neighbouring half-cycle: no more than this is ever left out
 KINK_Z = 6.0  # one false alarm in 5e8 samples for white noise
+
+# --- several runs in one file ---
+RESTART_GAP_STEPS = 100  # put between runs whose clock begins again, so that nothing is smoothed across
+SKETCH_SAMPLES = 20_000  # enough to see rests and strokes of some thousand half-cycles
+REST_BINS = 4_000  # pieces of the duration that are looked at for movement
+REST_NOISE = 50.0  # movement in such a piece over the noise, at least; 10 of these 50 are a rest
+REST_SPEED = 0.05  # of the mean speed; a sine is below it for 1 % of its cycle
+REST_RANGE = 0.05  # of the displacement range, from the beginning to the end of a rest; more is slow movement
+REST_AT = 5.0  # standard deviations of a sample from the level of a rest
+REST_HOME = 0.15  # of the displacement range: runs end where they began; rests elsewhere belong to the test
+LONG_REST = 1.0  # usual half-cycles; holds at reversals are shorter, pauses between runs last minutes
+SAME_STROKE = 0.05  # driven strokes of the same protocol agree to 3 % on the worst of the public rigs
+PROTOCOL_HALF_CYCLES = 8  # a sequence of amplitudes shorter than this is a pattern within one run
+PROTOCOL_VARIES = 1.5  # largest over smallest amplitude of a protocol that can be seen to begin again

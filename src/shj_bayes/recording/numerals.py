@@ -13,7 +13,7 @@ import pandas as pd
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.dialect import GROUPED, LOOK, PLAIN, Dialect, numeric_width
-from shj_bayes.recording.limits import BLOCK_ROWS, MAX_CELL, MAX_ROWS
+from shj_bayes.recording.limits import BLOCK_ROWS, MAX_CELL, MAX_ROWS, MAX_SPECIAL, MAX_WORDS
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 from shj_bayes.recording.tables import as_floats
 
@@ -34,6 +34,17 @@ class _Column:
         self.pieces: list[FloatArray] = []
         self.n_rows = self.n_words = self.n_grouped = self.n_other = 0
         self.first = ("", 0)
+
+    @property
+    def is_text(self) -> bool:
+        """Whether so much of it was words that the rest need not be looked at."""
+        return self.n_words > MAX_WORDS and 2 * self.n_words > self.n_rows
+
+    def skip(self, n_rows: int) -> None:
+        """Take a block of words without looking at it."""
+        self.pieces.append(np.full(n_rows, np.nan))
+        self.n_rows += n_rows
+        self.n_words += n_rows
 
     def add(self, raw: pd.Series[Any]) -> None:
         """Take the next block as pandas read it."""
@@ -131,6 +142,7 @@ def numbers(
             findings += more
         if ready:
             n_kept += _parse(ready, dialect, columns)
+            _refuse_slow(columns, labels, file)
         if not block:
             break
     n_rows = n_read - sum(f.count for f in findings)
@@ -146,12 +158,13 @@ def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
     """Read one block; the number of rows that came of it."""
     # A quote that is never closed would join all that follows into one cell.
     lines = [line.replace('"', "") if '"' in line and line.count('"') % 2 else line for line in lines]
+    read = [i for i, column in enumerate(columns) if not column.is_text]
     frame = pd.read_csv(
         io.StringIO("\n".join(lines)),
         sep=r"\s+" if dialect.separator == " " else dialect.separator,
         header=None,
         names=list(range(dialect.width)),
-        usecols=list(range(dialect.width)),
+        usecols=read,
         index_col=False,
         decimal=dialect.decimal,
         **_EXACT,
@@ -160,8 +173,27 @@ def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
         low_memory=False,
     )
     for i, column in enumerate(columns):
-        column.add(frame[i])
+        if i in read:
+            column.add(frame[i])
+        else:
+            column.skip(len(frame))
     return len(frame)
+
+
+def _refuse_slow(columns: list[_Column], labels: list[str], file: str) -> None:
+    """Refuse, before it takes minutes, what is mostly words or is written in a way that is slow to read."""
+    words = [label for label, column in zip(labels, columns, strict=True) if column.is_text]
+    if len(words) > len(columns) - 2:
+        raise RecordingError(
+            f"{file}: more than {MAX_WORDS} cells of column {words[0]} hold text, and fewer than two columns hold "
+            f"numbers; export the recording as numbers"
+        )
+    special = sum(column.n_grouped for column in columns)
+    if special > MAX_SPECIAL:
+        raise RecordingError(
+            f"{file}: more than {MAX_SPECIAL} numbers have groups of thousands or D exponents; export it as plain "
+            f"numbers, such as 1234.5"
+        )
 
 
 def _joined(column: _Column) -> FloatArray:

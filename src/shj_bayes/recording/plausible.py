@@ -16,6 +16,7 @@ from shj_bayes.recording.limits import (
     LONG_TEST_S,
     SWAPPED_BURSTS,
     SWAPPED_ROUGHNESS,
+    SWAPPED_SMOOTH,
 )
 from shj_bayes.recording.loops import burstiness, roughness
 from shj_bayes.recording.recording import Finding, FloatArray
@@ -67,18 +68,21 @@ def plausibility_findings(
 
 
 def _swapped(channels: Channels, displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
-    """Say so when the displacement jumps as a friction force does and the force is as smooth as a driven displacement.
+    """Say so when the displacement jumps, or is as rough, as a friction force and the force is smooth as a driven one.
 
     Of 26 public recordings of friction and yielding devices none comes near both limits, nor does white noise on
     the force, which is rough, or a displacement applied in steps, of which the force has the steps as well.
     """
     ratio = burstiness(displacement_mm) / max(burstiness(force_kN), 1e-300)
-    if ratio < SWAPPED_BURSTS or roughness(force_kN) > SWAPPED_ROUGHNESS:
+    smooth = roughness(force_kN)
+    rough = roughness(displacement_mm) / max(smooth, 1e-300)
+    if smooth > SWAPPED_ROUGHNESS or (ratio < SWAPPED_BURSTS and rough < SWAPPED_SMOOTH):
         return []
     message = (
         f"displacement and force seem swapped: the displacement jumps like a friction force ({ratio:.1f} times as "
-        f"bursty as the force; below {SWAPPED_BURSTS:g} is usual) and the force runs as smoothly as a driven "
-        "displacement; name both with --columns displacement=...,force=... and their --units"
+        f"bursty and {rough:.1f} times as rough as the force; below {SWAPPED_BURSTS:g} and {SWAPPED_SMOOTH:g} is "
+        "usual) and the force runs as smoothly as a driven displacement; name both with "
+        "--columns displacement=...,force=... and their --units"
     )
     told = {"displacement", "force"} <= channels.named
     return [Finding("swapped-columns", "warning" if told else "unusable", message)]

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from shj_bayes.recording.columns import choose
+import numpy as np
+
+from shj_bayes.recording.clock import follow_on, restarts
+from shj_bayes.recording.columns import Channels, choose
 from shj_bayes.recording.plausible import plausibility_findings
 from shj_bayes.recording.quality import inspect, repair
-from shj_bayes.recording.recording import Recording, Source
+from shj_bayes.recording.recording import Finding, FloatArray, Recording, RunStart, Source
 from shj_bayes.recording.tables import read_table
 
 
@@ -24,7 +27,7 @@ def read(
     Parameters
     ----------
     path : str or Path
-        CSV, TSV, TXT (also .gz), XLSX, MAT, HDF5 or TDMS.
+        CSV, TSV, TXT (also .gz), XLSX, JSON, MAT, HDF5 or TDMS.
     columns : str or None
         ``time=...,displacement=...,force=...``; each a column name, a 1-based number, or a formula. Roles that are
         not named are looked for in the header. ``time`` may be a single number: the sampling interval.
@@ -46,18 +49,36 @@ def read(
     """
     table = read_table(path)
     channels = choose(table, columns, units, rate_Hz)
+    clock_s, begins, told = _placed_runs(channels)
     time_s, displacement_mm, force_kN, used, findings = repair(
-        channels.time_s, channels.displacement_mm, channels.force_kN, table.name
+        clock_s, channels.displacement_mm, channels.force_kN, table.name
     )
     known = {finding.code for finding in findings}
     unlikely = plausibility_findings(channels, time_s, displacement_mm, force_kN)
     findings += tuple(finding for finding in unlikely if finding.code not in known)
+    samples = {int(np.searchsorted(time_s, first)): shift for first, shift in begins}
     recording = Recording(
         time_s=time_s,
         displacement_mm=displacement_mm,
         force_kN=force_kN,
         used=used,
         source=Source(table.name, table.sha256, table.format, channels.columns, channels.units),
-        findings=(*table.findings, *channels.findings, *findings),
+        findings=(*table.findings, *channels.findings, *told, *findings),
+        run_starts=tuple(RunStart(at, shift) for at, shift in samples.items() if 0 < at < time_s.size),
     )
     return replace(recording, findings=(*recording.findings, *inspect(recording)))
+
+
+def _placed_runs(channels: Channels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
+    """Put all rows on one clock; give the first time of each further run, what was added to it, and what to say."""
+    again = restarts(channels.time_s, channels.displacement_mm, channels.force_kN)
+    rows = sorted({*again, *channels.run_rows})
+    clock_s, shifts = follow_on(channels.time_s, rows)
+    timed = np.flatnonzero(np.isfinite(clock_s))
+    firsts = [float(clock_s[timed[np.searchsorted(timed, row)]]) for row in rows]
+    begins = list(zip(firsts, shifts, strict=True))
+    if not again:
+        return clock_s, begins, []
+    where = f"at row {again[0] + 1}" if len(again) == 1 else f"{len(again)} times, first at row {again[0] + 1}"
+    message = f"time begins again {where}: {len(rows) + 1} runs, put one behind the other"
+    return clock_s, begins, [Finding("time-restarts", "assumed", message, len(again))]

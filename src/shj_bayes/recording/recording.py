@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from html import escape
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -55,7 +56,7 @@ class Source:
     sha256 : str
         Digest of the file as read; empty for recordings made in memory.
     format : str
-        ``csv``, ``xlsx``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``.
+        ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``.
     columns : dict of str to str
         Role (time, displacement, force) to the column or expression it was read from.
     units : dict of str to str
@@ -75,9 +76,25 @@ class Source:
             object.__setattr__(self, key, {role: plain_text(text) for role, text in getattr(self, key).items()})
 
 
+@dataclass(frozen=True)
+class RunStart:
+    """Where a further run begins in a file that tells its runs apart.
+
+    Parameters
+    ----------
+    sample : int
+        Its first sample.
+    shift_s : float
+        What was added to its times, so that they follow those of the run before, s.
+    """
+
+    sample: int
+    shift_s: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One test run of one device.
+    """One test run of one device, or several that `shj_bayes.recording.runs.split` parts.
 
     Parameters
     ----------
@@ -89,6 +106,8 @@ class Recording:
         Where it came from.
     findings : tuple of Finding
         What was found, assumed and repaired on the way in.
+    run_starts : tuple of RunStart
+        Further runs, where the file itself tells them apart (time that begins again, a run column).
     """
 
     time_s: FloatArray
@@ -97,6 +116,7 @@ class Recording:
     used: BoolArray | None = None
     source: Source = field(default_factory=lambda: Source("in memory"))
     findings: tuple[Finding, ...] = ()
+    run_starts: tuple[RunStart, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy, check and freeze the arrays."""
@@ -117,6 +137,9 @@ class Recording:
         if used.shape != (n,):
             raise RecordingError(f"used has shape {used.shape}; it needs shape ({n},)")
         object.__setattr__(self, "used", used)
+        edges = [0, *(start.sample for start in self.run_starts), n]
+        if any(b <= a for a, b in pairwise(edges)):
+            raise RecordingError(f"run_starts at samples {edges[1:-1]}; they need to increase from 1 to {n - 1}")
 
     @classmethod
     def read(
@@ -127,7 +150,7 @@ class Recording:
         Parameters
         ----------
         path : str or Path
-            CSV, TSV, TXT (also .gz), XLSX, MAT, HDF5 or TDMS.
+            CSV, TSV, TXT (also .gz), XLSX, JSON, MAT, HDF5 or TDMS.
         columns, units : str, optional
             Columns and units, where the file does not say.
         rate_Hz : float, optional

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.errors import RecordingError, plain_text
+from shj_bayes.files import need_files
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS, MAX_VALUE
 from shj_bayes.recording.recording import Finding, FloatArray
 
@@ -19,6 +20,7 @@ FORMATS = {
     ".dat": "csv",
     ".asc": "csv",
     ".xlsx": "xlsx",
+    ".json": "json",
     ".mat": "mat",
     ".h5": "hdf5",
     ".hdf5": "hdf5",
@@ -57,7 +59,7 @@ class Table:
     name : str
         File name without folders.
     format : str
-        ``csv``, ``xlsx``, ``mat``, ``hdf5`` or ``tdms``.
+        ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5`` or ``tdms``.
     sha256 : str
         Digest of the file as it lies on the disk.
     columns : tuple of Column
@@ -80,11 +82,12 @@ class Table:
 
     @property
     def summary(self) -> str:
-        """Columns in words, for error messages."""
+        """Columns and the first row of numbers in words, for error messages."""
         shown = [f"{i}: {c.header or c.name}" for i, c in enumerate(self.columns[:12], start=1)]
         more = f" and {len(self.columns) - 12} more" if len(self.columns) > 12 else ""
         extra = f"; single numbers: {', '.join(list(self.scalars)[:12])}" if self.scalars else ""
-        return f"columns are {', '.join(shown)}{more}{extra}"
+        firsts = [f"{c.values[0]:.6g}" for c in self.columns[:12] if c.values.size]
+        return f"columns are {', '.join(shown)}{more}; the first row is {', '.join(firsts)}{extra}"
 
 
 def read_table(path: str | Path) -> Table:
@@ -93,7 +96,7 @@ def read_table(path: str | Path) -> Table:
     Parameters
     ----------
     path : str or Path
-        CSV, TSV, TXT, DAT (also .gz), XLSX, MAT (v4 to v7.3), HDF5 or TDMS; the ending tells which.
+        CSV, TSV, TXT, DAT (also .gz), XLSX, JSON, MAT (v4 to v7.3), HDF5 or TDMS; the ending tells which.
 
     Returns
     -------
@@ -113,7 +116,7 @@ def read_table(path: str | Path) -> Table:
     except MemoryError as error:
         raise RecordingError(f"{path.name}: not enough memory to read it; export fewer channels or rows") from error
     except Exception as error:
-        # The parsers of six formats raise dozens of kinds of errors for damaged files; all mean the same to the user.
+        # The parsers of seven formats raise dozens of kinds of errors for damaged files; all mean the same to the user.
         reason = (str(error).splitlines() or [""])[0].replace(str(path), path.name)
         raise RecordingError(
             f"{path.name}: cannot be read as {kind} ({type(error).__name__}: {reason[:160]}); "
@@ -133,13 +136,22 @@ def digest(path: Path) -> str:
 
 def _kind(path: Path) -> str:
     """Format by the ending, after the checks that need no reading."""
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:  # a ring of links, a folder that may not be entered, a NUL in the name
+        raise RecordingError(f"{path.name}: {_reason(error)}; check the name and the folder") from error
     if path.is_dir():
         raise RecordingError(f"{path.name or path} is a folder; name one recording in it")
-    if not path.exists():
-        raise RecordingError(f"{path}: there is no such file; check the name and the folder")
+    need_files([path], RecordingError)
     if not path.is_file():
         raise RecordingError(f"{path.name} is not an ordinary file; a recording must be a file on the disk")
-    size = path.stat().st_size
+    try:
+        size = path.stat().st_size
+        path.open("rb").close()
+    except OSError as error:
+        raise RecordingError(f"{path.name} cannot be opened: {_reason(error)}; check the rights") from error
     if size == 0:
         raise RecordingError(f"{path.name} is empty (0 bytes); export it again")
     if size > MAX_BYTES:
@@ -156,12 +168,19 @@ def _kind(path: Path) -> str:
     return kind
 
 
+def _reason(error: OSError | ValueError) -> str:
+    """Say what the system says."""
+    return (getattr(error, "strerror", None) or str(error)).lower()
+
+
 def _parse(path: Path, kind: str) -> Table:
     """Hand over to the reader of the format; each imports its library only when it is needed."""
     if kind == "csv":
         from shj_bayes.recording.text import read_text as reader  # noqa: PLC0415
     elif kind == "xlsx":
         from shj_bayes.recording.excel import read_excel as reader  # noqa: PLC0415
+    elif kind == "json":
+        from shj_bayes.recording.records import read_records as reader  # noqa: PLC0415
     elif kind == "tdms":
         from shj_bayes.recording.tdms import read_tdms as reader  # noqa: PLC0415
     else:

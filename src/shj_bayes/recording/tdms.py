@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.limits import MAX_BYTES
+from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Column, Table, as_floats
 
 
@@ -30,7 +32,9 @@ def read_tdms(path: Path, sha256: str) -> Table:
         if stream.read(4) != b"TDSm":
             raise RecordingError(f"{path.name} is not a TDMS file although its ending says so; export it again")
     from nptdms import TdmsFile  # noqa: PLC0415
+    from nptdms.log import log_manager  # noqa: PLC0415
 
+    log_manager.set_level(logging.CRITICAL)  # it writes to the terminal; what matters of it is a finding
     with TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         channels = [c for c in channels if c.dtype is not None and c.dtype.kind in "fiu" and len(c)]
@@ -43,9 +47,12 @@ def read_tdms(path: Path, sha256: str) -> Table:
         names = [str(channel.name) for channel in channels]
         unique = len(set(names)) == len(names)
         columns = tuple(_column(channel, unique) for channel in channels)
+        cut = file.file_status.incomplete_final_segment
         steps = {float(c.properties["wf_increment"]) for c in channels if "wf_increment" in c.properties}
     scalars = {"wf_increment": steps.pop()} if len(steps) == 1 else {}
-    return Table(path.name, "tdms", sha256, columns, scalars=scalars)
+    words = "the file ends early, in the midst of what was written last; what was there is read"
+    findings = (Finding("cut-short", "warning", words),) if cut else ()
+    return Table(path.name, "tdms", sha256, columns, scalars=scalars, findings=findings)
 
 
 def _column(channel: Any, unique: bool) -> Column:

@@ -10,13 +10,13 @@ import gzip
 import io
 import zlib
 from collections.abc import Iterable, Iterator
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.dialect import LOOK, find_dialect, header_of
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_LINE
+from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Column, Table
 
@@ -50,7 +50,7 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
     Parameters
     ----------
     lines : iterable of str
-        All lines; those that start with ``#`` or ``%`` are comments.
+        All lines; empty ones mean nothing, and those that start with ``#`` or ``%`` are comments.
     name, sha256, kind : str
         Name, digest and format for the table.
     notes : tuple of Finding
@@ -62,26 +62,39 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
     """
     from shj_bayes.recording.numerals import numbers  # noqa: PLC0415  imports pandas, which takes a while
 
-    stream, head, comments = iter(lines), list[str](), list[str]()
-    for line in stream:
-        if not line.lstrip().startswith(("#", "%")):
-            head += [line] if line.strip() else []
-        elif len(comments) < LOOK:
-            comments.append(line)
-        if len(head) >= 2 * LOOK:
-            break
+    comments: list[str] = []
+    stream = _rows(lines, comments, name)
+    head = list(islice(stream, 2 * LOOK))
     dialect = find_dialect(head, name)
     names, units, headers = header_of(head[: dialect.first], dialect)
     if not any(names) and comments:  # numpy and gnuplot write the header as a comment
         names, units, headers = header_of([line.lstrip("#% ") for line in comments], dialect)
-    rest = (line for line in stream if line.strip() and not line.lstrip().startswith(("#", "%")))
-    values, findings = numbers(chain(head[dialect.first :], rest), dialect, names, name)
+    values, findings = numbers(chain(head[dialect.first :], stream), dialect, names, name)
     if any("simulated" in line.lower() for line in comments):
         findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
     if dialect.decimal == ",":
         findings.append(Finding("decimal-comma", "assumed", "a comma is read as the decimal sign (0,5 is one half)"))
     columns = tuple(Column(label or f"#{i + 1}", values[i], units[i], headers[i]) for i, label in enumerate(names))
     return Table(name, kind, sha256, columns, has_header=any(names), findings=(*notes, *findings))
+
+
+def _rows(lines: Iterable[str], comments: list[str], name: str) -> Iterator[str]:
+    """Lines that may be rows; the first comments go into a list."""
+    surplus = 0
+    for line in lines:
+        text = line.lstrip()
+        if text and not text.startswith(("#", "%")):
+            surplus -= 1
+            yield line
+            continue
+        surplus += 1
+        if surplus > MAX_EMPTY:
+            raise RecordingError(
+                f"{name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no recording; "
+                f"export it again, one row on each line"
+            )
+        if text and len(comments) < LOOK:
+            comments.append(line)
 
 
 def find_encoding(path: Path) -> str:

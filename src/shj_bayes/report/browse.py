@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import webbrowser
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from shj_bayes.errors import ReportError
+from shj_bayes.processes import program
 
 PAGES = ("report", "diagnosis", "margins")  # in the order in which they are looked for
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
@@ -99,7 +99,7 @@ def write_pdf(page: Path) -> Path:
 
 def find_browser() -> str | None:
     """Program of a Chromium-like browser; None when there is none on the path or at its usual place on Windows."""
-    on_path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    on_path = next((found for name in BROWSERS if (found := program(name))), None)
     if on_path:
         return on_path
     roots = [os.environ[name] for name in ("PROGRAMFILES", "PROGRAMFILES(X86)", "LOCALAPPDATA") if name in os.environ]

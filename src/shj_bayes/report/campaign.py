@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from shj_bayes.errors import ReportError
-from shj_bayes.files import check_seal, read_json
+from shj_bayes.files import read_json
 from shj_bayes.population.paper_claims import Claim
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.results import load_population
 from shj_bayes.report import words
+from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.page import PAGE, write_page
 from shj_bayes.report.residual_file import read_residual
 from shj_bayes.report.sets import Interval
@@ -44,7 +44,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
     ReportError
         If the folder holds no readable ``campaign.json``.
     """
-    record = _read_campaign(folder)
+    record = read_campaign(folder)
     if population is None and (folder / "population.json").exists():
         population = load_population(folder)
     devices = [device_row(folder, group["name"], device) for group in record["sets"] for device in group["devices"]]
@@ -54,6 +54,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
     content = {
         "name": record["name"],
         "simulated": bool(record.get("simulated")),
+        "warnings": record["warnings"],
         "devices": devices,
         "n_done": len(done),
         "n_failed": len(devices) - len(done),
@@ -99,21 +100,20 @@ def render_tables(folder: Path, population: PopulationResult, claims: Sequence[C
 def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[str, Any]:
     """One device of the list: numbers where it was fitted, the reason where it was not."""
     place = str(device.get("folder", ""))
-    safe = safe_folder(place)
     row: dict[str, Any] = {
         "set": set_name,
         "name": str(device.get("name", "")),
         "status": str(device.get("status", "")),
         "reason": str(device.get("reason", "")),
         "verdict": str(device.get("verdict", "")),
-        "folder": place if safe else "",
+        "folder": place,
         "link": "",
         "numbers": {},
         "intervals": {},
         "structured": None,
         "residual": "",
     }
-    if row["status"] == "failed" or not safe:
+    if row["status"] == "failed":
         return row
     if (folder / place / PAGE).exists():
         row["link"] = quote(f"{place}/{PAGE}")
@@ -129,22 +129,6 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
     if residual:
         row["structured"], row["residual"] = residual[0], words.in_a_cell(*residual)
     return row
-
-
-def safe_folder(place: str) -> bool:
-    """Whether a folder named in ``campaign.json`` is one below the campaign's, and so may be read and linked to."""
-    return bool(re.fullmatch(r"[\w][\w. -]*(/[\w][\w. -]*)*", place))
-
-
-def _read_campaign(folder: Path) -> dict[str, Any]:
-    path = folder / "campaign.json"
-    try:
-        record = read_json(path, ReportError)
-        check_seal(record, path, ReportError)
-        sets = [{"name": str(g["name"]), "devices": [dict(d) for d in g["devices"]]} for g in record["sets"]]
-        return {"name": str(record["name"]), "simulated": record.get("simulated", False), "sets": sets}
-    except (ValueError, KeyError, TypeError, AttributeError, ReportError) as error:
-        raise ReportError(f"{folder.name} holds no readable campaign.json ({error}); run shj-bayes campaign") from error
 
 
 def _parameters(place: Path) -> list[dict[str, Any]]:

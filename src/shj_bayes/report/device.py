@@ -58,7 +58,7 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     peak = max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
     return {
         "name": device.name,
-        "simulated": any(_is_simulated(entry) for entry in record["inputs"]),
+        "simulated": any(is_simulated(entry) for entry in record["inputs"]),
         "verdict": record["verdict"],
         "verdict_words": words.VERDICTS.get(record["verdict"], "The verdict of this fit is not known to this version."),
         "reasons": record["reasons"],
@@ -241,5 +241,6 @@ def _day(stamp: str) -> str:
         return stamp
 
 
-def _is_simulated(entry: dict[str, Any]) -> bool:
+def is_simulated(entry: dict[str, Any]) -> bool:
+    """Whether a recording among the inputs of ``fit.json`` says that it is simulated."""
     return entry["format"] == "simulated" or any(f["code"] == "simulated" for f in entry["findings"])

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from shj_bayes.errors import ReportError
+from shj_bayes.errors import ReportError, shown
 from shj_bayes.files import read_json
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray
@@ -22,6 +22,11 @@ VERDICTS = ("adequate", "named", "family", "unknown")
 KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
 )  # fmt: skip
+KINDS: dict[str, tuple[type, type]] = {
+    **dict.fromkeys(("effects", "family", "location", "aliases", "candidates"), (list, dict)),
+    **{"shift": (dict, dict), "words": (list, str)},
+}
+PLAIN: dict[type, str] = {list: "list", dict: "table", str: "text"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +117,17 @@ def read_diagnosis(folder: Path) -> DiagnosisData:
     ReportError
         If either file is missing, damaged or of another kind.
     """
+    return DiagnosisData(diagnosis_record(folder), _read_channels(folder))
+
+
+def diagnosis_record(folder: Path) -> dict[str, Any]:
+    """Content of ``diagnosis.json``, with its fields and their kinds checked.
+
+    Raises
+    ------
+    ReportError
+        If it is missing, damaged or of another kind.
+    """
     if not (folder / "diagnosis.json").exists():
         raise ReportError(f"{folder.name} holds no diagnosis.json; run shj-bayes diagnose first")
     record = read_json(folder / "diagnosis.json", ReportError)
@@ -122,7 +138,13 @@ def read_diagnosis(folder: Path) -> DiagnosisData:
     missing = [key for key in KEYS if key not in record]
     if missing:
         raise ReportError(f"diagnosis.json in {folder.name} lacks {', '.join(missing)}; run the diagnosis again")
-    return DiagnosisData(record, _read_channels(folder))
+    for key, (outer, inner) in KINDS.items():
+        value = record.get(key, outer())
+        parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        if not isinstance(value, outer) or not all(isinstance(part, inner) for part in parts):
+            words = f"it must be a {PLAIN[outer]} of {PLAIN[inner]}s; restore it, or run the diagnosis again"
+            raise ReportError(f"diagnosis.json in {folder.name}: {key} is {shown(value)}; {words}")
+    return record
 
 
 def _read_channels(folder: Path) -> Channels:

@@ -1,12 +1,14 @@
 """The commands on a written population: margins, export, compare."""
 
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
 
 from shj_bayes.cli import main
 from shj_bayes.population.results import write_population
+from shj_bayes.population.selectors import is_bare
 
 LABEL = "=cmd|'<b>"
 
@@ -51,6 +53,26 @@ def test_an_unknown_set_is_named_with_those_there_are(folder):
     assert "'Zinc 70 corroded'" in done.output
 
 
+@pytest.mark.parametrize("refused", [("--set", "Zink"), ("--speed", 300), ("--nominal", -1)])
+@pytest.mark.parametrize("quiet", [(), ("--quiet",)])
+def test_a_refused_command_leaves_the_sheet_as_it_was(folder, refused, quiet):
+    assert run("margins", folder, "--quiet").exit_code == 0
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    assert run("margins", folder, "--nominal", 70, *refused, *quiet).exit_code == 1
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+
+
+def test_a_nominal_force_acts_on_the_set_that_is_named_whatever_its_case(folder):
+    done = run("margins", folder, "--set", "zinc 70", "--nominal", 70)
+    assert done.exit_code == 0, done.output
+    record = json.loads((folder / "margins.json").read_text(encoding="utf-8"))
+    nominal = {m["set"]: m["value"] for m in record["margins"] if m["kind"] == "nominal sliding force"}
+    assert nominal["Zinc 70"] == 70
+    assert 70 not in {value for name, value in nominal.items() if name != "Zinc 70"}
+    refused = run("margins", folder, "--set", "Zinc 70 corodded")
+    assert "did you mean 'Zinc 70 corroded'?" in refused.output
+
+
 def test_export_writes_scripts_and_a_table(folder, tmp_path):
     done = run("export", folder, "--to", "opensees", "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
@@ -73,6 +95,23 @@ def test_compare_prints_a_table_and_counts_its_tests(folder):
     assert record["contrasts"][0]["permutation_p"] is not None
     assert record["strata"] == 1
     assert run("compare", folder, "corroded", LABEL).exit_code == 1
+
+
+def test_both_sides_of_a_comparison_are_listed_in_a_table_whose_columns_stand_apart(folder):
+    lines = run("compare", folder, "corroded", "uncorroded").output.splitlines()
+    assert lines[:2] == ["a: corroded (Zinc 70 corroded)", "b: uncorroded (Zinc 70)"]
+    head, *rows = [re.split(r" {2,}", line.strip()) for line in lines[2 : lines.index("")]]
+    assert len(rows) == 5
+    for row in rows:
+        assert len(row) == len(head) + 1
+        assert re.fullmatch(r"[-.e\d]+ to [-.e\d]+", row[2])
+    record = json.loads(run("compare", folder, "corroded", "uncorroded", "--json").output)
+    assert record["members"] == {"a": ["Zinc 70 corroded"], "b": ["Zinc 70"]}
+
+
+def test_a_blasted_surface_is_not_coated():
+    assert [is_bare(words) for words in ("none", "sweep blasted", "Sweep-Blasted", "bare")] == [True] * 4
+    assert [is_bare(words) for words in ("zinc", "alkyd", "blasted and zinc")] == [False] * 3
 
 
 def test_a_folder_without_a_population_says_what_to_run(tmp_path):

@@ -89,6 +89,9 @@ def test_parameters_stay_where_the_law_has_mass(prior: Prior) -> None:
         ("normal", np.nan, 1.0, "both must be finite numbers"),
         ("lognormal", -1.0, 1.0, "prior of K: median = -1; it must be above 0"),
         ("loguniform", 0.0, 1.0, "prior of K: low = 0; it must be above 0"),
+        ("lognormal", 1e-320, 1.0, "prior of K: median = 9.99989e-321; 0 or 1e-30 and above is allowed"),
+        ("normal", 1.0, 1e-25, "cannot be told apart in double precision"),
+        ("lognormal", 1.0, 1e-20, "cannot be told apart in double precision"),
         ("uniform", 2.0, 1.0, "prior of K: high = 1 must be above low = 2"),
     ],
 )

@@ -65,7 +65,7 @@ def test_predictions_are_reproducible_and_frozen(result):
 
 
 def test_unknown_set_names_the_nearest(result):
-    with pytest.raises(PopulationError, match="nearest: Zinc 70"):
+    with pytest.raises(PopulationError, match="did you mean 'Zinc 70'"):
         new_device(result, "Zink 70")
     with pytest.raises(PopulationError, match="sets are: 'Zinc 70'"):
         new_device(result, "qqqq")

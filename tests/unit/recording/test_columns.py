@@ -125,6 +125,18 @@ def test_formulas_that_are_refused(formula, words):
         evaluate(formula, table("time", "displacement", "force"))
 
 
+def test_a_rate_against_the_time_of_the_file_is_refused():
+    headers = ("time (ms)", "displacement (mm)", "force (kN)")  # 1 ms from row to row
+    assert choose(table(*headers), rate_Hz=1000.0).time_s[1] == pytest.approx(1e-3)
+    with pytest.raises(RecordingError, match=r"column 'time \(ms\)' says 1000 Hz, --rate 100 Hz; leave --rate out"):
+        choose(table(*headers), rate_Hz=100.0)
+    with pytest.raises(RecordingError, match="wf_increment says 4 Hz, --rate 100 Hz"):
+        choose(table("displacement (mm)", "force (kN)", scalars={"wf_increment": 0.25}), rate_Hz=100.0)
+    few_digits = table(*headers)
+    few_digits.columns[0].values[:] = [0, 0, 2, 2, 4, 5]  # the mean says what the steps do not
+    assert choose(few_digits, rate_Hz=1000.0).time_s[1] == pytest.approx(1e-3)
+
+
 def test_rate_makes_the_time_and_says_so():
     found = choose(table("a", "b", has_header=False), "displacement=1,force=2", "mm,kN", 4.0)
     np.testing.assert_array_equal(found.time_s, np.arange(N) / 4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import Recording, inspect, motion_of, repair
+from shj_bayes.recording import Recording, inspect, motion_of, read, repair
 from shj_bayes.recording.cells import clipped, spikes
 from shj_bayes.recording.clock import longest_increasing
 
@@ -61,7 +61,7 @@ def test_a_broken_clock_is_refused(clean):
     t, x, f = arrays(clean)
     with pytest.raises(RecordingError, match=r"time repeats in .* too few digits.*--rate"):
         repair(np.round(t), x, f, "run.csv")
-    with pytest.raises(RecordingError, match=r"time jumps back 1 times.*several runs, split it"):
+    with pytest.raises(RecordingError, match=r"time jumps back 1 times.*one file for each run"):
         repair(np.concatenate([t, t]), np.tile(x, 2), np.tile(f, 2), "run.csv")
     with pytest.raises(RecordingError, match="0 rows have a time"):
         repair(t * np.nan, x, f, "run.csv")
@@ -210,6 +210,25 @@ def test_swapped_columns_are_named_and_not_changed(clean):
     found, recording = run(t, f, x)
     assert found["swapped-columns"].severity == "unusable"
     np.testing.assert_array_equal(recording.displacement_mm, f)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_chattering_force_taken_for_the_displacement_is_refused(clean, tmp_path, sign):
+    """Stick-slip makes the force as bursty as the stroke; roughness and half-cycles tell them apart."""
+    t, x, f = arrays(clean)
+    chatter = f + 25 * np.sin(2 * np.pi * 3.1 * t) * (np.abs(f) > 60)
+    path = tmp_path / "run.csv"
+    np.savetxt(
+        path,
+        np.column_stack([t, sign * chatter, x]),
+        header="time_s,displacement_mm,force_kN",
+        delimiter=",",
+        comments="",
+    )
+    findings = {finding.code: finding for finding in read(path).findings}
+    assert findings["swapped-columns"].severity == "unusable"
+    assert "force-sign" not in findings
+    assert "swapped-columns" not in run(t, x, sign * chatter)[0]
 
 
 def test_offsets(clean):

@@ -5,6 +5,7 @@ import pytest
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import motion_of, read
+from shj_bayes.recording.runs import settle
 
 SEALS = {"columns": "time=1,displacement=5,force=#7 - 49.0874*#6", "units": "ms,mm,N"}
 EMPS = {"columns": "time=t,displacement=qm,force=gtau*vir", "units": "s,m,N"}
@@ -50,10 +51,31 @@ def test_recordings_are_read_without_a_false_alarm(shared, name):
     # The seals' laser drops by 0.4 mm for single samples, some 30 to 60 times in each file: that is no false alarm.
     assert loud == (["spikes"] if "seals" in name else [])
     assert np.count_nonzero(~recording.used) <= (0.01 * recording.n_samples if loud else 0)
+    assert settle([recording]) == [recording]
     motion = motion_of(recording)
     assert n_half is None or motion.n_half == n_half
     # No half-cycle shorter than the shortest possible real one: noise would make many of a few samples.
     assert np.median(np.diff(motion.start)) > 0.02 * recording.n_samples / motion.n_half
+
+
+@pytest.mark.parametrize("name", [name for name in KNOWN if "quasistatic" not in name])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_exchanged_columns_are_refused_and_a_wrong_sign_is_turned(shared, tmp_path, name, sign):
+    """A force taken for the displacement turns hundreds of times; a loop turned round would hide that."""
+    recording = read(shared / name, **KNOWN[name][0])
+    t, x, f = recording.time_s, recording.displacement_mm, sign * recording.force_kN
+    path = tmp_path / "run.csv"
+    wide = np.ptp(x) / np.ptp(f)  # both channels of a usual size, so that nothing else refuses them
+    np.savetxt(
+        path, np.column_stack([t, f * wide, x]), header="time_s,displacement_mm,force_kN", delimiter=",", comments=""
+    )
+    assert "swapped-columns" in {f.code for f in read(path).findings if f.severity == "unusable"}
+    np.savetxt(
+        path, np.column_stack([t, x, f * wide]), header="time_s,displacement_mm,force_kN", delimiter=",", comments=""
+    )
+    codes = {f.code for f in read(path).findings}
+    assert "swapped-columns" not in codes
+    assert ("force-sign" in codes) == (sign < 0)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 import gzip
+import json
 import os
+import re
 import zipfile
 
 import h5py
@@ -10,7 +12,7 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import read, read_table, tables, text
+from shj_bayes.recording import read, read_table, records, tables, text
 
 HEAD = "time_s,displacement_mm,force_kN"
 
@@ -73,6 +75,41 @@ def test_units_row_preamble_and_trailing_notes(tmp_path, small):
     assert [f.count for f in recording.findings if f.code == "notes"] == [2]
 
 
+@pytest.mark.parametrize(
+    "units", ["s,mm,kN,degC,V,bar,%", "[s],[mm],[kN],[\u00b0C],[mV],[-],[m/s^2]", "sec,mm,kN,C,N/mm2,1/s,"]
+)
+def test_units_of_columns_that_nobody_needs_may_be_anything(tmp_path, small, units):
+    others = np.ones((small.n_samples, 4))
+    path = tmp_path / "run.csv"
+    np.savetxt(
+        path,
+        np.column_stack([rows(small), others]),
+        delimiter=",",
+        fmt="%.17g",
+        header=f"Elapsed,Stroke,Load,Temperature,Valve,Pressure,Level\n{units}",
+        comments="",
+        encoding="utf-8",
+    )
+    recording = read(path, columns="time=Elapsed")
+    same(recording, small)
+    assert recording.source.units == {"time": units.split(",")[0].strip("[]"), "displacement": "mm", "force": "kN"}
+    ignored = next(f for f in recording.findings if f.code == "columns-ignored")
+    assert "Temperature" in ignored.message
+
+
+def test_names_below_a_title_are_no_units(tmp_path, small):
+    path = tmp_path / "run.csv"
+    path.write_text("Test 7,Rig B,June\ntime,stroke,load\n" + lines(small), encoding="utf-8")
+    same(read(path), small)
+
+
+def test_a_refusal_shows_the_first_row(tmp_path, small):
+    path = tmp_path / "run.csv"
+    path.write_text("a,b,c\n0.5,-3.25,17\n0.6,1,2\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"columns are 1: a, 2: b, 3: c; the first row is 0\.5, -3\.25, 17"):
+        read(path)
+
+
 def test_header_in_quotes_and_header_as_a_comment(tmp_path, small):
     path = tmp_path / "run.csv"
     path.write_text('"Time, s","Displacement, total (mm)","Force (kN)"\n' + lines(small))
@@ -121,6 +158,76 @@ def test_workbook(tmp_path, small):
     recording = read(path)
     np.testing.assert_allclose(rows(recording), rows(small), rtol=1e-14)  # workbooks store 16 digits
     assert any(f.code == "sheet" and "Data" in f.message for f in recording.findings)
+
+
+def shapes(recording):
+    columns = dict(zip(HEAD.split(","), rows(recording).T.tolist(), strict=True))
+    records = [dict(zip(columns, row, strict=True)) for row in rows(recording).tolist()]
+    return {
+        "records": records,
+        "columns": columns,
+        "records under a key": {"device": "A1", "gain": 2, "data": records},
+        "columns under a key": {"channels": columns, "operator": "C. D."},
+    }
+
+
+@pytest.mark.parametrize("shape", ["records", "columns", "records under a key", "columns under a key"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_json(tmp_path, small, shape, encoding):
+    path = tmp_path / "run.json"
+    path.write_bytes(json.dumps(shapes(small)[shape]).encode(encoding))
+    recording = read(path)
+    same(recording, small)
+    assert recording.source.format == "json"
+    assert recording.source.units == {"time": "s", "displacement": "mm", "force": "kN"}
+
+
+def test_json_rows_units_scalars_and_empty_cells(tmp_path, small):
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps(rows(small).tolist()), encoding="utf-8")
+    same(read(path, columns="time=1,displacement=2,force=3"), small)
+    content = shapes(small)["columns"] | {
+        "gain": 2,
+        "note": "SIMULATED",
+        "units": {"volts": "N"},
+        "operator": ["C", "D"],
+    }
+    content["volts"] = [500.0 * f for f in content.pop("force_kN")]
+    content["volts"][100] = None
+    content["volts"][200] = "OVERLOAD"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    recording = read(path, columns="force=gain*volts", units="force=N")
+    np.testing.assert_allclose(recording.force_kN[:100], small.force_kN[:100], rtol=1e-12)
+    assert np.flatnonzero(~recording.used).tolist() == [100, 200]
+    assert {"simulated", "text-cells", "not-numbers", "empty-cells"} <= {f.code for f in recording.findings}
+    assert read(path, columns="force=volts").source.units["force"] == "N"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("{", "cannot be read as json"),
+        ("[" * 100_000, "cannot be read as json"),
+        ('{"truth": {"K": 18.0}}', "no table of numbers in this JSON"),
+        ("[1, 2, 3]", "no table of numbers in this JSON"),
+        ('[{"time_s": 1}, {"time_s": 2}]', "no displacement column"),
+        (f"[[{'1,' * 600}1], [2, 3]]", "601 columns; allowed are 512"),
+        (f"[[{'9' * 5000}, 1, 2], [2, 3, 4]]", "name it with --columns"),
+    ],
+)
+def test_json_that_holds_no_recording_is_refused(tmp_path, content, words):
+    path = tmp_path / "run.json"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(RecordingError, match=re.escape(words)):
+        read(path)
+
+
+def test_json_is_bounded(tmp_path, monkeypatch):
+    path = tmp_path / "run.json"
+    path.write_text("[[1, 2, 3], [2, 3, 4]]", encoding="utf-8")
+    monkeypatch.setattr(records, "MAX_JSON_BYTES", 20)
+    with pytest.raises(RecordingError, match=r"of JSON at most 0 MiB.*export CSV or HDF5"):
+        read(path)
 
 
 def test_mat_v5(tmp_path, small):

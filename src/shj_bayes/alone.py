@@ -1,0 +1,157 @@
+"""One process at a time writes into a results folder.
+
+The lock is the operating system's, on a file that says who holds it; it goes when its process ends, however that ends.
+A file that a killed process left is taken over. Where a file system knows no locks, nothing is held.
+"""
+
+from __future__ import annotations
+
+import errno
+import functools
+import inspect
+import json
+import os
+import socket
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import datetime
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from shj_bayes.errors import ShjError, shown
+
+LOCK = "shj-bayes.lock"
+_WRITTEN = 4096  # the file is shorter; Windows locks the byte behind, so that the others can read what is written
+_BUSY = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def alone_in(parameter: str, kept: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Decorate a function that writes into a folder, so that it does so alone.
+
+    Parameters
+    ----------
+    parameter : str
+        Parameter of the function that is the folder.
+    kept : str
+        File of a finished result; where it is there, the folder may be one that cannot be written into.
+
+    Returns
+    -------
+    callable
+        The decorator; what it makes raises as `alone` does.
+    """
+
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        signature = inspect.signature(function)
+
+        @functools.wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> T:
+            folder = Path(signature.bind(*args, **kwargs).arguments[parameter])
+            with alone(folder, kept):
+                return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+@contextmanager
+def alone(folder: Path, kept: str = "") -> Iterator[None]:
+    """Hold a results folder for a while; a folder that was made for it and stayed empty is taken away again.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is not there.
+    kept : str
+        As for `alone_in`.
+
+    Raises
+    ------
+    ShjError
+        If another process, or another thread of this one, is at work in it.
+    OSError
+        If it cannot be made or written into.
+    """
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        stream = _locked(folder / LOCK)
+    except OSError as error:
+        if kept and (folder / kept).exists():
+            stream = None
+        else:
+            raise OSError(error.errno, os.strerror(error.errno or errno.EIO), str(folder)) from error
+    try:
+        yield
+    finally:
+        if stream is not None:
+            _release(stream, folder / LOCK)
+        with suppress(OSError):
+            for place in made:
+                place.rmdir()
+
+
+def _locked(path: Path) -> int | None:
+    """Descriptor of the locked file, with who holds it written into it; None where there are no locks."""
+    while True:
+        stream = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        try:
+            _lock(stream)
+            there = os.fstat(stream).st_ino == path.stat().st_ino  # else its holder took it away meanwhile
+        except FileNotFoundError:
+            there = False
+        except OSError as error:
+            os.close(stream)
+            if error.errno not in _BUSY:
+                path.unlink(missing_ok=True)
+                return None
+            words = f"{path.parent.name} {_holder(path)}; wait for it, or choose another folder with -o"
+            raise ShjError(words) from None
+        if there:
+            who = {"process": os.getpid(), "host": socket.gethostname()}
+            who["since"] = datetime.now().astimezone().isoformat(timespec="seconds")
+            os.ftruncate(stream, 0)
+            os.write(stream, json.dumps(who).encode()[:_WRITTEN])
+            return stream
+        os.close(stream)
+
+
+def _holder(path: Path) -> str:
+    """Say who writes into a folder, as far as that stands in its file."""
+    try:
+        who = json.loads(path.read_bytes()[:_WRITTEN])
+        process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
+        return f"is being written into by process {process} on {host}, since {since}"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet
+        return "is being written into by another process"
+
+
+def _release(stream: int, path: Path) -> None:
+    """Take the file away while it is locked, where the system allows that, then unlock it."""
+    with suppress(OSError):
+        if sys.platform != "win32":
+            path.unlink()
+    os.close(stream)
+    with suppress(OSError):
+        if sys.platform == "win32":
+            path.unlink()
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(stream: int) -> None:
+        os.lseek(stream, _WRITTEN, os.SEEK_SET)
+        msvcrt.locking(stream, msvcrt.LK_NBLCK, 1)
+        os.lseek(stream, 0, os.SEEK_SET)
+
+else:
+    import fcntl
+
+    def _lock(stream: int) -> None:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

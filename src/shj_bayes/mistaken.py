@@ -1,0 +1,117 @@
+"""Slips that spoil a result without a trace: the same recording twice, another device's folder, an idle option."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from shj_bayes.errors import ReportError, ShjError
+from shj_bayes.files import read_json
+from shj_bayes.recording.recording import Finding, Recording
+
+
+def content_digest(recording: Recording) -> str:
+    """Digest of what a recording holds, whatever its file is called."""
+    return _digest(recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
+
+
+def _digest(*arrays: object) -> str:
+    return hashlib.sha256(b"".join(np.asarray(values).tobytes() for values in arrays)).hexdigest()
+
+
+def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[Recording]:
+    """Warn where one of a device's recordings comes again, and where an option can have no effect.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Its runs.
+    free : sequence of str
+        Parameters that each run has for itself.
+
+    Returns
+    -------
+    list of Recording
+    """
+    if len(recordings) == 1 and free:
+        message = f"{', '.join(free)} cannot differ between runs where there is one run: --free has no effect"
+        return [_with(recordings[0], Finding("free-without-effect", "warning", message))]
+    first: dict[str, int] = {}
+    out = []
+    for number, recording in enumerate(recordings, start=1):
+        samples = _digest(recording.displacement_mm, recording.force_kN)  # whatever clock they were copied onto
+        earlier = first.setdefault(samples, number)
+        if earlier == number:
+            out.append(recording)
+            continue
+        message = (
+            f"run {number} ({recording.source.name}) holds the same samples as run {earlier} "
+            f"({recordings[earlier - 1].source.name}): the device would look as if a run changed nothing; name each "
+            "recording once"
+        )
+        out.append(_with(recording, Finding("same-recording", "warning", message)))
+    return out
+
+
+def _with(recording: Recording, finding: Finding) -> Recording:
+    return replace(recording, findings=(*recording.findings, finding))
+
+
+def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording], error: type[ShjError]) -> None:
+    """Refuse a folder that holds the result of another device: neither its name nor any of its recordings is the same.
+
+    Parameters
+    ----------
+    folder : Path
+        Where results are to go.
+    name : str
+        Name of the device.
+    recordings : sequence of Recording
+        Its runs.
+    error : type
+        Kind of error to raise.
+    """
+    mine = {recording.source.sha256 for recording in recordings}
+    for kind in ("fit", "diagnosis"):
+        path = folder / f"{kind}.json"
+        if not path.is_file():
+            continue
+        try:
+            record = read_json(path, ReportError)
+            other, theirs = str(record["device"]), {str(source["sha256"]) for source in record["inputs"]}
+        except (ReportError, KeyError, TypeError):
+            continue  # a damaged file is told of, and replaced, by whoever reads it
+        if other != name and not mine & theirs:
+            raise error(
+                f"{folder.name} holds the {kind} of another device, '{other}'; give '{name}' a folder of its own with "
+                "-o, or replace what is there with --force"
+            )
+
+
+def repeated(inputs: Iterable[tuple[str, str, str]]) -> list[str]:
+    """Say which recordings belong to several devices.
+
+    Parameters
+    ----------
+    inputs : iterable of (str, str, str)
+        Device with its set, name of the file, and its digest.
+
+    Returns
+    -------
+    list of str
+        One sentence for each such recording.
+    """
+    places: dict[str, dict[str, str]] = {}
+    for device, name, digest in inputs:
+        places.setdefault(digest, {}).setdefault(device, name)
+    return [
+        f"The same recording is in {len(where)} devices, which counts one test as several: "
+        + ", ".join(f"{device} ({name})" for device, name in list(where.items())[:5])
+        + (f" and {len(where) - 5} more." if len(where) > 5 else ".")
+        for digest, where in places.items()
+        if digest and len(where) > 1
+    ]

@@ -1,0 +1,416 @@
+"""Several runs in one file: told apart by the file itself, found at long rests or where the protocol begins again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording.cells import runs as stretches
+from shj_bayes.recording.clock import clock_findings
+from shj_bayes.recording.limits import (
+    FEW_HALF_CYCLES,
+    LONG_REST,
+    MIN_HALF_CYCLES,
+    MIN_SAMPLES,
+    MIN_STROKE_MM,
+    PROTOCOL_HALF_CYCLES,
+    PROTOCOL_VARIES,
+    REST_AT,
+    REST_BINS,
+    REST_HOME,
+    REST_NOISE,
+    REST_RANGE,
+    REST_SPEED,
+    REVERSAL_NOISE,
+    REVERSAL_RANGE,
+    SAME_STROKE,
+    SKETCH_SAMPLES,
+)
+from shj_bayes.recording.noise import noise_of
+from shj_bayes.recording.quality import inspect
+from shj_bayes.recording.recording import Finding, FloatArray, Recording
+from shj_bayes.recording.reversals import hysteresis
+
+Runs = int | Literal["split", "one"] | None
+"""What the user says of a file: how many runs it holds, that it may be split, that it is one; None for nothing said."""
+_OTHER = "use --split or --one-run, or put each run into a file of its own"
+
+
+@dataclass(frozen=True)
+class Division:
+    """One way to part a recording into runs.
+
+    Parameters
+    ----------
+    why : {"file", "repeat", "rest"}
+        The file tells its runs apart; the protocol begins again; the device rests for long.
+    spans : tuple of (int, int)
+        First sample of each run, and the sample behind its last; a rest between two runs belongs to neither, but for
+        its last samples, which show the force from which the next run starts.
+    words : str
+        What was found, for a finding.
+    """
+
+    why: Literal["file", "repeat", "rest"]
+    spans: tuple[tuple[int, int], ...]
+    words: str
+
+    @property
+    def n_runs(self) -> int:
+        """Number of runs."""
+        return len(self.spans)
+
+
+def divisions(recording: Recording) -> tuple[Division, ...]:
+    """Find the ways in which a recording may hold several runs.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    tuple of Division
+        The surest first; empty when nothing speaks for more than one run.
+    """
+    told = [start.sample for start in recording.run_starts]
+    found = [Division("file", _spans(recording, told), f"the file tells {len(told) + 1} runs apart")] if told else []
+    sketch = _sketch(recording)
+    if sketch is None:
+        return tuple(found)
+    pauses = _apart(recording, sketch, FEW_HALF_CYCLES)
+    if pauses:
+        strokes = [_strokes(part) for part in sketch.parts([pause.middle_s for pause in pauses])]
+        again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _alike(strokes[0], own)]
+        if again:
+            words = f"after {_rests(again)} the protocol begins again as it began"
+            found.append(Division("repeat", _between(recording, sketch, again), words))
+    if not any(way.why == "repeat" for way in found):
+        found += _repeated(recording, sketch)
+    longest = sketch.longest_half_cycle_s(pauses)
+    home = REST_HOME * float(np.ptp(sketch.x_mm))
+    pauses = [p for p in pauses if p.length_s > longest and abs(sketch.at(p.middle_s) - sketch.x_mm[0]) < home]
+    if pauses:
+        found.append(Division("rest", _between(recording, sketch, pauses), f"{_rests(pauses)} between movements"))
+    return tuple(found)
+
+
+def split(recording: Recording, n_runs: int | None = None) -> tuple[Recording, ...]:
+    """Part a recording into its runs.
+
+    Parameters
+    ----------
+    recording : Recording
+        As read from one file.
+    n_runs : int, optional
+        Number of runs that it holds; where not given, the surest division is taken.
+
+    Returns
+    -------
+    tuple of Recording
+        In order, without the rests between them. Each has the digest of the file, its name with ``run 2`` behind it,
+        and the findings of the whole but for those on the clock and the half-cycles, which are its own. The recording
+        itself where there is nothing to part.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be parted into `n_runs`; the message says what was found.
+    """
+    if n_runs == 1:
+        return (recording,)
+    ways = divisions(recording)
+    if n_runs is None:
+        return _cut(recording, ways[0]) if ways else (recording,)
+    for way in ways:
+        if way.n_runs == n_runs:
+            return _cut(recording, way)
+    longest = _longest_rests(recording, n_runs)
+    if longest is not None:
+        return _cut(recording, longest)
+    seen = (
+        "; ".join(f"{way.words} ({way.n_runs} runs)" for way in ways) or "no long rest, no protocol that begins again"
+    )
+    raise RecordingError(
+        f"{recording.source.name}: {n_runs} runs were expected, but found was: {seen}; correct --runs, or {_OTHER}"
+    )
+
+
+def check_runs(runs: Runs) -> None:
+    """Refuse what is neither a number of runs nor one of the two words.
+
+    Raises
+    ------
+    RecordingError
+    """
+    number = isinstance(runs, int) and not isinstance(runs, bool) and runs >= 1
+    if not (number or runs in ("split", "one", None)):
+        raise RecordingError(f'runs = {runs!r}: allowed are a number of runs from 1 on, "split" and "one"')
+
+
+def settle(recordings: Sequence[Recording], runs: Runs = None) -> list[Recording]:
+    """Part the recordings of a device into its runs as the user says.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        As read, one from each file.
+    runs : int, "split", "one" or None
+        Number of runs in all files together; ``"split"`` parts where runs are found; ``"one"`` never parts. Where
+        nothing is said, only a file that tells its own runs apart is parted.
+
+    Returns
+    -------
+    list of Recording
+        Without an option, a recording whose protocol begins again carries an ``unusable`` finding, one with long rests
+        between unlike stretches a ``warning``; both name the options.
+
+    Raises
+    ------
+    RecordingError
+        If they cannot be parted into the number of runs that was given.
+    """
+    if runs == "one":
+        return list(recordings)
+    if runs is None:
+        return [run for recording in recordings for run in _beyond_doubt(recording)]
+    if isinstance(runs, int) and len(recordings) == 1:
+        return list(split(recordings[0], runs))
+    parts = [split(recording) for recording in recordings]
+    found = sum(map(len, parts))
+    if isinstance(runs, int) and found != runs:
+        seen = ", ".join(f"{r.source.name} {len(part)}" for r, part in zip(recordings, parts, strict=True))
+        raise RecordingError(f"{runs} runs were expected, but found were {found} ({seen}); correct --runs, or {_OTHER}")
+    return [run for part in parts for run in part]
+
+
+def _beyond_doubt(recording: Recording) -> tuple[Recording, ...]:
+    """Part what the file itself tells apart; else keep the recording, with what speaks for more than one run."""
+    ways = divisions(recording)
+    if not ways:
+        return (recording,)
+    way = ways[0]
+    if way.why == "file":
+        return _cut(recording, way)
+    options = f'give --runs {way.n_runs}, --split or --one-run (in a manifest runs = {way.n_runs}, "split" or "one")'
+    if way.why == "repeat":
+        message = f"this looks like {way.n_runs} runs in one file: {way.words}; fitted as one it misleads; {options}"
+        finding = Finding("several-runs", "unusable", message)
+    else:
+        message = f"{way.words}; read as one run; if it holds {way.n_runs}, {options}"
+        finding = Finding("long-rests", "warning", message)
+    return (replace(recording, findings=(*recording.findings, finding)),)
+
+
+def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
+    """Make the recordings of a division."""
+    used = recording.used
+    assert used is not None
+    whole = {*inspect(recording), *clock_findings(recording.time_s, recording.displacement_mm)}
+    kept = tuple(finding for finding in recording.findings if finding not in whole)
+    shift = {start.sample: start.shift_s for start in recording.run_starts if way.why == "file"}
+    parts = []
+    for number, (a, b) in enumerate(way.spans, start=1):
+        said = Finding("runs-split", "assumed", f"run {number} of {way.n_runs} in {recording.source.name}: {way.words}")
+        part = Recording(
+            recording.time_s[a:b] - shift.get(a, 0.0),
+            recording.displacement_mm[a:b],
+            recording.force_kN[a:b],
+            used[a:b],
+            replace(recording.source, name=f"{recording.source.name} run {number}"),
+            (*kept, said),
+        )
+        own = (*clock_findings(part.time_s, part.displacement_mm), *inspect(part))
+        parts.append(replace(part, findings=(*part.findings, *own)))
+    return tuple(parts)
+
+
+@dataclass(frozen=True)
+class _Pause:
+    """A rest between movements, from `begin_s` to `end_s`."""
+
+    begin_s: float
+    end_s: float
+
+    @property
+    def length_s(self) -> float:
+        return self.end_s - self.begin_s
+
+    @property
+    def middle_s(self) -> float:
+        return 0.5 * (self.begin_s + self.end_s)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sketch:
+    """The displacement thinned out: enough to see rests and strokes.
+
+    Parameters
+    ----------
+    time_s, x_mm : array, shape (n,)
+    noise_mm : float
+        Of one sample.
+    """
+
+    time_s: FloatArray
+    x_mm: FloatArray
+    noise_mm: float
+
+    @property
+    def threshold_mm(self) -> float:
+        """Return that counts as a reversal."""
+        return max(REVERSAL_NOISE * self.noise_mm, REVERSAL_RANGE * float(np.ptp(self.x_mm)))
+
+    def at(self, time_s: float) -> float:
+        """Displacement at a time."""
+        return float(np.interp(time_s, self.time_s, self.x_mm))
+
+    def turns(self) -> list[int]:
+        """Find the samples of the reversals."""
+        return hysteresis(self.x_mm, self.threshold_mm)
+
+    def longest_half_cycle_s(self, pauses: list[_Pause]) -> float:
+        """Longest time from one reversal to the next, without those that hold one of the pauses."""
+        edges = self.time_s[[0, *self.turns(), self.time_s.size - 1]]
+        held = np.searchsorted(edges, [pause.middle_s for pause in pauses]) - 1
+        return float(np.max(np.delete(np.diff(edges), held), initial=0.0))
+
+    def parts(self, cuts_s: list[float]) -> list[_Sketch]:
+        """Sketches between times."""
+        edges = [0, *np.searchsorted(self.time_s, cuts_s).tolist(), self.time_s.size]
+        return [_Sketch(self.time_s[a:b], self.x_mm[a:b], self.noise_mm) for a, b in pairwise(edges)]
+
+
+def _sketch(recording: Recording) -> _Sketch | None:
+    """Thin the displacement out; None where there is nothing to see."""
+    x, step = recording.displacement_mm, max(1, recording.n_samples // SKETCH_SAMPLES)
+    noise = noise_of(x)
+    if recording.n_samples < 2 * MIN_SAMPLES or np.ptp(x) < max(MIN_STROKE_MM, 2 * REVERSAL_NOISE * noise):
+        return None
+    return _Sketch(recording.time_s[::step], x[::step], noise)
+
+
+def _pauses(sketch: _Sketch) -> list[_Pause]:
+    """Rests, longer than a usual half-cycle, at which the device or the logger stands still."""
+    t, x = sketch.time_s, sketch.x_mm
+    turns = sketch.turns()
+    places = x[[0, *turns, x.size - 1]]
+    travel = float(np.sum(np.abs(np.diff(places))))
+    # In a bin the device moves by far more than its noise, so that a bin without movement is a rest.
+    n = int(min(REST_BINS, x.size // 2, travel / max(REST_NOISE * sketch.noise_mm, 1e-300)))
+    if n < MIN_SAMPLES:
+        return []
+    edges = np.linspace(t[0], t[-1], n + 1)
+    # The displacement at the edges too: a bin without samples, in a gap, then shows how far the device moved in it.
+    at_edges = np.interp(edges, t, x)
+    moments = np.concatenate([t, edges])
+    order = np.argsort(moments, kind="stable")
+    values = np.concatenate([x, at_edges])[order]
+    first = np.searchsorted(moments[order], edges)[:-1]
+    high = np.maximum(np.maximum.reduceat(values, first), at_edges[1:])
+    span = high - np.minimum(np.minimum.reduceat(values, first), at_edges[1:])
+    still = span < max(REST_SPEED * travel / n, 0.2 * REST_NOISE * sketch.noise_mm)
+    found = [_Pause(float(edges[a]), float(edges[b])) for a, b in stretches(still) if a > 0 and b < n]
+    level = [np.interp([pause.begin_s, pause.end_s], t, x) for pause in found]
+    found = [p for p, ends in zip(found, level, strict=True) if abs(ends[1] - ends[0]) < REST_RANGE * np.ptp(x)]
+    resting = sum(pause.length_s for pause in found)
+    usual = (float(t[-1] - t[0]) - resting) / (len(turns) + 1)
+    return [pause for pause in found if pause.length_s > LONG_REST * usual]
+
+
+def _apart(recording: Recording, sketch: _Sketch, n_half: int) -> list[_Pause]:
+    """Pauses with enough samples and half-cycles on both sides; the others part nothing."""
+    kept: list[_Pause] = []
+    for pause in _pauses(sketch):
+        before, after = sketch.parts([pause.middle_s])
+        since = before.parts([kept[-1].middle_s])[1] if kept else before
+        if all(part.x_mm.size > 1 and len(part.turns()) + 1 >= n_half for part in (since, after)):
+            kept.append(pause)
+    return kept if all(b - a >= MIN_SAMPLES for a, b in _between(recording, sketch, kept)) else []
+
+
+def _strokes(sketch: _Sketch) -> FloatArray:
+    """Lengths of the movements from reversal to reversal."""
+    return np.abs(np.diff(sketch.x_mm[[0, *sketch.turns()]]))
+
+
+def _alike(first: FloatArray, other: FloatArray) -> bool:
+    """Whether two protocols are the same as far as both go."""
+    n = min(first.size, other.size)
+    if n < FEW_HALF_CYCLES - 1:
+        return False
+    limit = SAME_STROKE * np.maximum(first[:n], 0.2 * float(np.max(first)))
+    return bool(np.all(np.abs(first[:n] - other[:n]) <= limit))
+
+
+def _repeated(recording: Recording, sketch: _Sketch) -> list[Division]:
+    """Find runs without a long rest between them: the same varied sequence of amplitudes twice or more."""
+    turns = sketch.turns()
+    x, n = sketch.x_mm, len(turns)
+    size = np.abs(x[turns] - 0.5 * (float(np.max(x)) + float(np.min(x))))
+    for period in range(1, n // 2 + 1):
+        if n % period:
+            continue
+        blocks = size.reshape(-1, period)
+        if np.any(np.abs(blocks - blocks[0]) > SAME_STROKE * np.maximum(blocks[0], 0.2 * float(np.max(size)))):
+            continue
+        if period < PROTOCOL_HALF_CYCLES or float(np.max(blocks[0])) < PROTOCOL_VARIES * float(np.min(blocks[0])):
+            return []  # the same cycle again and again is one run
+        starts = [_crossing(sketch, turns[k - 1], turns[k]) for k in range(period, n, period)]
+        words = f"the same {period} amplitudes come {n // period} times, one after the other"
+        return [Division("repeat", _spans(recording, np.searchsorted(recording.time_s, starts).tolist()), words)]
+    return []
+
+
+def _crossing(sketch: _Sketch, before: int, after: int) -> float:
+    """Time at which the displacement passes where the recording began, between two reversals."""
+    way = sketch.x_mm[before : after + 1]
+    beyond = (way - sketch.x_mm[0]) * np.sign(way[-1] - way[0]) >= 0
+    return float(sketch.time_s[before + int(np.argmax(beyond))])
+
+
+def _longest_rests(recording: Recording, n_runs: int) -> Division | None:
+    """Division at the longest rests, where these are clearly longer than the next."""
+    sketch = _sketch(recording)
+    if sketch is None:
+        return None
+    pauses = _apart(recording, sketch, MIN_HALF_CYCLES)
+    by_length = sorted(pauses, key=lambda pause: pause.length_s, reverse=True)
+    chosen, rest = by_length[: n_runs - 1], by_length[n_runs - 1 :]
+    if len(chosen) < n_runs - 1 or (rest and chosen[-1].length_s < 1.5 * rest[0].length_s):
+        return None
+    chosen.sort(key=lambda pause: pause.begin_s)
+    return Division("rest", _between(recording, sketch, chosen), f"{_rests(chosen)} between movements, the longest")
+
+
+def _spans(recording: Recording, starts: list[int]) -> tuple[tuple[int, int], ...]:
+    """Give spans that follow one another without anything between."""
+    return tuple(pairwise([0, *starts, recording.n_samples]))
+
+
+def _between(recording: Recording, sketch: _Sketch, pauses: list[_Pause]) -> tuple[tuple[int, int], ...]:
+    """Leave out the pauses between runs: what a rig does to the force while nothing slides is not the device's."""
+    t, x = recording.time_s, recording.displacement_mm
+    begin, spans = 0, []
+    for pause in pauses:
+        a, b = (int(i) for i in np.searchsorted(t, [pause.begin_s, pause.end_s]))
+        # The pause was seen in pieces of the duration; it began with the first sample at its level.
+        level = float(np.median(x[a:b])) if b > a else float(x[min(a, x.size - 1)])
+        near = slice(max(begin, a - MIN_SAMPLES - 2 * x.size // REST_BINS), a)
+        moving = np.flatnonzero(np.abs(x[near] - level) > REST_AT * sketch.noise_mm)
+        end = near.start + int(moving[-1]) + 1 if moving.size else near.start
+        spans.append((begin, end))
+        begin = max(end, b - MIN_SAMPLES)
+    return (*spans, (begin, recording.n_samples))
+
+
+def _rests(pauses: list[_Pause]) -> str:
+    """Pauses in words."""
+    shown = ", ".join(f"{p.length_s:.3g} s at {p.begin_s:.4g} s" for p in pauses[:4])
+    more = f" and {len(pauses) - 4} more" if len(pauses) > 4 else ""
+    return f"{'a rest' if len(pauses) == 1 else f'{len(pauses)} rests'} ({shown}{more})"
