@@ -38,13 +38,13 @@ import numpy as np
 from calibrate_parts import DEFAULTS, EFFECTS, N_RANKS, draw_effects, draw_margins, ranks_of
 from numpy.typing import NDArray
 from scipy import stats
+from shj_bayes.inference.problem import Problem
 from tqdm import tqdm
 
 from shj_bayes.errors import ShjError
 from shj_bayes.files import write_text
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.fit import fit, make_problem
-from shj_bayes.inference.problem import Problem
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.inference.store import natural_chains

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from shj_bayes.inference.problem import Run
+from shj_bayes.mismatch.posterior import augmented_posterior, sample
 
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.problem import Run
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.mismatch.evidence import Evidence, evidence_of
-from shj_bayes.mismatch.posterior import augmented_posterior, sample
 from shj_bayes.mismatch.refit import Refit, extend_starts, make_model, refit
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.noise import Stretches, simulate_noise

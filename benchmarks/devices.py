@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from shj_bayes.inference.problem import Problem, Run
+
 from shj_bayes.model.parameters import Layout
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device

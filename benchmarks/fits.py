@@ -13,9 +13,9 @@ import time
 
 import numpy as np
 from devices import device
+from shj_bayes.inference.problem import Problem
 
 from shj_bayes.inference.convergence import judge
-from shj_bayes.inference.problem import Problem
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.parameters import FloatArray

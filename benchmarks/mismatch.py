@@ -20,8 +20,8 @@ from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
-
 from shj_bayes.inference.problem import Run
+
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue

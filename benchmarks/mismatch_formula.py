@@ -14,8 +14,8 @@ from functools import partial
 
 import numpy as np
 from mismatch import Shape, simulate
-
 from shj_bayes.inference.problem import Run
+
 from shj_bayes.mismatch.calibrate import strongest_line
 from shj_bayes.mismatch.diagnosis import N_QUICK
 from shj_bayes.mismatch.evidence import Evidence, evidence_of

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from mismatch import simulate
-
 from shj_bayes.inference.problem import Run
+
 from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device

@@ -17,10 +17,10 @@ from collections.abc import Callable
 import emcee
 import numpy as np
 from emcee.moves import DEMove, DESnookerMove, KDEMove, MHMove, RedBlueMove, StretchMove
+from shj_bayes.inference.problem import Problem
 
 from shj_bayes.inference.convergence import autocorrelation_time
 from shj_bayes.inference.fit import make_problem
-from shj_bayes.inference.problem import Problem
 from shj_bayes.inference.proposal import Proposal, fit_proposal
 from shj_bayes.inference.sampler import moves
 from shj_bayes.inference.start import Start, find_start

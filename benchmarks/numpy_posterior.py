@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-
 from shj_bayes.inference.problem import Problem
+
 from shj_bayes.model.parameters import FloatArray
 
 _LOG_2PI = math.log(2 * math.pi)

@@ -18,9 +18,9 @@ import numpyro
 import numpyro.distributions as dist
 from numpyro.infer import MCMC, NUTS
 from numpyro.infer.util import log_density
+from shj_bayes.inference.problem import Problem, Run
 
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.problem import Problem, Run
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.parameters import Layout
 from shj_bayes.model.priors import Prior, read_priors

@@ -20,9 +20,9 @@ import numpy as np
 from devices import device
 from numpy_posterior import NumpyPosterior
 from samplers import SAMPLERS, Draws, reference
+from shj_bayes.inference.problem import Problem
 from threadpoolctl import threadpool_limits
 
-from shj_bayes.inference.problem import Problem
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.parameters import FloatArray
 

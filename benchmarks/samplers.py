@@ -11,10 +11,10 @@ import emcee
 import numpy as np
 from numpy_posterior import NumpyPosterior
 from scipy.optimize import minimize
-
 from shj_bayes.inference.coarse import Coarse
-from shj_bayes.inference.convergence import ESS_LIMIT, RHAT_LIMIT, diagnose_chains
 from shj_bayes.inference.problem import Problem
+
+from shj_bayes.inference.convergence import ESS_LIMIT, RHAT_LIMIT, diagnose_chains
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, polish
 from shj_bayes.model.parameters import FloatArray

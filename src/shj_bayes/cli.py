@@ -360,6 +360,10 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     help="Importance class of the structure (EN 15129).",
 )
 @click.option(
+    "--v-known", type=float, metavar="V", help="Known coefficient of variation of the sliding force (EN 1990)."
+)
+@click.option("--v-reason", default="", metavar="WORDS", help="Where V is known from; printed beside the values.")
+@click.option(
     "--set",
     "sets",
     multiple=True,
@@ -371,7 +375,7 @@ def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **r
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
     need_population(folder)
     from shj_bayes.design import design_margins
-    from shj_bayes.margins.sheet import Request
+    from shj_bayes.margins.request import Request
 
     design = design_margins(folder, Request(sets=sets, **request), progress=not (quiet or as_json))
     if as_json:

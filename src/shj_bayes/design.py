@@ -12,10 +12,12 @@ from shj_bayes.files import need_population, write_text
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
 from shj_bayes.margins.files import design_table, to_json, write_margins
+from shj_bayes.margins.first_cycle import by_set
 from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.opensees import python_script, tcl_script
-from shj_bayes.margins.sheet import PLAIN, Request, Sheet, margins, motion_of
+from shj_bayes.margins.request import PLAIN, Request
+from shj_bayes.margins.sheet import Sheet, margins, motion_of
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
@@ -98,7 +100,8 @@ def design_margins(
     result = load_population(folder) if population is None else population
     request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
     campaign, others, words = _models(folder, result, progress)
-    sheet = margins(result, request, diagnosed=others or None, words=words)
+    cycles = by_set((of_set, folder / place) for place, _, of_set in _places(campaign, result))
+    sheet = margins(result, request, diagnosed=others or None, words=words, first_cycles=cycles)
     loop_bands = loops(next(iter(others.values()), result), sheet.motion)
     write_margins(sheet, folder)
     write_loops(loop_bands, folder)
@@ -179,24 +182,29 @@ def _campaign(folder: Path) -> dict[str, Any] | None:
 
 def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> Cases:
     """Collect populations with the physics that diagnoses of the campaign's devices found."""
-    places: list[tuple[str, str, str]] = []
+    places = _places(campaign, result)
     diagnoses, notes = {}, []
     tags = {group.name: group.tags for group in result.sets}
-    for group in campaign["sets"]:
-        for entry in group["devices"]:
-            name, place = str(entry["name"]), str(entry["folder"])
-            known = group["name"] in tags and name in result.sets[result.index(group["name"])].devices
-            if not known:
-                continue
-            diagnosis, why = find_diagnosis(folder / place)
-            if diagnosis is not None:
-                diagnoses[str(group["name"]), name] = diagnosis
-            if why:
-                notes.append(f"{group['name']}, {name}: {why}")
-            places.append((place, name, str(group["name"])))
+    for place, name, of_set in places:
+        diagnosis, why = find_diagnosis(folder / place)
+        if diagnosis is not None:
+            diagnoses[of_set, name] = diagnosis
+        if why:
+            notes.append(f"{of_set}, {name}: {why}")
     wanted = places if diagnoses else []  # reading a thousand fits again takes long
     devices = [device_from_fit(folder / place, name, of_set, tags[of_set]) for place, name, of_set in wanted]
     return cases(devices, diagnoses, notes)
+
+
+def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[tuple[str, str, str]]:
+    """Folder, name and set of every device of a campaign that is in its population; none for the tables."""
+    members = {group.name: group.devices for group in result.sets}
+    return [
+        (str(entry["folder"]), str(entry["name"]), str(group["name"]))
+        for group in (campaign["sets"] if campaign else ())
+        for entry in group["devices"]
+        if str(entry["name"]) in members.get(str(group["name"]), ())
+    ]
 
 
 def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
@@ -239,7 +247,9 @@ def _factor_lines(sheet: Sheet, name: str) -> list[str]:
     own = {row.kind.partition(", importance")[0]: row for row in sheet.rows if row.set_name == name}
 
     def value(kind: str) -> str:
-        return f"{own[kind].value:.3g}" if kind in own else "-"
+        if kind not in own:
+            return "-"
+        return f"{own[kind].value:.3g}" + (f" ({own[kind].warning})" if own[kind].warning else "")
 
     return [
         f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "

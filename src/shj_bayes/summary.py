@@ -150,14 +150,23 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
 
 def comparison_lines(comparison: Comparison) -> list[str]:
     """Comparison as a table of text, one line per quantity."""
-    head = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted", "Holm", "spread a/b")
-    rows = [["", *head]]
+    words = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)", "Holm")
+    rows = [["", *words, "spread a/b"]]
     for c in comparison.contrasts:
-        p = ["-" if x is None else f"{x:.3f}" for x in (c.tests.welch_p, c.tests.permutation_p, c.holm_p)]
-        cells = [c.probability_level, c.probability_rope, c.superiority]
-        unit = "" if c.unit == "1" else f" {c.unit}"
-        numbers = [f"{c.q50:.3g}", f"{c.q05:.3g} to {c.q95:.3g}", *(f"{x:.2f}" for x in cells), *p]
-        rows.append([c.quantity + unit, *numbers, f"{c.spread_factor[1]:.2f}"])
+        tests = c.tests
+        exact = f"{_p(tests.permutation_p)} ({_p(tests.permutation_least)})"
+        rows.append(
+            [
+                c.quantity + ("" if c.unit == "1" else f" {c.unit}"),
+                f"{c.q50:.3g}",
+                f"{c.q05:.3g} to {c.q95:.3g}",
+                *(f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)),
+                _p(tests.welch_p),
+                exact if tests.permutation_p is not None else "-",
+                f"{_p(c.holm_p)} {c.holm_test}".strip(),
+                f"{c.spread_factor[1]:.2f}",
+            ]
+        )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  "
@@ -167,6 +176,13 @@ def comparison_lines(comparison: Comparison) -> list[str]:
         )
         for row in rows
     ]
+
+
+def _p(value: float | None) -> str:
+    """Write a p-value; a dash where the test cannot be made."""
+    if value is None:
+        return "-"
+    return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
 
 
 def band_text(population: PopulationResult) -> str:

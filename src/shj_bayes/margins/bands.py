@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from shj_bayes.margins.outermost import DEFAULT, Newcomers, outer, own_devices, priors_that_count
 from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
-from shj_bayes.margins.sample import SAMPLED, UNITS, Motion, predicted
+from shj_bayes.margins.sample import LAW, SAMPLED, UNITS, Motion, predicted
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.predict import new_device
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes.population.predict import SECOND_RUN
 
 SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 PURPOSE = {
@@ -19,12 +19,24 @@ PURPOSE = {
     MIDDLE: "best estimate: first analysis",
     HIGH: "upper bound: forces on beam, column, welds and bolts",
 }
+DEGRADATION = "degradation"
+LOSS = {
+    LOW: "least loss of sliding force to count on",
+    MIDDLE: "best estimate of the loss of sliding force after a first earthquake",
+    HIGH: "greatest loss of sliding force to allow for in a second earthquake",
+}
+BASIS = {SECOND_RUN: ("Fy", "ratio"), DEGRADATION: ("ratio",), "energy": LAW, "force": LAW}
+"""Pooled quantities that a derived one rests on."""
 
 
 def of_set(
-    result: PopulationResult, set_name: str, n_devices: Mapping[str, int], motion: Motion | None
+    result: PopulationResult,
+    set_name: str,
+    devices: Newcomers,
+    n_devices: Mapping[str, int],
+    motion: Motion | None,
 ) -> Iterator[Margin]:
-    """Bands of a new device of a set; the same under other priors of the spread stands in the note.
+    """Bands of a new device of a set: the default prior of the spread, with few devices the outermost of all.
 
     Parameters
     ----------
@@ -32,6 +44,8 @@ def of_set(
         A fitted population.
     set_name : str
         The set, or ``ANY_SET``.
+    devices : mapping of str to NewDevice
+        By prior of the spread.
     n_devices : mapping of str to int
         Devices behind each quantity.
     motion : Motion or None
@@ -41,32 +55,42 @@ def of_set(
     ------
     Margin
     """
-    main = predicted(new_device(result, set_name), motion)
-    others = {label: predicted(new_device(result, set_name, label), motion) for label in result.other_priors}
-    for quantity in SAMPLED:
-        if quantity not in main:
+    drawn = {label: predicted(device, motion) for label, device in devices.items()}
+    for quantity in (*SAMPLED, DEGRADATION):
+        if quantity not in drawn[DEFAULT]:
             continue
+        own = own_devices(result, set_name, BASIS.get(quantity, (quantity,)))
+        count = priors_that_count(tuple(drawn), own)
         for side, level in SIDES.items():
-            by_law = {law: float(np.quantile(draws, level)) for law, draws in main[quantity].items()}
+            by_law = {label: _quantiles(found[quantity], level) for label, found in drawn.items()}
+            by_prior = {label: _outer_law(laws, side) for label, laws in by_law.items()}
+            listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in by_prior.items())
+            notes = [_laws(by_law[DEFAULT])]
+            if len(count) > 1 and side != MIDDLE:
+                notes.append(f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own")
             yield Margin(
                 set_name,
                 quantity,
                 BANDS,
                 f"new device, {100 * level:.0f} %",
                 side,
-                _outer(by_law, side),
+                outer(by_prior, side, own),
                 UNITS[quantity],
-                n_devices.get(quantity, 0),
+                n_devices.get("ratio" if quantity == DEGRADATION else quantity, 0),
                 math.nan,
                 "predictive distribution, decision 0004",
                 f"{100 * level:.0f} % quantile over draws of set level and spread",
-                f"{next(iter(main[quantity].values())).size} draws; {_priors(others, quantity, level)}",
-                PURPOSE[side],
-                _laws(by_law),
+                f"{next(iter(drawn[DEFAULT][quantity].values())).size} draws; {listed}",
+                (LOSS if quantity == DEGRADATION else PURPOSE)[side],
+                "; ".join(filter(None, notes)),
             )
 
 
-def _outer(by_law: Mapping[str, float], side: str) -> float:
+def _quantiles(draws: Mapping[str, np.ndarray], level: float) -> dict[str, float]:
+    return {law: float(np.quantile(values, level)) for law, values in draws.items()}
+
+
+def _outer_law(by_law: Mapping[str, float], side: str) -> float:
     """Least favourable of the laws of speed; their middle for the middle."""
     values = list(by_law.values())
     return {LOW: min(values), MIDDLE: float(np.median(values)), HIGH: max(values)}[side]
@@ -78,11 +102,3 @@ def _laws(by_law: Mapping[str, float]) -> str:
         return ""
     listed = ", ".join(f"{name} {value:.4g}" for name, value in by_law.items())
     return f"EXTRAPOLATED beyond the tested speed; by law: {listed}"
-
-
-def _priors(others: Mapping[str, Mapping[str, Mapping[str, FloatArray]]], quantity: str, level: float) -> str:
-    values = {
-        label: float(np.quantile(np.concatenate(list(drawn[quantity].values())), level))
-        for label, drawn in others.items()
-    }
-    return "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in values.items())

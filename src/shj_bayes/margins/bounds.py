@@ -9,11 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.margins import row
 from shj_bayes.margins.cycle import steady_cycle
+from shj_bayes.margins.delivered import SLOWEST, delivered
+from shj_bayes.margins.outermost import DEFAULT, Newcomers, newcomers, outer, own_devices
 from shj_bayes.margins.sample import Motion
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import SECOND_RUN, NewDevice, new_device, sets_suffice
+from shj_bayes.population.predict import sets_suffice
 
 LOWER, MIDDLE, UPPER = "lower", "middle", "upper"
 NEEDED = ("K", "Fy", "beta", "gamma")
@@ -81,7 +84,11 @@ def bounds(models: Sequence[PopulationResult], motion: Motion) -> tuple[Bound, .
     # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.
     untested = (ANY_SET,) if sets_suffice(len(models[0].sets)) else ()
     for name in (*models[0].set_names, *untested):
-        found = [three for model in models if (three := _of_set(new_device(model, name), motion))]
+        found = [
+            three
+            for model in models
+            if (three := _of_set(newcomers(model, name), own_devices(model, name, (*NEEDED, "ratio")), motion))
+        ]
         if found:
             out += [_outermost(same) for same in zip(*found, strict=True)]
     if not out:
@@ -89,19 +96,19 @@ def bounds(models: Sequence[PopulationResult], motion: Motion) -> tuple[Bound, .
     return tuple(out)
 
 
-def _of_set(device: NewDevice, motion: Motion) -> tuple[Bound, ...]:
+def _of_set(devices: Newcomers, own: int, motion: Motion) -> tuple[Bound, ...]:
+    device = devices[DEFAULT]
     if any(q not in device.draws for q in NEEDED):
         return ()
     v = motion.guard.speed_mm_s
-    first, gamma = device.draws["Fy"], device.draws["gamma"]
-    second = device.draws.get(SECOND_RUN, first)
-    moving = np.maximum(1.0 + gamma * v, 0.05)  # a tail of gamma must not turn the force round
-    forces = (
-        float(np.quantile(np.minimum(first, second) * np.minimum(1.0, moving), 0.05)),
-        float(np.quantile(first * np.maximum(1.0 + math.pi / 4.0 * gamma * v, 0.05), 0.5)),
-        float(np.quantile(np.maximum(first, second) * np.maximum(1.0, moving), 0.95)),
-    )
-    stiffness = np.quantile(device.draws["K"], (0.05, 0.5, 0.95)).tolist()
+    energy = np.maximum(1.0 + math.pi / 4.0 * device.draws["gamma"] * v, SLOWEST)
+    force = delivered(devices, own, motion)
+    forces = force.low, float(np.quantile(device.draws["Fy"] * energy, 0.5)), force.high
+    bands = {label: other.band("K") for label, other in devices.items()}
+    stiffness = [
+        outer({label: band[i] for label, band in bands.items()}, side, own)
+        for i, side in enumerate((row.LOW, row.MIDDLE, row.HIGH))
+    ]
     beta = float(np.clip(np.median(device.draws["beta"]), *BETA_RANGE))
     laws = np.column_stack([stiffness, forces, [beta] * 3, [0.0] * 3])
     cycle = steady_cycle(laws, motion.amplitude_mm, v, motion.guard.tested.variant)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pandas as pd
 from shj_bayes.files import write_text
 from shj_bayes.margins.row import COLUMNS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import Sheet
+from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.results import safe_cell
 
@@ -24,11 +26,7 @@ HEADS = {
     "without_diagnosis": "value_of_the_law_as_published",
 }
 """Columns whose name in a file says more than the one in the code."""
-SHOWN: tuple[tuple[str, str, str], ...] = (
-    ("new device", "new device, 5 %", LOW),
-    ("new device", "new device, 50 %", MIDDLE),
-    ("new device", "new device, 95 %", HIGH),
-)
+Key = tuple[str, str, str, str]
 
 
 def to_table(sheet: Sheet) -> pd.DataFrame:
@@ -104,19 +102,18 @@ def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
 
 CHOSEN: tuple[tuple[str, str, str], ...] = (
     ("new device", "new device, 5 %", "new device, 95 %"),
-    (
-        "EN 1990 characteristic",
-        "EN 1990 characteristic, lognormal, V common",
-        "EN 1990 characteristic, lognormal, V common",
-    ),
-    ("EN 1990 design", "EN 1990 design, lognormal, V common", "EN 1990 design, lognormal, V common"),
-    (
-        "tolerance 95/95 one-sided",
-        "tolerance 95/95 one-sided, lognormal, V common",
-        "tolerance 95/95 one-sided, lognormal, V common",
-    ),
+    ("EN 1990 characteristic", "EN 1990 characteristic, lognormal", "EN 1990 characteristic, lognormal"),
+    ("EN 1990 design", "EN 1990 design, lognormal", "EN 1990 design, lognormal"),
+    ("tolerance 95/95 one-sided", "tolerance 95/95 one-sided, lognormal", "tolerance 95/95 one-sided, lognormal"),
 )
-_ALONE = "V unknown"
+WAYS = (KNOWN, COMMON, UNKNOWN, BETWEEN)
+"""Ways to come by the spread, the one to be shown first."""
+
+
+def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side: str) -> Margin | None:
+    """Look up a margin, by the first way to come by the spread where there are several."""
+    kinds = (kind, *(f"{kind}, {way}" for way in WAYS))
+    return next((index[name, quantity, k, side] for k in kinds if (name, quantity, k, side) in index), None)
 
 
 def design_table(sheet: Sheet) -> pd.DataFrame:
@@ -125,7 +122,8 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        Where no spread is common to several sets, that of the set's own devices is used.
+        A value by testing rests on the first way to come by the spread that there is: stated as known, common to
+        several sets, of the set's own devices; between sets for a set never tested.
     """
     index = {row.key: row for row in sheet.rows}
     lines = []
@@ -143,9 +141,7 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
             }
             for head, low, high in CHOSEN:
                 for side, kind in ((LOW, low), (HIGH, high)):
-                    row = index.get((name, quantity, kind, side)) or index.get(
-                        (name, quantity, kind.replace("V common", _ALONE), side)
-                    )
+                    row = shown(index, name, quantity, kind, side)
                     if row is not None:
                         line[f"{head}, {side}"] = row.value
                         line[f"{head}, clause"] = row.clause

@@ -1,4 +1,4 @@
-"""What the codes multiply: nominal force, device to device, within the tests, ageing; split for one set."""
+"""What the codes multiply: nominal force, the force that new devices deliver, ageing; for one set."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes.margins import asce7
-from shj_bayes.margins.asce7 import Bounds
+from shj_bayes.margins.delivered import Delivered, delivered, words
+from shj_bayes.margins.outermost import Newcomers, own_devices
+from shj_bayes.margins.pair import NONE, Bounds
 from shj_bayes.margins.sample import Motion
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import SECOND_RUN, NewDevice, new_device
 from shj_bayes.population.quantities import FloatArray
 
 
@@ -20,38 +20,42 @@ class Environment:
 
     Parameters
     ----------
-    bounds : Bounds
-        Factor on the force; 1 and 1 where it was not tested.
+    measured : Bounds
+        Factor on the force, middle of the posterior; 1 and 1 where it was not tested.
+    extreme : Bounds
+        5 and 95 % of the posterior.
     words : str
         Where it comes from.
     """
 
-    bounds: Bounds
+    measured: Bounds
+    extreme: Bounds
     words: str
 
 
 def environment(result: PopulationResult, set_name: str) -> Environment:
-    """Corroded over uncorroded sliding force of the same shim and coating, the middle of its posterior."""
+    """Corroded over uncorroded sliding force of the same shim and coating, from its posterior."""
     untested = "no corroded partner of this set was tested: 1 says that nothing is known, not that nothing happens"
     fit = result.fit("Fy")
     if set_name == ANY_SET:
         shifts = [fit.mu[:, j] - fit.mu[:, i] for i, j in corroded_pairs(result)]
         if not shifts:
-            return Environment(asce7.NONE, untested)
+            return Environment(NONE, NONE, untested)
         shift = np.mean(shifts, axis=0)
         return _environment(shift, f"mean of {len(shifts)} corroded sets over their uncorroded partners")
     index = result.index(set_name)
     if result.sets[index].tags.corroded:
-        return Environment(asce7.NONE, "this set was tested corroded: its own numbers hold the ageing")
+        return Environment(NONE, NONE, "this set was tested corroded: its own numbers hold the ageing")
     partner = [j for i, j in corroded_pairs(result) if i == index]
     if not partner:
-        return Environment(asce7.NONE, untested)
+        return Environment(NONE, NONE, untested)
     return _environment(fit.mu[:, partner[0]] - fit.mu[:, index], f"{result.sets[partner[0]].name} over {set_name}")
 
 
-def _environment(shift: FloatArray, words: str) -> Environment:
+def _environment(shift: FloatArray, origin: str) -> Environment:
     low, middle, high = (float(x) for x in np.exp(np.quantile(shift, (0.05, 0.5, 0.95))))
-    return Environment(Bounds.around(middle), f"{words}: {middle:.2f} (90 % interval {low:.2f} to {high:.2f})")
+    said = f"{origin}: {middle:.2f} (90 % interval {low:.2f} to {high:.2f})"
+    return Environment(Bounds.around(middle), Bounds.around(low, high), said)
 
 
 def corroded_pairs(result: PopulationResult) -> list[tuple[int, int]]:
@@ -67,61 +71,45 @@ def corroded_pairs(result: PopulationResult) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts of the property modification factors of one set.
+    """What the factors of one set are made of.
 
     Parameters
     ----------
     nominal_kN : float
-        Typical sliding force of the first run, at rest.
-    specification, testing, travel : Bounds
-        Device to device; within the tests (run and speed); run to run alone.
+        Nominal sliding force: that of the third cycle of the first run at standstill of a typical device, or as
+        stated by the user.
+    nominal_words : str
+        Which of the two.
+    force : Delivered
+        What new devices deliver.
     age : Environment
         Corrosion.
-    low_kN, high_kN : float
-        5 and 95 % of a new device, first run.
-    second_kN : float or None
-        5 % of a new device, second run.
     inputs : str
-        In words.
+        What the delivered force is made of, in words.
     """
 
     nominal_kN: float
-    specification: Bounds
-    testing: Bounds
-    travel: Bounds
+    nominal_words: str
+    force: Delivered
     age: Environment
-    low_kN: float
-    high_kN: float
-    second_kN: float | None
     inputs: str
 
 
-def parts_of(result: PopulationResult, set_name: str, motion: Motion | None, nominal_kN: float | None) -> Parts:
+def parts_of(
+    result: PopulationResult,
+    set_name: str,
+    devices: Newcomers,
+    motion: Motion | None,
+    nominal_kN: float | None,
+    first_cycle: Bounds = NONE,
+) -> Parts:
     """Split what is known of a set into the parts that the codes multiply."""
-    device = new_device(result, set_name)
-    low, middle, high = device.band("Fy")
-    nominal = middle if nominal_kN is None else nominal_kN
-    ratio = device.band("ratio")[1] if "ratio" in device.draws else 1.0
-    speeds, words = _speed_factors(device, motion)
-    run, rate = Bounds.around(ratio), Bounds.around(*speeds)
-    testing = Bounds(run.low * rate.low, run.high * rate.high)
+    own = own_devices(result, set_name, ("Fy", "ratio", "gamma"))
+    force = delivered(devices, own, motion, first_cycle)
     return Parts(
-        nominal,
-        Bounds.around(low / middle, high / middle),
-        testing,
-        run,
+        force.middle if nominal_kN is None else nominal_kN,
+        "typical device" if nominal_kN is None else "stated by the user",
+        force,
         environment(result, set_name),
-        low,
-        high,
-        device.band(SECOND_RUN)[0] if SECOND_RUN in device.draws else None,
-        f"second run / first {ratio:.3f}" + ("" if "ratio" in device.draws else " (no second run)") + f"; {words}",
+        words(force, motion),
     )
-
-
-def _speed_factors(device: NewDevice, motion: Motion | None) -> tuple[tuple[float, ...], str]:
-    if motion is None or "gamma" not in device.draws:
-        return (1.0,), "speed not known"
-    gamma = np.array([device.band("gamma")[1]])
-    v = motion.guard.speed_mm_s
-    factors = tuple(float(1.0 + g[0] * v) for g in motion.guard.gammas(gamma).values())
-    return factors, f"speed 0 to {v:.3g} mm/s: factor 1 to {' or '.join(f'{f:.3f}' for f in factors)}"

@@ -41,6 +41,8 @@ class Margin:
         What to mind.
     without_diagnosis : float
         The same from the law as published, where a diagnosis changed it; NaN otherwise.
+    warning : str
+        A few words that belong into the same cell as the value wherever it is shown; empty for none.
     """
 
     set_name: str
@@ -58,6 +60,7 @@ class Margin:
     purpose: str
     note: str = ""
     without_diagnosis: float = math.nan
+    warning: str = ""
 
     def __post_init__(self) -> None:
         """Refuse a number without origin."""

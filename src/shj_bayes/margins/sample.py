@@ -18,7 +18,7 @@ UNITS = {"Fy": "kN", SECOND_RUN: "kN", "ratio": "1", "degradation": "1", "K": "k
 SAMPLED = ("Fy", SECOND_RUN, "ratio", "K", "energy", "force")
 """Quantities that are pooled, or follow from pooled ones, and are positive; degradation = 1 - ratio follows."""
 N_DRAWS = 1600
-_LAW = ("K", "Fy", "beta", "gamma")
+LAW = ("K", "Fy", "beta", "gamma")
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,9 @@ def samples(group: DeviceSet, motion: Motion | None) -> dict[str, Sample]:
     values = {q: QUANTITIES[q].natural(points[q]) for q in QUANTITIES}
     values[SECOND_RUN] = values["Fy"] * values["ratio"]
     out = {}
-    known = np.all(np.isfinite([values[q] for q in _LAW]), axis=0)
+    known = np.all(np.isfinite([values[q] for q in LAW]), axis=0)
     if motion is not None and known.any():
-        table = {q: values[q][known] for q in _LAW}
+        table = {q: values[q][known] for q in LAW}
         values |= {name: np.mean(list(law.values()), axis=0) for name, law in derived(table, motion).items()}
     source = {"ratio": ("ratio",), "K": ("K",), SECOND_RUN: ("Fy", "ratio")}
     for q in SAMPLED:
@@ -123,10 +123,12 @@ def derived(values: dict[str, FloatArray], motion: Motion) -> dict[str, dict[str
 def predicted(device: NewDevice, motion: Motion | None) -> dict[str, dict[str, FloatArray]]:
     """Draws of a new device in every quantity, by law of speed ("linear" alone where the law does not matter)."""
     out = {q: {"linear": device.draws[q]} for q in ("Fy", SECOND_RUN, "ratio", "K") if q in device.draws}
-    if motion is not None and all(q in device.draws for q in _LAW):
+    if "ratio" in out:
+        out["degradation"] = {"linear": 1.0 - device.draws["ratio"]}
+    if motion is not None and all(q in device.draws for q in LAW):
         total = device.draws["K"].size
         chosen = np.linspace(0, total - 1, min(N_DRAWS, total)).astype(np.int64)
-        out |= derived({q: device.draws[q][chosen] for q in _LAW}, motion)
+        out |= derived({q: device.draws[q][chosen] for q in LAW}, motion)
     return out
 
 

@@ -9,55 +9,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins import bands, testing
-from shj_bayes.margins.factors import factor_rows
-from shj_bayes.margins.parts import parts_of
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
+from shj_bayes.margins import bands
+from shj_bayes.margins.agreement import agreement
+from shj_bayes.margins.codes.catalogue import catalogue
+from shj_bayes.margins.codes.code import Given
+from shj_bayes.margins.delivered import FirstCycles
+from shj_bayes.margins.outermost import newcomers
+from shj_bayes.margins.pair import NONE
+from shj_bayes.margins.parts import Parts, parts_of
+from shj_bayes.margins.request import PLAIN, Request
+from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sample import SAMPLED, Motion, Sample, common_spread, everything
 from shj_bayes.margins.speed_guard import Guard, published_factors
+from shj_bayes.margins.spread import NOT_NORMAL, between_sets, of_set
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.predict import sets_suffice
 
 PUBLISHED_LAW = "law as published"
 UNEQUAL = 2.0
 """Sets spread unequally when the widest of them is surely (95 %) more than this many times the tightest."""
-
-
-@dataclass(frozen=True)
-class Request:
-    """What the user asked for.
-
-    Parameters
-    ----------
-    amplitude_mm, speed_mm_s : float or None
-        Of the cycle; the largest tested where not given.
-    extrapolate : bool
-        Speeds beyond the tested ones may be spoken of.
-    importance : {"I", "II", "III"}
-        Importance class of the structure, for EN 15129.
-    nominal_kN : float or None
-        Nominal sliding force for phi, phi_o and the bounds; that of a typical device of the set where not given.
-    sets : tuple of str
-        Sets that are shown and that the nominal force is for; all where empty.
-    """
-
-    amplitude_mm: float | None = None
-    speed_mm_s: float | None = None
-    extrapolate: bool = False
-    importance: str = "II"
-    nominal_kN: float | None = None
-    sets: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse a nominal force that is none."""
-        if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
-            raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
-
-    def nominal_of(self, set_name: str) -> float | None:
-        """Nominal sliding force stated for a set, kN."""
-        return self.nominal_kN if not self.sets or set_name in self.sets else None
-
-
-PLAIN = Request()
 
 
 @dataclass(frozen=True)
@@ -117,6 +87,7 @@ def margins(
     *,
     diagnosed: Mapping[str, PopulationResult] | None = None,
     words: Sequence[str] = (),
+    first_cycles: FirstCycles | None = None,
 ) -> Sheet:
     """Draw up the margins of a population.
 
@@ -131,6 +102,8 @@ def margins(
         stands beside it.
     words : sequence of str
         What the diagnoses found.
+    first_cycles : mapping of str to Bounds, optional
+        First over third cycle as measured, by set and for ``ANY_SET``.
 
     Returns
     -------
@@ -139,71 +112,72 @@ def margins(
     if "Fy" not in result.posteriors:
         raise PopulationError("no device gives the sliding force Fy; there are no margins without it")
     motion = motion_of(result, request)
-    published = tuple(_rows(result, motion, request))
+    cycles = first_cycles or {}
+    published = tuple(_rows(result, motion, request, cycles))
     models = {PUBLISHED_LAW: published}
     if diagnosed:
-        models = {name: tuple(_rows(other, motion, request)) for name, other in diagnosed.items()}
+        models = {name: tuple(_rows(other, motion, request, cycles)) for name, other in diagnosed.items()}
     rows = _outermost(list(models.values()), published) if diagnosed else published
-    return Sheet(rows, motion, tuple(_warnings(result, motion)), tuple(words), tuple(models))
+    # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
+    spoken = (*result.set_names, ANY_SET) if sets_suffice(len(result.sets)) else result.set_names
+    compared = agreement([row for row in rows if row.set_name in spoken])
+    warnings = (*compared.contradictions, *_warnings(result, motion, request), compared.words)
+    return Sheet(rows, motion, warnings, tuple(words), tuple(models))
 
 
-def _rows(result: PopulationResult, motion: Motion | None, request: Request) -> Iterator[Margin]:
+def _rows(
+    result: PopulationResult, motion: Motion | None, request: Request, first_cycles: FirstCycles
+) -> Iterator[Margin]:
     by_set = everything(result, motion)
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in SAMPLED}
-    together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
-    by_set[ANY_SET] = {q: _all_as_one(parts) for q, parts in together.items() if parts}
-    for name, samples in by_set.items():
-        found = list(bands.of_set(result, name, {q: s.n for q, s in samples.items()}, motion))
-        for quantity, sample in samples.items():
-            spread = common[quantity] if name != ANY_SET else (math.nan, 0)
-            known = _known_spread(result, name, quantity, sample)
-            ways = testing.spreads(sample, known, spread)
-            found += testing.en1990_values(name, quantity, sample, ways)
-            found += testing.tolerance_limits(name, quantity, sample, ways)
-        found += [_degradation(row) for row in found if row.quantity == "ratio"]
+    known = [*result.set_names, ANY_SET]
+    for name in known:
+        devices = newcomers(result, name)
         nominal = request.nominal_of(name)
-        words = "typical device" if nominal is None else "stated by the user"
-        parts = parts_of(result, name, motion, nominal)
-        found += factor_rows(name, parts, samples["Fy"].n if "Fy" in samples else 0, request.importance, words)
+        parts = parts_of(result, name, devices, motion, nominal, first_cycles.get(name, NONE))
+        given = _given(name, by_set, common, parts, request)
+        found = list(bands.of_set(result, name, devices, given.devices, motion))
+        found += [row for code in catalogue() for row in code.rows(given)]
         yield from found
+        yield from (_degradation(row) for row in found if row.quantity == "ratio" and row.method != BANDS)
 
 
-def _all_as_one(parts: Sequence[Sample]) -> Sample:
-    """All devices of all sets as one sample: a set never tested may be any of them."""
-    return Sample(np.concatenate([p.values for p in parts]), float(np.mean([p.floor for p in parts])))
-
-
-def _known_spread(result: PopulationResult, name: str, quantity: str, sample: Sample) -> float:
-    """Spread taken as known beforehand: the middle of the posterior of the set's own, sd of the logarithm."""
-
-    def middle(q: str) -> float:
-        fit = result.fit(q)
-        if name == ANY_SET:
-            return float(np.median(np.hypot(fit.hyper[:, 1], fit.hyper[:, 2])))
-        return float(np.median(fit.tau[:, result.index(name)]))
-
-    needed = {"Fy_second": ("Fy", "ratio"), "energy": ("Fy",), "force": ("Fy",)}.get(quantity, (quantity,))
-    return max(math.hypot(*(middle(q) for q in needed)), sample.floor)
+def _given(
+    name: str,
+    by_set: Mapping[str, dict[str, Sample]],
+    common: Mapping[str, tuple[float, int]],
+    parts: Parts,
+    request: Request,
+) -> Given:
+    """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
+    if name != ANY_SET:
+        samples = by_set[name]
+        spreads = {q: of_set(sample, common[q]) for q, sample in samples.items()}
+        return Given(name, samples, spreads, {q: s.n for q, s in samples.items()}, parts, request)
+    together = {q: [s[q] for s in by_set.values() if q in s] for q in SAMPLED}
+    clustered = {q: between_sets(of_sets) for q, of_sets in together.items() if of_sets}
+    return Given(
+        name,
+        {q: sample for q, (sample, _) in clustered.items()},
+        {q: ways for q, (_, ways) in clustered.items()},
+        {q: sum(s.n for s in together[q]) for q in clustered},
+        parts,
+        request,
+    )
 
 
 def _degradation(row: Margin) -> Margin:
     """1 - ratio: the low side of the ratio is the high side of the degradation."""
     side = {LOW: HIGH, HIGH: LOW, MIDDLE: MIDDLE}[row.side]
-    kind = {"new device, 5 %": "new device, 95 %", "new device, 95 %": "new device, 5 %"}.get(row.kind, row.kind)
-    purpose = {
-        LOW: "least loss of sliding force to count on",
-        MIDDLE: "best estimate of the loss of sliding force after a first earthquake",
-        HIGH: "greatest loss of sliding force to allow for in a second earthquake",
-    }[side]
     return replace(
         row,
-        quantity="degradation",
+        quantity=bands.DEGRADATION,
         side=side,
-        kind=kind,
         value=1.0 - row.value,
         formula=f"1 - ratio; {row.formula}",
-        note=row.note.replace(testing.NOT_NORMAL, "more than all: the normal law does not suit so wide a spread"),
-        purpose=purpose,
+        inputs=f"of the ratio: {row.inputs}",
+        note=row.note.replace(NOT_NORMAL, "more than all: the normal law does not suit so wide a spread"),
+        purpose=bands.LOSS[side],
     )
 
 
@@ -225,8 +199,10 @@ def _outermost(models: Sequence[tuple[Margin, ...]], published: tuple[Margin, ..
     return tuple(out)
 
 
-def _warnings(result: PopulationResult, motion: Motion | None) -> Iterator[str]:
+def _warnings(result: PopulationResult, motion: Motion | None, request: Request) -> Iterator[str]:
     tested = result.tested
+    if request.v_known is not None:
+        yield f"V = {request.v_known:g} of the sliding force is taken as known (EN 1990), because: {request.v_reason}"
     if motion is not None and tested is not None:
         if motion.guard.beyond:
             yield (

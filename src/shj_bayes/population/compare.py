@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -13,17 +13,14 @@ from scipy.special import ndtr
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.classical import Classical, Pair, classical, holm
-from shj_bayes.population.compare_words import multiplicity_words, sentence
+from shj_bayes.population.compare_words import ROPE_SPEED, multiplicity_words, sentence
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.power import devices_needed, power
+from shj_bayes.population.power import assurance, devices_needed, representative
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 from shj_bayes.population.selectors import Stratum, strata_of
 
 ROPE = 0.10
 """Half-width of the region of practical equivalence: 10 % of the value; for gamma 10 % of the force at 10 mm/s."""
-ROPE_SPEED = 10.0
-STATED_FACTOR = 1.5
-"""Difference for which the power is stated: a factor of 1.5; for gamma half the force at 10 mm/s."""
 LEVELS = (0.05, 0.5, 0.95)
 Band = tuple[float, float, float]
 
@@ -59,11 +56,15 @@ class Contrast:
     tests : Classical
         Welch, Behrens-Fisher, variances, permutation on the point values.
     holm_p : float or None
-        Permutation p (Welch's where there is none), adjusted for all quantities compared here.
-    power_stated : float
-        Chance that a sample of this size finds a true factor of 1.5 (gamma: 0.05 s/mm).
+        p of ``holm_test``, adjusted for all quantities compared here; None where no test of these devices can reach
+        0.05 after the adjustment.
+    holm_test : str
+        "permutation" where it can reach 0.05 after the adjustment, otherwise "Welch"; "" for neither.
+    power_edge : float
+        Chance that a sample of this size finds a true difference at the edge of practical equivalence, averaged over
+        what is known of the spread.
     n_to_decide : int
-        Devices a side that would find a difference as large as the one seen, four times in five.
+        Devices a side that would find a difference at that edge four times in five, averaged likewise.
     other_priors : mapping of str to tuple of float
         5 and 95 % under each other prior of the spread.
     sentence : str
@@ -87,7 +88,8 @@ class Contrast:
     spread_factor: Band
     tests: Classical
     holm_p: float | None
-    power_stated: float
+    holm_test: str
+    power_edge: float
     n_to_decide: int
     other_priors: Mapping[str, tuple[float, float]]
     sentence: str
@@ -141,7 +143,7 @@ def _row(c: Contrast) -> dict[str, object]:
         "n_a": c.n_a,
         "n_b": c.n_b,
         **asdict(c.tests),
-        **{k: getattr(c, k) for k in ("holm_p", "power_stated", "n_to_decide", "sentence")},
+        **{k: getattr(c, k) for k in ("holm_p", "holm_test", "power_edge", "n_to_decide", "sentence")},
     }
 
 
@@ -171,17 +173,14 @@ def compare(result: PopulationResult, set_a: str, set_b: str, *, rope: float = R
         raise PopulationError(f"the region of practical equivalence must be a share between 0 and 1; got {rope:g}")
     a, b, strata = strata_of(result, set_a, set_b)
     drafts = [_contrast(result, name, (a, b), strata, rope) for name in result.posteriors]
-    adjusted = holm([_leading_p(c.tests) for c in drafts])
-    contrasts = tuple(_with_holm(c, p) for c, p in zip(drafts, adjusted, strict=True))
-    return Comparison(a, b, contrasts, len(strata), multiplicity_words(len(contrasts), len(strata)))
-
-
-def _leading_p(tests: Classical) -> float | None:
-    return tests.permutation_p if tests.permutation_p is not None else tests.welch_p
-
-
-def _with_holm(contrast: Contrast, p: float | None) -> Contrast:
-    return Contrast(**{**vars(contrast), "holm_p": p})
+    n_tests = sum(c.tests.welch_p is not None or c.tests.permutation_p is not None for c in drafts)
+    tests = [c.tests.leading(n_tests) for c in drafts]
+    adjusted = holm([p for _, p in tests])
+    contrasts = tuple(
+        replace(c, holm_test=name, holm_p=p) for c, (name, _), p in zip(drafts, tests, adjusted, strict=True)
+    )
+    words = multiplicity_words(len(contrasts), len(strata), [c.holm_test for c in contrasts])
+    return Comparison(a, b, contrasts, len(strata), words)
 
 
 def _shift(result: PopulationResult, name: str, strata: Sequence[Stratum], prior: str) -> FloatArray:
@@ -218,13 +217,13 @@ def _contrast(
     tau_a, tau_b = (np.exp(np.log(fit.tau[:, side]).mean(axis=1)) for side in (first, second))
     region = (1.0 / (1.0 + rope), 1.0 + rope) if q.logarithmic else (-rope / ROPE_SPEED, rope / ROPE_SPEED)
     inside = (q.natural(shift) > region[0]) & (q.natural(shift) < region[1])
-    sd = _planning_spread(result, name, [*first, *second])
-    stated = math.log(STATED_FACTOR) if q.logarithmic else 0.5 / ROPE_SPEED
+    spreads = _planning_spreads(result, name, [*first, *second])
+    edge = math.log1p(rope) if q.logarithmic else region[1]
     apart = [
         q.natural(fit.mu[:, a].mean(axis=1)) - q.natural(fit.mu[:, b].mean(axis=1)) for a, b in map(_lists, strata)
     ]
-    needed = devices_needed(float(np.median(shift)), sd)
-    chance = power(stated, sd, *n, strata=len(strata))
+    needed = devices_needed(edge, spreads, strata=len(strata))
+    chance = assurance(edge, spreads, *n, strata=len(strata))
     away = [
         ndtr((fit.mu[:, [i]] - fit.mu[:, [j]]) / np.hypot(fit.tau[:, [i]], fit.tau[:, [j]])) for i, j in _pairs(strata)
     ]
@@ -246,20 +245,21 @@ def _contrast(
         spread_factor=_band(tau_a / tau_b),
         tests=classical(_points(result, name, strata), result.seed),
         holm_p=None,
-        power_stated=chance,
+        holm_test="",
+        power_edge=chance,
         n_to_decide=needed,
         other_priors=MappingProxyType({label: (x[0], x[2]) for label, x in others.items()}),
         sentence=sentence(sides, name, band, settled, n, (rope, float(np.mean(inside))), (chance, needed)),
     )
 
 
-def _planning_spread(result: PopulationResult, name: str, sets: list[int]) -> float:
-    """Spread to plan a test with: that of the sets if all spread nearly alike.
+def _planning_spreads(result: PopulationResult, name: str, sets: list[int]) -> FloatArray:
+    """Spreads to plan a test with: the posterior of that of the sets if all spread nearly alike.
 
     Two devices that happen to agree promise a spread that the next two will not keep.
     """
     prior = "alike" if "alike" in result.other_priors else "default"
-    return float(np.median(np.sqrt(np.mean(result.fit(name, prior).tau[:, sets] ** 2, axis=1))))
+    return representative(np.sqrt(np.mean(result.fit(name, prior).tau[:, sets] ** 2, axis=1)))
 
 
 def _pairs(strata: Sequence[Stratum]) -> list[tuple[int, int]]:

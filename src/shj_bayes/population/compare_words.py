@@ -9,6 +9,8 @@ from shj_bayes.population.priors import ASSUMED
 from shj_bayes.population.quantities import QUANTITIES
 
 TRUSTED = 0.95
+ROPE_SPEED = 10.0
+"""Speed at which practical equivalence of gamma is meant as a share of the force, mm/s."""
 
 
 def sentence(
@@ -37,19 +39,19 @@ def sentence(
     equivalence : tuple of float
         Half-width of the region of practical equivalence, and its probability.
     decide : tuple of (float, int)
-        Power for a factor of 1.5, and devices a side that would decide a difference as large as the one seen.
+        Power at the edge of practical equivalence, and devices a side that would find a difference of that size.
     """
     q05, q50, q95 = band
     quantity = QUANTITIES[name]
     if quantity.logarithmic:
         size = f"is {q50:.2f} times that of {sides[1]} (90 % interval {q05:.2f} to {q95:.2f})"
         open_ = f"a factor of anything from {q05:.2f} to {q95:.2f}"
-        stated = "a true factor of 1.5"
+        edge = f"{100 * equivalence[0]:.0f} %"
     else:
         unit = quantity.unit
         size = f"differs from {sides[1]} by {q50:+.3g} {unit} (90 % interval {q05:+.3g} to {q95:+.3g})"
         open_ = f"anything from {q05:+.3g} to {q95:+.3g} {unit}"
-        stated = f"a true difference of 0.05 {unit}"
+        edge = f"{equivalence[0] / ROPE_SPEED:.3g} {unit}"
     if not settled["default"]:
         verdict = f"the direction is not settled: {open_} is compatible with them"
     elif not all(settled.values()):
@@ -66,15 +68,32 @@ def sentence(
     chance, needed = decide
     count = f"about {needed}" if needed < MOST else f"more than {MOST}"
     return (
-        f"{text} A sample of this size finds {stated} with a power of {chance:.2f}; {count} devices a side would find "
-        "a difference as large as the one seen four times in five (if sets spread nearly alike)."
+        f"{text} A sample of this size finds a true difference of {edge}, the smallest that matters here, with a "
+        f"power of {chance:.2f}; {count} devices a side would find it four times in five (if sets spread nearly "
+        "alike)."
     )
 
 
-def multiplicity_words(n_quantities: int, n_strata: int) -> str:
-    """Say how many comparisons were made at once, and how that is allowed for."""
+def multiplicity_words(n_quantities: int, n_strata: int, tests: Sequence[str]) -> str:
+    """Say how many comparisons were made at once, by which test, and how that is allowed for.
+
+    Parameters
+    ----------
+    n_quantities, n_strata : int
+        Quantities compared; pairs of sets that each runs over.
+    tests : sequence of str
+        Test behind the adjusted p of each quantity: "permutation", "Welch" or "".
+    """
     over = f", each averaged over {n_strata} pairs of sets alike in all else" if n_strata > 1 else ""
+    said = {
+        "permutation": "on the exact permutation",
+        "Welch": "on Welch's test where no arrangement of so few devices could bring the permutation to 0.05 after "
+        "that (its least p stands beside it)",
+    }
+    basis = " and ".join(words for name, words in said.items() if name in tests)
+    rest = [f"The p-values marked Holm allow for that number; they rest {basis}."] if basis else []
+    rest += ["Where neither permutation nor Welch's test can reach 0.05 there is none."] if "" in tests else []
     return (
-        f"{n_quantities} quantities were compared{over}. The p-values marked Holm allow for that number; the posterior "
-        "draws the sets towards each other by itself. Whoever picks among many pairs must divide once more."
+        f"{n_quantities} quantities were compared{over}. {' '.join(rest)} The posterior draws the sets towards each "
+        "other by itself. Whoever picks among many pairs must divide once more."
     )

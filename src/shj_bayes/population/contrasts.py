@@ -24,11 +24,14 @@ class Permutation:
         Share of arrangements at least as far from zero.
     arrangements : int
         All of them.
+    p_least : float
+        Smallest share that any arrangement of these values can give.
     """
 
     mean_difference: float
     p_two_sided: float
     arrangements: int
+    p_least: float
 
 
 def stratified_permutation(values: FloatArray) -> Permutation:
@@ -57,8 +60,9 @@ def stratified_permutation(values: FloatArray) -> Permutation:
         chosen = [list(c) for c in itertools.combinations(range(2 * n), n)]
         differences = np.array([(2.0 * stratum[c].sum() - stratum.sum()) / n for c in chosen])
         sums = np.add.outer(sums, differences).ravel()
-    p = float(np.mean(np.abs(sums) >= abs(observed) - 1e-9 * max(1.0, abs(observed))))
-    return Permutation(observed / n_strata, p, sums.size)
+    away = np.abs(sums)
+    p, least = (float(np.mean(away >= x - 1e-9 * max(1.0, x))) for x in (abs(observed), float(away.max())))
+    return Permutation(observed / n_strata, p, sums.size, least)
 
 
 @dataclass(frozen=True)

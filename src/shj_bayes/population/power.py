@@ -1,15 +1,27 @@
-"""What a sample could have found, and how many devices would decide."""
+"""What a sample can find, and how many devices would decide: assurance at the edge of practical equivalence.
+
+A difference at that edge is the smallest that matters, so it is what a test is planned for; the difference that was
+seen is not (planning for it promises most where chance was kind). The spread between devices is not known either: the
+power is averaged over its posterior (assurance; O'Hagan, Stevens and Campbell 2005), not taken at one value of it.
+"""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from scipy import stats
+from scipy.special import chdtri, ndtr
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.population.quantities import FloatArray
 
 LEVEL, POWER = 0.05, 0.8
 MOST = 10_000
+N_SPREADS = 200
+"""Quantiles of the posterior of the spread that stand for it."""
+_SHARE, _WEIGHT = np.polynomial.legendre.leggauss(200)
+_SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
 
 
 def power(shift: float, sd: float, n_a: int, n_b: int, level: float = LEVEL, *, strata: int = 1) -> float:
@@ -31,26 +43,72 @@ def power(shift: float, sd: float, n_a: int, n_b: int, level: float = LEVEL, *, 
     float
         0 where there are too few devices for any test.
     """
-    if not (math.isfinite(shift) and math.isfinite(sd) and sd > 0):
-        raise PopulationError(f"power needs a finite difference and a spread above zero; got {shift:g} and {sd:g}")
+    return assurance(shift, np.array([sd]), n_a, n_b, level, strata=strata)
+
+
+def assurance(shift: float, sds: FloatArray, n_a: int, n_b: int, level: float = LEVEL, *, strata: int = 1) -> float:
+    """Power averaged over what is known of the spread.
+
+    Parameters
+    ----------
+    shift : float
+        True difference, pooled scale.
+    sds : array, shape (n,)
+        Equally probable values of the spread between devices of a set, pooled scale.
+    n_a, n_b, level, strata
+        As in `power`.
+
+    Returns
+    -------
+    float
+        Always between 0 and 1. The noncentral t is integrated over the estimate of the spread, because the
+        distribution function of scipy gives NaN far out.
+    """
+    if not (math.isfinite(shift) and np.all(np.isfinite(sds)) and np.all(sds > 0)):
+        raise PopulationError(
+            f"power needs a finite difference and a spread above zero; got {shift:g} and {np.min(sds):g}"
+        )
     nu = n_a + n_b - 2 * strata
     if min(n_a, n_b) < 1 or nu < 1:
         return 0.0
-    away = abs(shift) / (sd * math.sqrt(1.0 / n_a + 1.0 / n_b))
-    limit = float(stats.t.isf(level / 2.0, nu))
-    if away > limit + 30.0:  # the distribution function of scipy gives NaN far out, where the answer is 1
-        return 1.0
-    return float(stats.nct.sf(limit, nu, away) + stats.nct.cdf(-limit, nu, away))
+    away = np.abs(shift) / (sds * math.sqrt(1.0 / n_a + 1.0 / n_b))
+    limit = float(stats.t.isf(level / 2.0, nu)) * np.sqrt(chdtri(nu, _SHARE) / nu)
+    found = ndtr(away[:, None] - limit) + ndtr(-away[:, None] - limit)
+    return float(np.mean(found @ _WEIGHT))
 
 
-def devices_needed(shift: float, sd: float, wanted: float = POWER, level: float = LEVEL) -> int:
-    """Devices in each of two sets for which the power reaches what is wanted; ``MOST`` when more would be needed."""
-    low, high = 1, 2
-    while power(shift, sd, high, high, level) < wanted:
+def devices_needed(
+    shift: float, sds: FloatArray | float, wanted: float = POWER, level: float = LEVEL, *, strata: int = 1
+) -> int:
+    """Devices on each side for which the assurance reaches what is wanted; ``MOST`` when more would be needed.
+
+    Parameters
+    ----------
+    shift : float
+        Difference to find, pooled scale.
+    sds : array, shape (n,), or float
+        Equally probable values of the spread.
+    wanted, level : float
+        Assurance; level of the test.
+    strata : int
+        Pairs of sets that each side is divided over.
+    """
+    sds = np.atleast_1d(np.asarray(sds, dtype=np.float64))
+
+    def found(n: int) -> float:
+        return assurance(shift, sds, n, n, level, strata=strata)
+
+    low, high = strata, 2 * strata
+    while found(high) < wanted:
         low, high = high, 2 * high
         if high > MOST:
             return MOST
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if power(shift, sd, middle, middle, level) >= wanted else (middle, high)
+        low, high = (low, middle) if found(middle) >= wanted else (middle, high)
     return high
+
+
+def representative(draws: FloatArray) -> FloatArray:
+    """Equally probable values that stand for many draws."""
+    return np.asarray(np.quantile(draws, (np.arange(N_SPREADS) + 0.5) / N_SPREADS))

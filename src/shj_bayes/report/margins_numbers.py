@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from shj_bayes.margins.files import shown
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.population.posterior import ANY_SET
@@ -85,7 +86,7 @@ def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     for name in shown_sets(sheet):
         cells, degrees, n = [], math.nan, 0
         for kind, _, _ in TESTED:
-            pair = [_with_spread(index, name, quantity, kind, side) for side in (LOW, HIGH)]
+            pair = [shown(index, name, quantity, kind, side) for side in (LOW, HIGH)]
             cells.append(tuple(digits(m.value) if m else "-" for m in pair))
             if pair[0]:
                 degrees, n = pair[0].degrees, pair[0].n_devices
@@ -94,21 +95,13 @@ def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _with_spread(index: Index, name: str, quantity: str, kind: str, side: str) -> Margin | None:
-    for spread in ("V common", "V unknown"):
-        found = index.get((name, quantity, f"{kind}, {spread}", side))
-        if found is not None:
-            return found
-    return None
-
-
 def factor_table(sheet: Sheet) -> list[dict[str, Any]]:
     """One row per set: factors on the nominal sliding force and the bounds they give."""
     index = _index(sheet)
     rows = []
     for name in shown_sets(sheet):
         own = {row.kind.partition(", importance")[0]: row for row in sheet.rows if row.set_name == name}
-        cells = [digits(own[kind].value) if kind in own else "-" for kind, _ in FACTORS]
+        cells = [(digits(own[kind].value), own[kind].warning) if kind in own else ("-", "") for kind, _ in FACTORS]
         age = own.get("lambda_ae,max")
         rows.append(
             {"name": name_of(name), "n": _devices(index, name), "cells": cells, "age": age.inputs if age else ""}

@@ -90,7 +90,8 @@ def _pictures(loops: Sequence[LoopBand]) -> list[Picture]:
         Picture(
             loop(bands),
             f"Force over displacement of a new device of {name}: middle and 90 % band of the first and the second run.",
-            "At each displacement 90 % of new devices lie in the band. Values: loops.csv.",
+            "At each displacement 90 % of new devices lie in the band, under the default prior of the spread. "
+            "Values: loops.csv.",
             name,
         )
         for name, bands in by_set.items()

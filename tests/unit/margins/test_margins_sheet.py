@@ -1,17 +1,20 @@
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import openpyxl
 import pytest
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins import en1990, tolerance
+from shj_bayes.margins.agreement import agreement
+from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.parts import corroded_pairs
+from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
-from shj_bayes.margins.sheet import Request, margins
+from shj_bayes.margins.sheet import margins
 from shj_bayes.margins.speed_guard import LAWS, Guard, published_factors
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import new_device
@@ -39,9 +42,14 @@ def test_every_number_says_where_it_comes_from(sheet):
 
 
 def test_bands_are_those_of_a_new_device(sheet, population):
-    low, middle, high = new_device(population, "Zinc 70").band("Fy")
-    for side, level, value in ((LOW, 5, low), (MIDDLE, 50, middle), (HIGH, 95, high)):
-        assert sheet.get("Zinc 70", "Fy", f"new device, {level} %", side).value == pytest.approx(value)
+    bands = {p: new_device(population, "Zinc 70", p).band("Fy") for p in ("default", *population.other_priors)}
+    low, high = min(b[0] for b in bands.values()), max(b[2] for b in bands.values())
+    assert low < bands["default"][0]  # two devices of its own: the outermost of the three priors
+    for side, level, value in ((LOW, 5, low), (MIDDLE, 50, bands["default"][1]), (HIGH, 95, high)):
+        row = sheet.get("Zinc 70", "Fy", f"new device, {level} %", side)
+        assert row.value == pytest.approx(value)
+        assert all(f"'{p}'" in row.inputs for p in bands)
+        assert ("outermost of 3 priors" in row.note) is (side != MIDDLE)
     energy = sheet.get("Zinc 70", "energy", "new device, 50 %", MIDDLE).value
     assert energy == pytest.approx(4 * 0.095 * 92 * (1 - np.pi / 4 * 10.25 / 72) * (1 - 92 / 11.4 / 95), rel=0.05)
 
@@ -49,11 +57,16 @@ def test_bands_are_those_of_a_new_device(sheet, population):
 def test_values_by_testing_follow_from_the_devices(sheet):
     logs = np.log([90.0, 95.0])
     spread = math.sqrt((logs.var(ddof=1) + np.log([70.0, 75.0]).var(ddof=1)) / 2)
+    assert spread == pytest.approx(0.0438, abs=1e-4)  # below 0.10, so s_y = sqrt(ln 1.01) = 0.09975
     row = sheet.get("Zinc 70", "Fy", "EN 1990 characteristic, lognormal, V common", LOW)
-    assert row.value == pytest.approx(math.exp(logs.mean() - en1990.factor_unknown(2, degrees=2) * spread))
+    assert row.value == pytest.approx(math.exp(logs.mean() - en1990.factor_unknown(2, degrees=2) * 0.099751), rel=1e-5)
+    assert "V raised from 0.044 to 0.1" in row.note
     assert (row.n_devices, row.degrees) == (2, 2)
+    assert not any("V known" in row.kind for row in sheet.rows)
     row = sheet.get("Zinc 70", "Fy", "tolerance 95/95 one-sided, normal, V unknown", HIGH)
-    assert row.value == pytest.approx(92.5 * (1 + tolerance.one_sided(2, 0.95, 0.95) * np.std([90, 95], ddof=1) / 92.5))
+    assert row.value == pytest.approx(
+        92.5 * (1 + iso16269_6.one_sided(2, 0.95, 0.95) * np.std([90, 95], ddof=1) / 92.5)
+    )
     assert "V common" in row.note
     row = sheet.get("Zinc 70", "Fy", "EN 1990 characteristic, lognormal, V unknown", LOW)
     assert math.isnan(row.value)
@@ -69,13 +82,20 @@ def test_one_device_has_no_spread_of_its_own(sheet):
     assert "no factor for n = 3" in design.note
 
 
-def test_degradation_turns_the_ratio_round(sheet):
+def test_degradation_turns_the_ratio_round(sheet, population):
     for kind, mirrored in (
         ("new device, 5 %", "new device, 95 %"),
         ("EN 1990 characteristic, lognormal, V common",) * 2,
     ):
         ratio = sheet.get("Zinc 70", "ratio", kind, LOW).value
-        assert sheet.get("Zinc 70", "degradation", mirrored, HIGH).value == pytest.approx(1 - ratio)
+        row = sheet.get("Zinc 70", "degradation", mirrored, HIGH)
+        assert row.value == pytest.approx(1 - ratio)
+    assert row.inputs.startswith("of the ratio: m_y")
+    band = sheet.get("Zinc 70", "degradation", "new device, 95 %", HIGH)
+    own = {p: 1 - new_device(population, "Zinc 70", p).band("ratio")[0] for p in ("default", "alike", "free")}
+    for label, value in own.items():
+        assert f"{value:.4g} under the prior '{label}'" in band.inputs
+    assert band.value == pytest.approx(max(own.values()))
 
 
 def test_factors_multiply(sheet, population):
@@ -90,10 +110,16 @@ def test_factors_multiply(sheet, population):
     assert value("ASCE 7 lower bound force", LOW) == pytest.approx(
         value("lambda_min with the floor for dampers", LOW) * value("nominal sliding force", MIDDLE)
     )
-    low, _, high = new_device(population, "Zinc 70").band("Fy")
-    nominal = value("nominal sliding force", MIDDLE)
+    draws = [new_device(population, "Zinc 70", p).draws for p in ("default", *population.other_priors)]
+    nominal, v = value("nominal sliding force", MIDDLE), 10.25
+    low = min(np.quantile(d["Fy"] * np.clip(1 + v * d["gamma"], 0.01, 1), 0.05) for d in draws)
     assert value("phi equivalent, first run", LOW) == pytest.approx(low / nominal)
+    high = max(
+        np.quantile(np.maximum(d["Fy"], d["Fy_second"]) * np.maximum(1, 1 + v * d["gamma"]), 0.95) for d in draws
+    )
     assert value("phi_o equivalent", HIGH) == pytest.approx(high / nominal)
+    # gamma of this set is near -1/72 s/mm, so the force delivered is well below that at standstill
+    assert low < min(np.quantile(d["Fy"], 0.05) for d in draws)
     own = sheet.get("Zinc 70 corroded", "Fy", "lambda_ae,min", LOW)
     assert own.value == 1.0
     assert "tested corroded" in own.inputs
@@ -101,9 +127,15 @@ def test_factors_multiply(sheet, population):
 
 
 def test_nominal_and_importance_are_the_users(population):
+    by_self = margins(population)
     sheet = margins(population, Request(nominal_kN=80.0, importance="III"))
-    low, _, _ = new_device(population, "Zinc 70").band("Fy")
-    assert sheet.get("Zinc 70", "Fy", "phi equivalent, first run", LOW).value == pytest.approx(low / 80.0)
+    kind = "phi equivalent, first run"
+    typical = by_self.get("Zinc 70", "Fy", "nominal sliding force", MIDDLE).value
+    assert sheet.get("Zinc 70", "Fy", kind, LOW).value == pytest.approx(
+        by_self.get("Zinc 70", "Fy", kind, LOW).value * typical / 80.0
+    )
+    upper = [s.get("Zinc 70", "Fy", "ASCE 7 upper bound force", HIGH).value for s in (by_self, sheet)]
+    assert upper[0] == pytest.approx(upper[1])  # a low nominal force does not lower the bound
     assert sheet.get("Zinc 70", "Fy", "EN 15129 LBDP, importance class III", LOW) is not None
     with pytest.raises(PopulationError, match="above zero"):
         Request(nominal_kN=-1.0)
@@ -187,3 +219,42 @@ def test_a_number_without_origin_is_refused():
         Margin("s", "Fy", "m", "k", LOW, 1.0, "kN", 2, 1, "", "f", "i", "p")
     with pytest.raises(PopulationError, match="low, middle or high"):
         Margin("s", "Fy", "m", "k", "up", 1.0, "kN", 2, 1, "c", "f", "i", "p")
+
+
+def test_bounds_do_not_contradict_each_other(sheet):
+    assert "None contradict" in sheet.warnings[-1]
+    for name in ("Zinc 70", "Zinc 70 corroded", LABEL):
+        second = sheet.get(name, "Fy_second", "new device, 5 %", LOW).value
+        force = sheet.get(name, "force", "new device, 95 %", HIGH).value
+        for kind in ("ASCE 7 lower bound force", "EN 15129 LBDP, importance class II"):
+            assert sheet.get(name, "Fy", kind, LOW).value <= second
+        for kind in ("ASCE 7 upper bound force", "EN 15129 UBDP, importance class II"):
+            assert sheet.get(name, "Fy", kind, HIGH).value >= 0.98 * force
+
+
+def test_a_contradiction_is_found_and_said(sheet):
+    bound = sheet.get("Zinc 70", "Fy", "EN 15129 LBDP, importance class II", LOW)
+    second = sheet.get("Zinc 70", "Fy_second", "new device, 5 %", LOW)
+    rows = [replace(r, value=second.value + 8.0) if r.key == bound.key else r for r in sheet.rows]
+    found = agreement(rows)
+    assert found.words.endswith("contradict.")
+    assert "None" not in found.words
+    assert any("EN 15129 LBDP" in t and "lies above new device, 5 % (Fy_second" in t for t in found.contradictions)
+    assert agreement(sheet.rows).contradictions == ()
+
+
+def test_a_spread_stated_as_known_is_printed_with_its_reason(population):
+    told = margins(population, Request(v_known=0.06, v_reason="300 devices in the factory"))
+    assert any("V = 0.06" in text and "300 devices in the factory" in text for text in told.warnings)
+    row = told.get("Zinc 70", "Fy", "EN 1990 characteristic, lognormal, V known", LOW)
+    assert "300 devices in the factory" in row.inputs
+    assert told.get("Zinc 70", "K", "EN 1990 characteristic, lognormal, V known", LOW) is None
+    line = design_table(told).query("set == 'Zinc 70' and quantity == 'Fy'").iloc[0]
+    assert line["EN 1990 characteristic, low"] == pytest.approx(row.value)
+
+
+def test_devices_of_one_set_are_not_independent_in_a_set_never_tested(sheet):
+    row = sheet.get(ANY_SET, "Fy", "EN 1990 characteristic, lognormal, V between sets", LOW)
+    assert row.n_devices == 5
+    assert "set means" in row.inputs
+    assert sheet.get(ANY_SET, "Fy", "EN 1990 characteristic, lognormal, V unknown", LOW) is None

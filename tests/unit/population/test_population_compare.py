@@ -15,7 +15,7 @@ from shj_bayes.population.correlation import correlation_draws, scatter
 from shj_bayes.population.device import Tags
 from shj_bayes.population.paper_claims import coated_table
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.power import MOST, devices_needed, power
+from shj_bayes.population.power import MOST, assurance, devices_needed, power
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.published import published_rows
 
@@ -92,13 +92,15 @@ def test_a_small_sample_is_told_what_would_decide():
     sentence = compare(open_, "s0", "s1").contrasts[0].sentence
     assert "no effect" not in sentence
     assert "not settled" in sentence
-    assert f"with a power of {power(math.log(1.5), 0.3, 2, 2):.2f}" in sentence
-    assert "devices a side would find" in sentence
+    assert f"finds a true difference of 10 %, the smallest that matters here, with a power of {0.053:.2f}" in sentence
+    assert power(math.log(1.1), 0.3, 2, 2) == pytest.approx(0.053, abs=0.003)
+    assert "devices a side would find it four times in five" in sentence
 
 
 def test_table_holds_every_test(made):
     table = compare(made, "s0", "s1").to_table()
-    wanted = {"welch_p", "behrens_fisher_p", "variance_p", "permutation_p", "arrangements", "holm_p", "power_stated"}
+    wanted = {"welch_p", "behrens_fisher_p", "variance_p", "permutation_p", "arrangements", "holm_p", "power_edge"}
+    wanted |= {"permutation_least", "holm_test"}
     assert wanted | {"n_to_decide", "probability_rope", "difference_q50", "spread_factor_q50"} <= set(table.columns)
     assert "were compared" in compare(made, "s0", "s1").multiplicity
 
@@ -124,9 +126,11 @@ def test_behrens_fisher_against_simulation(rng):
 
 def test_permutation_is_exact_and_agrees_with_the_paper():
     force = np.log(coated_table(lambda row: row.values["Fy", 1], published_rows()))
-    p, n = permutation([(row[1], row[0]) for row in force])
+    p, least, n = permutation([(row[1], row[0]) for row in force])
     assert n == 7776
     assert p == pytest.approx(stratified_permutation(force).p_two_sided)
+    assert least == pytest.approx(stratified_permutation(force).p_least)
+    assert least >= 2 / 7776
     assert p == pytest.approx(0.062, abs=0.001)
     a, b = np.array([1.0, 2.0, 9.0]), np.array([3.0, 4.0])
     wanted = stats.permutation_test((a, b), lambda x, y: abs(np.mean(x) - np.mean(y)), alternative="greater").pvalue
@@ -135,8 +139,9 @@ def test_permutation_is_exact_and_agrees_with_the_paper():
 
 def test_permutation_of_many_devices_is_drawn(rng):
     a, b = rng.normal(0, 1, 40), rng.normal(0.6, 1, 40)
-    p, n = permutation([(a, b)], seed=1)
+    p, least, n = permutation([(a, b)], seed=1)
     assert n > 1e6
+    assert least == 1 / 20_000
     assert p == permutation([(a, b)], seed=1)[0]
     assert p == pytest.approx(stats.ttest_ind(a, b).pvalue, abs=0.01)
 
@@ -155,9 +160,13 @@ def test_power_of_two_devices():
     """DOMAIN: a factor of 2 at a spread of 0.34, by simulation of 60 to 400 campaigns: 0.24, 0.70, 0.92."""
     found = [power(math.log(2.0), 0.34, n, n) for n in (2, 4, 6)]
     assert found == pytest.approx([0.24, 0.70, 0.92], abs=0.04)
-    assert power(0.0, 0.3, 5, 5) == pytest.approx(0.05)
-    assert power(50.0, 0.1, 9, 9) == 1.0
+    assert power(0.0, 0.3, 5, 5) == pytest.approx(0.05, abs=1e-6)
+    assert power(50.0, 0.1, 9, 9) == pytest.approx(1.0)
     assert power(1.0, 0.3, 1, 1) == 0.0
+    for n_a, n_b, shift in ((2, 2, 0.3), (3, 3, 0.6), (3, 7, 0.3)):  # the noncentral t, where scipy can give it
+        limit, away = stats.t.isf(0.025, n_a + n_b - 2), shift / (0.3 * math.sqrt(1 / n_a + 1 / n_b))
+        wanted = stats.nct.sf(limit, n_a + n_b - 2, away) + stats.nct.cdf(-limit, n_a + n_b - 2, away)
+        assert power(shift, 0.3, n_a, n_b) == pytest.approx(wanted, abs=1e-5)
     n = devices_needed(math.log(2.0), 0.34)
     assert power(math.log(2.0), 0.34, n, n) >= 0.8 > power(math.log(2.0), 0.34, n - 1, n - 1)
     assert devices_needed(1e-6, 1.0) == MOST
@@ -205,3 +214,59 @@ def test_without_replicates_correlation_is_uniform():
     assert scatter(alone)[2] == 0
     rho = correlation_draws(alone, 4000)[:, 0, 1]
     assert stats.kstest(rho, stats.uniform(-1, 2).cdf).pvalue > 1e-3
+
+
+def test_three_against_three_cannot_go_below_a_tenth():
+    """C(6, 3) = 20 arrangements; the two that part the sides fully are the farthest: 2/20 = 0.10, times 5 is 0.50."""
+    far = classical([(np.log([90.0, 91.0, 92.0]), np.log([60.0, 61.0, 62.0]))])
+    assert (far.permutation_p, far.permutation_least, far.arrangements) == (0.10, 0.10, 20)
+    assert far.leading(5) == ("Welch", far.welch_p)
+    five = classical([(np.arange(5.0), 10.0 + np.arange(5.0))])
+    assert five.permutation_least == pytest.approx(2 / 252)
+    assert five.leading(5)[0] == "permutation"  # 5 x 0.0079 = 0.040
+    assert five.leading(7)[0] == "Welch"  # 7 x 0.0079 = 0.056
+    assert classical([(np.array([1.0]), np.array([2.0, 2.1]))]).leading(1) == ("", None)
+    # Values that repeat raise the least p: three equal ones of four leave one arrangement in two as far out.
+    assert classical([(np.array([1.0, 1.0]), np.array([1.0, 2.0]))]).permutation_least == 1.0
+
+
+def test_a_difference_beyond_doubt_is_not_hidden_by_the_adjustment():
+    points = ((90.0, 91.0, 92.0), (60.0, 61.0, 62.0))
+    force = compare(known_population((91.0, 61.0), (0.02, 0.02), (BARE, ZINC), points), "s0", "s1").contrasts[0]
+    assert "the direction is settled" in force.sentence
+    assert force.tests.permutation_p == 0.10
+    assert force.holm_test == "Welch"
+    assert force.holm_p == pytest.approx(stats.ttest_ind(*np.log(points), equal_var=False).pvalue)
+    assert force.holm_p < 1e-4
+
+
+def test_the_adjusted_test_keeps_its_level_where_nothing_differs():
+    """Three against three in five quantities, nothing different: any Holm value below 0.05 in at most 5 % of cases."""
+    rng = np.random.default_rng(77)
+    n, alarms = 1500, 0
+    for values in rng.standard_normal((n, 5, 2, 3)):
+        tests = [classical([(a, b)]) for a, b in values]
+        p = holm([t.leading(5)[1] for t in tests])
+        alarms += min(x for x in p if x is not None) < 0.05
+    assert alarms / n < 0.05 + 3 * math.sqrt(0.05 * 0.95 / n)
+
+
+def test_devices_needed_come_from_the_edge_and_not_from_what_was_seen():
+    """n = 2 (1.960 + 0.842)^2 (0.10 / ln 1.1)^2 = 2 x 7.851 x 1.1008 = 17.3; the t distribution adds about one."""
+    assert devices_needed(math.log(1.1), 0.10) in (18, 19)
+    near, far = (
+        compare(known_population((80.0, b), (0.1, 0.1), (BARE, ZINC), ((80.0, 81.0), (b, b + 1))), "s0", "s1")
+        for b in (79.0, 40.0)
+    )
+    assert near.contrasts[0].n_to_decide == far.contrasts[0].n_to_decide
+    assert near.contrasts[0].power_edge == far.contrasts[0].power_edge
+
+
+def test_assurance_averages_over_the_spread_and_is_never_nan():
+    """Halfway between two spreads' powers, not the power at their middle."""
+    two = [power(0.2, sd, 5, 5) for sd in (0.1, 0.4)]
+    assert assurance(0.2, np.array([0.1, 0.4]), 5, 5) == pytest.approx(sum(two) / 2)
+    for shift in (0.0, 0.01, 1.0, 300.0):
+        for n in (2, 3, 30, 5000):
+            found = assurance(shift, np.geomspace(1e-9, 1e3, 50), n, n)
+            assert 0.0 <= found <= 1.0 + 1e-9

@@ -1,5 +1,7 @@
-"""Statistical tolerance limits: normal populations, one sample or several with a common unknown variance.
+"""ISO 16269-6: statistical tolerance limits, normal populations, one sample or several with a common unknown variance.
 
+The text of the standard could not be read beyond its scope; factors are checked against its exact definitions, printed
+tables of others and simulation (in the tests).
 Factors k are for limits mean -+ k s. A limit of a log-normal quantity is that of its logarithm, taken back. Numbers of
 the standard's own tables come out to the last printed digit, because the factors are exact and not approximations.
 """
@@ -7,23 +9,30 @@ the standard's own tables come out to the last printed digit, because the factor
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from functools import cache
 
 import numpy as np
 from scipy import optimize, stats
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.margins.codes.code import Code, Given
+from shj_bayes.margins.row import HIGH, LOW, TOLERANCE, Margin
+from shj_bayes.margins.sample import UNITS
+from shj_bayes.margins.spread import COMMON, LOGNORMAL, NORMAL, UNKNOWN, limit, remarks
 
 CLAUSE = "ISO 16269-6"
+LIMITS = ((0.95, 0.75), (0.95, 0.95), (0.90, 0.95))
+"""Coverage and confidence of the limits."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(101)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 
 
-def _check(n: int, degrees: float, coverage: float, confidence: float) -> None:
+def _check(n: float, degrees: float, coverage: float, confidence: float) -> None:
     if n < 1 or degrees < 1:
         raise PopulationError(
-            f"a tolerance limit from {n} devices with {degrees:g} degrees of freedom cannot be given: the spread needs "
-            "two devices of one set at least; test more, or use the spread of several sets together"
+            f"a tolerance limit from {n:g} devices with {degrees:g} degrees of freedom cannot be given: the spread "
+            "needs two devices of one set at least; test more, or use the spread of several sets together"
         )
     if not (0 < coverage < 1 and 0 < confidence < 1):
         raise PopulationError(
@@ -32,12 +41,12 @@ def _check(n: int, degrees: float, coverage: float, confidence: float) -> None:
 
 
 @cache
-def one_sided(n: int, coverage: float, confidence: float, degrees: float | None = None) -> float:
+def one_sided(n: float, coverage: float, confidence: float, degrees: float | None = None) -> float:
     """Factor of a one-sided limit, spread unknown: exact, from the noncentral t distribution.
 
     Parameters
     ----------
-    n : int
+    n : float
         Devices behind the mean.
     coverage, confidence : float
         Share of devices beyond the limit on the safe side, and how surely.
@@ -55,19 +64,19 @@ def one_sided(n: int, coverage: float, confidence: float, degrees: float | None 
     return float(stats.nct.ppf(confidence, nu, stats.norm.ppf(coverage) * math.sqrt(n)) / math.sqrt(n))
 
 
-def one_sided_known(n: int, coverage: float, confidence: float) -> float:
+def one_sided_known(n: float, coverage: float, confidence: float) -> float:
     """Factor of a one-sided limit when the spread is known: z(coverage) + z(confidence)/sqrt(n)."""
     _check(n, math.inf, coverage, confidence)
     return float(stats.norm.ppf(coverage) + stats.norm.ppf(confidence) / math.sqrt(n))
 
 
 @cache
-def two_sided(n: int, coverage: float, confidence: float, degrees: float | None = None) -> float:
+def two_sided(n: float, coverage: float, confidence: float, degrees: float | None = None) -> float:
     """Factor of a two-sided limit mean +- k s, spread unknown: exact, by quadrature over the error of the mean.
 
     Parameters
     ----------
-    n : int
+    n : float
         Devices behind the mean.
     coverage, confidence : float
         Share of devices between the limits, and how surely.
@@ -130,3 +139,40 @@ def covered_by_extremes(n: int, coverage: float, *, sides: int = 2) -> float:
     if sides == 1:
         return 1.0 - coverage**n
     return 1.0 - n * coverage ** (n - 1) + (n - 1) * coverage**n
+
+
+def _rows(given: Given) -> Iterator[Margin]:
+    """One- and two-sided limits: of the set's own devices, and with the variance common to all sets."""
+    forms: tuple[tuple[str, Callable[..., float]], ...] = (("one-sided", one_sided), ("two-sided", two_sided))
+    for quantity, sample in given.samples.items():
+        for way in given.spreads[quantity]:
+            laws = (LOGNORMAL, NORMAL) if way.name == UNKNOWN else (LOGNORMAL,)
+            for coverage, confidence in LIMITS:
+                for form, factor_of in forms:
+                    factor = factor_of(way.n_mean, coverage, confidence, degrees=way.degrees)
+                    for law in laws:
+                        for side in (LOW, HIGH):
+                            value, formula, inputs = limit(sample, way, factor, law, side)
+                            share = f"{100 * coverage:.0f}/{100 * confidence:.0f}"
+                            covered = "beyond it" if form == "one-sided" else "between both limits"
+                            yield Margin(
+                                given.set_name,
+                                quantity,
+                                TOLERANCE,
+                                f"tolerance {share} {form}, {law}, {way.name}",
+                                side,
+                                value,
+                                UNITS[quantity],
+                                given.devices[quantity],
+                                way.degrees,
+                                f"{CLAUSE}, {form}"
+                                + (", several samples with a common variance" if way.name == COMMON else ""),
+                                formula,
+                                f"{inputs}; spread: {way.origin}",
+                                f"{100 * coverage:.0f} % of devices lie {covered}, with a confidence of "
+                                f"{100 * confidence:.0f} %",
+                                remarks(way, value),
+                            )
+
+
+CODE = Code("iso16269_6", "ISO 16269-6", "scope read, factors checked against definitions and tables", _rows, 2)

@@ -1,0 +1,1 @@
+"""Design codes, one file each; `catalogue` finds them in the tree."""

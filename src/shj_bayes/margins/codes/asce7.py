@@ -1,0 +1,138 @@
+"""ASCE/SEI 7, 18.2.4: property modification factors of damping devices, and the two bounds of the force.
+
+lambda_max = [1 + 0.75 (lambda_ae,max - 1)] lambda_test,max lambda_spec,max, and the same for the lower bound; 18.2.4.5
+sets the least spread. The text of the standard could not be read here (public copies showed only their first page):
+formula, the 0.75 and the limits 1.2 and 0.85 (dampers), 1.8 and 0.60 (isolators) are given from knowledge of it. Check
+them against your edition.
+
+The nominal property is the force of the third cycle at standstill in the first run. What happened to it in the tests
+stands in lambda_test: first cycle over third, travel (second run over first) and speed. It is the larger change of two,
+that of a typical device and that of the 5 (95) % devices, so that lambda_test x lambda_spec reaches the force that
+95 % of new devices deliver even where devices wear differently.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from shj_bayes.margins.codes.code import Code, Given
+from shj_bayes.margins.delivered import Delivered
+from shj_bayes.margins.pair import Bounds
+from shj_bayes.margins.row import FACTORS, HIGH, LOW, MIDDLE, Margin
+
+CLAUSE = "ASCE 7 18.2.4"
+ADJUSTMENT = 0.75
+"""Share of the environmental factor that is taken: not all extremes happen at once."""
+FLOORS = {"damper": (0.85, 1.2), "isolator": (0.60, 1.8)}
+"""Least spread of (lower, upper) that must be assumed; isolators: unless prototypes are tested full scale."""
+
+
+def modification(environment: Bounds, testing: Bounds, specification: Bounds) -> Bounds:
+    """Lambda = [1 + 0.75 (lambda_ae - 1)] lambda_test lambda_spec, for either bound."""
+    return Bounds(
+        (1.0 - ADJUSTMENT * (1.0 - environment.low)) * testing.low * specification.low,
+        (1.0 + ADJUSTMENT * (environment.high - 1.0)) * testing.high * specification.high,
+    )
+
+
+def with_floor(bounds: Bounds, device: str = "damper") -> Bounds:
+    """Bounds no narrower than the standard's least spread for that kind of device."""
+    low, high = FLOORS[device]
+    return Bounds(min(bounds.low, low), max(bounds.high, high))
+
+
+def specification(force: Delivered, nominal_kN: float) -> Bounds:
+    """Device to device: 5 and 95 % of the first run at standstill over the nominal force."""
+    return Bounds.around(force.low_rest / nominal_kN, force.high_rest / nominal_kN)
+
+
+def testing(force: Delivered) -> Bounds:
+    """First cycle, travel and speed: what the tests did to the force of the third cycle."""
+    cycle = force.first_cycle
+    return Bounds.around(
+        force.typical.low * cycle.low,
+        force.typical.high * cycle.high,
+        force.low / force.low_rest,
+        force.high / force.high_rest,
+    )
+
+
+def _rows(given: Given) -> Iterator[Margin]:
+    parts = given.parts
+
+    def row(kind: str, side: str, value: float, formula: str, more: tuple[str, str, str], clause: str = "") -> Margin:
+        unit, inputs, purpose = more
+        n = given.devices.get("Fy", 0)
+        origin = (clause or CLAUSE, formula, inputs, purpose)
+        return Margin(given.set_name, "Fy", FACTORS, kind, side, value, unit, n, math.nan, *origin)
+
+    yield row(
+        "nominal sliding force",
+        MIDDLE,
+        parts.nominal_kN,
+        "50 % of a new device, third cycle of the first run at standstill",
+        ("kN", f"nominal {parts.nominal_kN:.4g} kN ({parts.nominal_words})", "what the factors below multiply"),
+        "ASCE 7, NZ practice",
+    )
+    spec, test = specification(parts.force, parts.nominal_kN), testing(parts.force)
+    total = modification(parts.age.measured, test, spec)
+    floored = with_floor(total)
+    ends = parts.force.low_rest, parts.force.high_rest
+    for i, (side, word, level) in enumerate(((LOW, "min", 5), (HIGH, "max", 95))):
+        s, t, age, both, final = ((b.low, b.high)[i] for b in (spec, test, parts.age.measured, total, floored))
+        bound = ("lower", "upper")[i]
+        reached = (parts.force.low, parts.force.high)[i]
+        yield row(
+            f"lambda_spec,{word}",
+            side,
+            s,
+            f"{level} % of a new device at standstill, first run / nominal",
+            ("1", f"{ends[0]:.4g} to {ends[1]:.4g} kN", "manufacturing: device to device"),
+        )
+        yield row(
+            f"lambda_test,{word}",
+            side,
+            t,
+            "first cycle x travel x speed over the third cycle: typical device, or the "
+            f"{level} % devices where those change more",
+            (
+                "1",
+                f"{parts.inputs}; {level} % devices {reached:.4g} / {ends[i]:.4g} kN",
+                "first cycle, cumulative travel and speed in the tests",
+            ),
+        )
+        yield row(
+            f"lambda_ae,{word}",
+            side,
+            age,
+            "corroded / uncorroded, typical devices",
+            ("1", parts.age.words, "ageing and environment: corrosion only"),
+        )
+        sign = "1 - 0.75 (1 - ae)" if side == LOW else "1 + 0.75 (ae - 1)"
+        yield row(
+            f"lambda_{word}",
+            side,
+            both,
+            f"({sign}) x test x spec",
+            ("1", f"ae {age:.3f}, test {t:.3f}, spec {s:.3f}", "factor on the nominal force, before the floor"),
+        )
+        limit = FLOORS["damper"][i]
+        yield row(
+            f"lambda_{word} with the floor for dampers",
+            side,
+            final,
+            f"not {'above' if side == LOW else 'below'} {limit:g}",
+            ("1", f"{both:.3f}", f"{bound}-bound analysis"),
+            f"{CLAUSE}.5",
+        )
+        yield row(
+            f"ASCE 7 {bound} bound force",
+            side,
+            final * parts.nominal_kN,
+            f"lambda_{word} x nominal",
+            ("kN", f"{final:.3f} x {parts.nominal_kN:.4g} kN", f"{bound}-bound analysis"),
+        )
+
+
+CODE = Code("asce7", "ASCE/SEI 7", "clause text not read; given from knowledge of the standard", _rows, 3)

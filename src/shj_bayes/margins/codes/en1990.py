@@ -1,0 +1,125 @@
+"""EN 1990 Annex D, D7.2 and D7.3: characteristic and design values by testing.
+
+The factors are those of the predictive distribution of one more device under a vague prior (the basis of Tables D1
+and D2), computed instead of looked up: the printed tables round and, at n = 20, truncate. Table D1 was checked against
+a public implementation, Table D2 against memory (both in the tests).
+
+V, when not known from prior knowledge, is to be assumed no smaller than 0.10, and a conservative estimate taken as
+known is preferred to "V unknown": D7.1 as remembered. The text of the clause could not be read here; check it against
+your edition. "Known" means known from elsewhere than these tests, so it is stated by the user with a reason
+(``--v-known``, ``--v-reason``) and never taken from a posterior of the same tests.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from scipy import stats
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins.codes.code import Code, Given
+from shj_bayes.margins.row import HIGH, LOW, TESTING, Margin
+from shj_bayes.margins.sample import UNITS
+from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, known, limit, remarks, sd_of_log
+from shj_bayes.population.posterior import ANY_SET
+
+CHARACTERISTIC = 0.05
+"""Fractile of a characteristic value, Table D1."""
+DESIGN = 0.001
+"""Fractile of a design value taken straight from tests, Table D2 (alpha_R beta = 0.8 x 3.8 = 3.04)."""
+LEAST_VARIATION = 0.10
+"""Least coefficient of variation where it is not known from elsewhere (D7.1)."""
+FORCE = ("Fy", "force")
+"""Quantities that a stated V of the sliding force is for: the first run, at standstill and at speed."""
+FEWEST = {CHARACTERISTIC: 3, DESIGN: 4}
+"""Fewest devices for which Tables D1 and D2 give a factor with the coefficient of variation unknown."""
+
+
+def factor_known(n: float, fractile: float = CHARACTERISTIC) -> float:
+    """k_n, k_d,n with the coefficient of variation known beforehand: z sqrt(1 + 1/n)."""
+    _check(n, math.inf)
+    return float(stats.norm.isf(fractile) * math.sqrt(1.0 + 1.0 / n))
+
+
+def factor_unknown(n: float, fractile: float = CHARACTERISTIC, degrees: float | None = None) -> float:
+    """k_n, k_d,n with the coefficient of variation taken from tests: t(degrees) sqrt(1 + 1/n).
+
+    Parameters
+    ----------
+    n : float
+        Devices behind the mean.
+    fractile : float
+        0.05 for a characteristic value, 0.001 for a design value.
+    degrees : float, optional
+        Degrees of freedom of the spread; n - 1 from the same devices (Tables D1 and D2), more when it is pooled
+        over several sets.
+    """
+    nu = n - 1 if degrees is None else degrees
+    _check(n, nu)
+    return float(stats.t.isf(fractile, nu) * math.sqrt(1.0 + 1.0 / n))
+
+
+def floored(way: Spread) -> Spread:
+    """Raise a spread that was taken from tests to the least that is allowed for one that is not known."""
+    if math.isinf(way.degrees) or way.variation >= LEAST_VARIATION:
+        return way
+    raised = f"V raised from {way.variation:.3f} to {LEAST_VARIATION:g}: not known beforehand"
+    return replace(
+        way,
+        variation=LEAST_VARIATION,
+        sd_log=sd_of_log(LEAST_VARIATION),
+        note="; ".join(filter(None, (raised, way.note))),
+    )
+
+
+def _rows(given: Given) -> Iterator[Margin]:
+    """Characteristic and design values, low and high, normal and lognormal, for every way to come by the spread."""
+    request = given.request
+    for quantity, sample in given.samples.items():
+        ways = given.spreads[quantity]
+        if request.v_known is not None and quantity in FORCE and given.set_name != ANY_SET:
+            ways = (known(sample, request.v_known, request.v_reason), *ways)
+        for fractile, word, clause, purpose in (
+            (CHARACTERISTIC, "characteristic", "D7.2, Table D1", "characteristic value X_k, to be divided by gamma_m"),
+            (DESIGN, "design", "D7.3, Table D2", "design value X_d straight from tests, no gamma_m to follow"),
+        ):
+            for way in map(floored, ways):
+                factor = (
+                    factor_known(way.n_mean, fractile)
+                    if math.isinf(way.degrees)
+                    else factor_unknown(way.n_mean, fractile, way.degrees)
+                )
+                few = way.degrees < FEWEST[fractile] - 1
+                missing = f"{clause} has no factor for n = {way.degrees + 1:.3g} with V unknown" if few else ""
+                for law in (LOGNORMAL, NORMAL):
+                    for side in (LOW, HIGH):
+                        value, formula, inputs = limit(sample, way, factor, law, side)
+                        yield Margin(
+                            given.set_name,
+                            quantity,
+                            TESTING,
+                            f"EN 1990 {word}, {law}, {way.name}",
+                            side,
+                            math.nan if few else value,
+                            UNITS[quantity],
+                            given.devices[quantity],
+                            way.degrees,
+                            f"EN 1990 {clause}",
+                            formula,
+                            f"{inputs}; spread: {way.origin}",
+                            f"{'upper' if side == HIGH else 'lower'} {purpose}",
+                            missing or remarks(way, value),
+                        )
+
+
+def _check(n: float, degrees: float) -> None:
+    if n < 1 or degrees < 1:
+        raise PopulationError(
+            f"EN 1990 Annex D needs a device for the mean and two for the spread; got {n:g} with {degrees:g} degrees "
+            "of freedom. Test more, or take the spread of several sets together"
+        )
+
+
+CODE = Code("en1990", "EN 1990 Annex D", "tables checked, clause text of D7.1 not read", _rows, 1)

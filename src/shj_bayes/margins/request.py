@@ -1,0 +1,60 @@
+"""What the user asks of the margins: the cycle, the nominal force, the class, a spread known beforehand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from shj_bayes.errors import PopulationError
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user asked for.
+
+    Parameters
+    ----------
+    amplitude_mm, speed_mm_s : float or None
+        Of the cycle; the largest tested where not given.
+    extrapolate : bool
+        Speeds beyond the tested ones may be spoken of.
+    importance : {"I", "II", "III"}
+        Importance class of the structure, for EN 15129.
+    nominal_kN : float or None
+        Nominal sliding force for phi, phi_o and the bounds; that of a typical device of the set where not given.
+    sets : tuple of str
+        Sets that are shown and that the nominal force is for; all where empty.
+    v_known : float or None
+        Coefficient of variation of the sliding force between devices of a set, known from other sources than these
+        tests (EN 1990 "V known").
+    v_reason : str
+        Where it is known from; printed beside every value that rests on it.
+    """
+
+    amplitude_mm: float | None = None
+    speed_mm_s: float | None = None
+    extrapolate: bool = False
+    importance: str = "II"
+    nominal_kN: float | None = None
+    sets: tuple[str, ...] = ()
+    v_known: float | None = None
+    v_reason: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a nominal force that is none, and a known spread without a reason."""
+        if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
+            raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
+        if self.v_known is not None and not 0 < self.v_known < 1:
+            raise PopulationError(f"a known coefficient of variation must lie between 0 and 1; got {self.v_known:g}")
+        if (self.v_known is None) != (not self.v_reason.strip()):
+            raise PopulationError(
+                "a coefficient of variation taken as known needs the reason, and a reason needs the value: give "
+                '--v-known 0.06 --v-reason "factory control of 300 devices"; without both, V counts as unknown'
+            )
+
+    def nominal_of(self, set_name: str) -> float | None:
+        """Nominal sliding force stated for a set, kN."""
+        return self.nominal_kN if not self.sets or set_name in self.sets else None
+
+
+PLAIN = Request()

@@ -1,0 +1,164 @@
+"""Where the spread of a value by testing comes from, and the limit that mean, spread and factor make."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.margins.sample import Sample, common_spread
+
+KNOWN, UNKNOWN, COMMON, BETWEEN = "V known", "V unknown", "V common", "V between sets"
+SIGNS = {LOW: -1, HIGH: 1}
+NORMAL, LOGNORMAL = "normal", "lognormal"
+NOT_NORMAL = "not above zero: the normal law does not suit so wide a spread; use the lognormal value"
+_FLOORED = "the devices agree to the printed digits: the spread is that of rounding"
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Where the spread of a margin comes from.
+
+    Parameters
+    ----------
+    name : str
+        "V known", "V unknown", "V common" or "V between sets".
+    sd_log, variation : float
+        Standard deviation of the logarithm; coefficient of variation.
+    degrees : float
+        Degrees of freedom; infinity where it is taken as known.
+    n_mean : float
+        Independent values that the mean is worth: its error is the spread over the root of this.
+    origin : str
+        In words.
+    note : str
+        What to mind.
+    """
+
+    name: str
+    sd_log: float
+    variation: float
+    degrees: float
+    n_mean: float
+    origin: str
+    note: str = ""
+
+
+def sd_of_log(variation: float) -> float:
+    """s_y = sqrt(ln(1 + V^2)) of a coefficient of variation."""
+    return math.sqrt(math.log1p(variation**2))
+
+
+def variation_of_log(sd_log: float) -> float:
+    """V = sqrt(exp(s_y^2) - 1) of a standard deviation of the logarithm."""
+    return math.sqrt(math.expm1(sd_log**2))
+
+
+def known(sample: Sample, variation: float, reason: str) -> Spread:
+    """Take a coefficient of variation as known beforehand, for the reason given.
+
+    The devices tested must not contradict it: where they spread more, the note says so.
+    """
+    note = ""
+    if sample.n > 1 and sample.variation > variation:
+        note = f"these devices spread more than the V stated: {sample.variation:.3f} against {variation:g}"
+    return Spread(KNOWN, sd_of_log(variation), variation, math.inf, sample.n, f"stated, because: {reason}", note)
+
+
+def of_set(sample: Sample, common: tuple[float, int]) -> tuple[Spread, ...]:
+    """Spread of a set: from its own devices, and common to all sets."""
+    out = []
+    if sample.n > 1:
+        notes = [_FLOORED] if sample.sd_log <= sample.floor else []
+        notes += ["two devices hardly tell a spread; use V common"] if sample.n == 2 else []
+        degrees = sample.n - 1
+        out.append(
+            Spread(
+                UNKNOWN,
+                sample.sd_log,
+                sample.variation,
+                degrees,
+                sample.n,
+                "these devices alone",
+                "; ".join(notes),
+            )
+        )
+    sd, degrees = common
+    if degrees:
+        origin = "all sets together, each about its mean"
+        out.append(Spread(COMMON, sd, variation_of_log(sd), degrees, sample.n, origin))
+    return tuple(out)
+
+
+def between_sets(of_sets: Sequence[Sample]) -> tuple[Sample, tuple[Spread, ...]]:
+    """Take sets as the sample, for a device of a set never tested: devices of one set are no independent values.
+
+    The variance of such a device is s_m^2 + (1 - 1/n) s_w^2, with s_m that of the set means, s_w that within sets and
+    n the harmonic mean of the devices a set; the mean is that of the set means, with variance s_m^2 / sets (random
+    effects; Mee and Owen 1983), and the degrees of freedom are Satterthwaite's.
+
+    Parameters
+    ----------
+    of_sets : sequence of Sample
+        Devices of each set.
+
+    Returns
+    -------
+    Sample
+        One value a set: the geometric mean of its devices.
+    tuple of Spread
+        One; none with a single set.
+    """
+    means = np.exp([s.mean_log for s in of_sets])
+    harmonic = 1.0 / float(np.mean([1.0 / s.n for s in of_sets]))
+    floor = math.sqrt(float(np.mean([s.floor**2 / s.n for s in of_sets])))
+    sample = Sample(means, floor)
+    if sample.n < 2:
+        return sample, ()
+    within, degrees = common_spread(list(of_sets))
+    between = sample.sd_log**2
+    inside = (1.0 - 1.0 / harmonic) * within**2 if degrees else 0.0
+    total = between + inside
+    nu = total**2 / (between**2 / (sample.n - 1) + (inside**2 / degrees if degrees else 0.0))
+    sd = math.sqrt(total)
+    origin = f"{sample.n} set means and the devices about them ({harmonic:.3g} a set)"
+    return sample, (Spread(BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between, origin),)
+
+
+def limit(sample: Sample, way: Spread, factor: float, law: str, side: str) -> tuple[float, str, str]:
+    """Mean less (plus) factor times spread: value, formula and inputs.
+
+    Parameters
+    ----------
+    sample : Sample
+        For the mean.
+    way : Spread
+        For the spread.
+    factor : float
+        k of the standard.
+    law : {"normal", "lognormal"}
+        Law of the quantity.
+    side : {"low", "high"}
+        Which limit.
+    """
+    sign = SIGNS[side]
+    mark = "-" if sign < 0 else "+"
+    if law == LOGNORMAL:
+        return (
+            math.exp(sample.mean_log + sign * factor * way.sd_log),
+            f"exp(m_y {mark} k s_y)",
+            f"m_y = {sample.mean_log:.4f}, s_y = {way.sd_log:.4f}, k = {factor:.4f}",
+        )
+    return (
+        sample.mean * (1.0 + sign * factor * way.variation),
+        f"m (1 {mark} k V)",
+        f"m = {sample.mean:.5g}, V = {way.variation:.4f}, k = {factor:.4f}",
+    )
+
+
+def remarks(way: Spread, value: float) -> str:
+    """Say what to mind of a limit."""
+    return "; ".join(filter(None, (way.note, NOT_NORMAL if value <= 0 else "")))

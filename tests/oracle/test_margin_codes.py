@@ -1,0 +1,216 @@
+"""Every clause on numbers worked out by hand; the arithmetic stands in the tests."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins.codes import en15129
+from shj_bayes.margins.codes.catalogue import catalogue
+from shj_bayes.margins.codes.code import Given
+from shj_bayes.margins.codes.iso16269_6 import one_sided
+from shj_bayes.margins.delivered import Delivered, delivered
+from shj_bayes.margins.pair import NONE, Bounds
+from shj_bayes.margins.parts import Environment, Parts
+from shj_bayes.margins.request import PLAIN, Request
+from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.margins.sample import Motion, Sample
+from shj_bayes.margins.speed_guard import Guard
+from shj_bayes.margins.spread import between_sets, of_set
+from shj_bayes.population.predict import NewDevice
+from shj_bayes.population.tested import RangeTested
+
+FORCE = Delivered(
+    low_rest=70.0,
+    middle=80.0,
+    high_rest=92.0,
+    first_low=66.0,
+    second_low=52.0,
+    low=51.0,
+    high=97.0,
+    typical=Bounds(0.78, 1.05),
+    ratio=0.82,
+    speeds=(0.95,),
+    first_cycle=Bounds(1.0, 1.10),
+)
+AGE = Environment(Bounds(0.90, 1.0), Bounds(0.80, 1.05), "corroded over uncorroded")
+CODES = {code.id: code for code in catalogue()}
+THREE = Sample(np.array([80.0, 84.0, 90.0]), 0.01)
+
+
+def rows(code, request=PLAIN, sample=THREE, common=(math.nan, 0)):
+    parts = Parts(80.0, "typical device", FORCE, AGE, "inputs")
+    given = Given("A", {"Fy": sample}, {"Fy": of_set(sample, common)}, {"Fy": sample.n}, parts, request)
+    return {(row.kind, row.side): row for row in CODES[code].rows(given)}
+
+
+def test_codes_are_found_in_the_tree_and_say_how_far_they_were_read():
+    assert list(CODES) == ["en1990", "iso16269_6", "asce7", "en15129", "nz"]
+    for code in CODES.values():
+        assert code.title
+        assert code.text
+
+
+def test_en1990_with_v_unknown_is_raised_to_a_tenth():
+    """80, 84, 90 kN: y = 4.38203, 4.43082, 4.49981, m_y = 4.43755; deviations -0.05552, -0.00673, +0.06226.
+
+    s^2 = (0.003082 + 0.000045 + 0.003876)/2 = 0.003502, V = 0.059 < 0.10, so s_y = sqrt(ln 1.01) = 0.099751.
+    k_3 = 2.9200 sqrt(4/3) = 3.3717: X_k = exp(4.43755 - 0.33633) = exp(4.10122) = 60.41 kN.
+    """
+    row = rows("en1990")["EN 1990 characteristic, lognormal, V unknown", LOW]
+    assert row.value == pytest.approx(60.41, abs=0.01)
+    assert "V raised from 0.059 to 0.1" in row.note
+    normal = rows("en1990")["EN 1990 characteristic, normal, V unknown", LOW]
+    assert normal.value == pytest.approx(84.6667 * (1 - 3.3717 * 0.10), abs=0.01)  # 56.12 kN
+    assert ("EN 1990 characteristic, lognormal, V known", LOW) not in rows("en1990")
+
+
+def test_en1990_keeps_a_spread_wider_than_a_tenth():
+    """60, 80, 110 kN: y = 4.09434, 4.38203, 4.70048, m_y = 4.39228; s^2 = (0.08878 + 0.00011 + 0.09499)/2 = 0.09193.
+
+    s_y = 0.30321: X_k = exp(4.39228 - 3.3717 x 0.30321) = exp(3.36995) = 29.08 kN.
+    """
+    row = rows("en1990", sample=Sample(np.array([60.0, 80.0, 110.0]), 0.01))[
+        "EN 1990 characteristic, lognormal, V unknown", LOW
+    ]
+    assert row.value == pytest.approx(29.08, abs=0.02)
+    assert "raised" not in row.note
+
+
+def test_en1990_with_v_known_is_what_the_user_states():
+    """s_y = sqrt(ln(1 + 0.06^2)) = 0.059946; k_3 = 1.6449 sqrt(4/3) = 1.8993: exp(4.43755 - 0.11386) = 75.47 kN.
+
+    k_d,3 = 3.0902 sqrt(4/3) = 3.5683: exp(4.43755 - 0.21391) = 68.28 kN.
+    """
+    request = Request(v_known=0.06, v_reason="factory control of 300 devices")
+    found = rows("en1990", request)
+    row = found["EN 1990 characteristic, lognormal, V known", LOW]
+    assert row.value == pytest.approx(75.47, abs=0.01)
+    assert found["EN 1990 design, lognormal, V known", LOW].value == pytest.approx(68.28, abs=0.01)
+    assert "factory control of 300 devices" in row.inputs
+    assert row.note == ""
+    wide = rows("en1990", request, Sample(np.array([60.0, 80.0, 110.0]), 0.01))
+    assert "spread more than the V stated" in wide["EN 1990 characteristic, lognormal, V known", LOW].note
+    for half in ({"v_known": 0.06}, {"v_reason": "because"}):
+        with pytest.raises(PopulationError, match="--v-known"):
+            Request(**half)
+    with pytest.raises(PopulationError, match="between 0 and 1"):
+        Request(v_known=6.0, v_reason="per cent")
+
+
+def test_tolerance_limits_keep_the_spread_as_measured():
+    """k(3; 0.95, 0.95) = 7.6559: exp(4.43755 - 7.6559 x 0.05918) = exp(3.98447) = 53.76 kN; no floor in ISO 16269-6."""
+    row = rows("iso16269_6")["tolerance 95/95 one-sided, lognormal, V unknown", LOW]
+    assert row.value == pytest.approx(53.76, abs=0.02)
+
+
+def test_asce7_testing_holds_first_cycle_travel_and_speed():
+    """Nominal 80 kN (third cycle, standstill).
+
+    spec: 70/80 = 0.875, 92/80 = 1.150. test,min: typical 0.78, the 5 % devices 51/70 = 0.7286, so 0.7286; test,max:
+    typical 1.05 x first cycle 1.10 = 1.155, the 95 % devices 97/92 = 1.054, so 1.155. ae,min 0.90.
+    min = (1 - 0.75 x 0.10) x 0.7286 x 0.875 = 0.925 x 0.6375 = 0.5897, x 80 = 47.18 kN.
+    max = 1 x 1.155 x 1.150 = 1.3283, x 80 = 106.26 kN.
+    """
+    found = {kind: row.value for (kind, _), row in rows("asce7").items()}
+    assert (found["lambda_spec,min"], found["lambda_spec,max"]) == pytest.approx((0.875, 1.15))
+    assert (found["lambda_test,min"], found["lambda_test,max"]) == pytest.approx((0.7286, 1.155), abs=1e-4)
+    assert (found["lambda_ae,min"], found["lambda_ae,max"]) == pytest.approx((0.90, 1.0))
+    assert (found["lambda_min"], found["lambda_max"]) == pytest.approx((0.5897, 1.3283), abs=1e-4)
+    assert found["ASCE 7 lower bound force"] == pytest.approx(47.18, abs=0.01)
+    assert found["ASCE 7 upper bound force"] == pytest.approx(106.26, abs=0.01)
+
+
+def test_en15129_does_not_shrink_what_was_measured():
+    """X = 51 and 97 kN, both runs and the speed in them: no psi. Ageing 0.90 measured in full, beyond it to 0.80 psi:
+
+    0.90 x [1 + (0.80/0.90 - 1) x 0.70] = 0.90 x 0.92222 = 0.8300: LBDP = 51 x 0.83 = 42.33 kN.
+    1 x [1 + (1.05 - 1) x 0.70] = 1.035: UBDP = 97 x 1.035 = 100.40 kN. Class III: 0.90 x (1 - 0.1) = 0.81: 41.31 kN.
+    """
+    found = rows("en15129")
+    assert found["EN 15129 LBDP, importance class II", LOW].value == pytest.approx(42.33)
+    assert found["EN 15129 UBDP, importance class II", HIGH].value == pytest.approx(100.395)
+    third = rows("en15129", Request(importance="III"))
+    assert third["EN 15129 LBDP, importance class III", LOW].value == pytest.approx(41.31)
+    full = en15129.ageing(Environment(Bounds(0.5, 1.0), Bounds(0.5, 1.0), "exactly known"), "I")
+    assert full.low == 0.5
+
+
+def test_nz_equivalents_are_of_the_delivered_force_and_warn_beside_practice():
+    """phi = 66/80 = 0.825 (practice 0.70: above), second run 52/80 = 0.65; phi_o = 97/80 = 1.2125 (practice 1.40)."""
+    found = rows("nz")
+    first = found["phi equivalent, first run", LOW]
+    assert (first.value, first.warning) == (0.825, "above 0.70 of practice")
+    second = found["phi equivalent, after a first earthquake", LOW]
+    assert (second.value, second.warning) == (0.65, "")
+    over = found["phi_o equivalent", HIGH]
+    assert (over.value, over.warning) == (1.2125, "below 1.40 of practice")
+
+
+def device(**draws):
+    return {"default": NewDevice("A", 4, "default", {q: np.array(v, dtype=float) for q, v in draws.items()})}
+
+
+@pytest.mark.parametrize(
+    ("gamma", "least", "second", "most"),
+    [(-0.02, 0.8 * 80, 0.8 * 60, 80.0), (0.03, 80.0, 60.0, 1.3 * 80)],
+)
+def test_delivered_force_takes_the_least_favourable_tested_speed(gamma, least, second, most):
+    """80 kN, second run 0.75: gamma v = -0.2 or +0.3 at 10 mm/s; at standstill the factor is 1."""
+    motion = Motion(48.0, Guard(RangeTested(6, 95, 9.8, 10.0), 10.0))
+    newcomer = device(Fy=[80.0] * 9, ratio=[0.75] * 9, Fy_second=[60.0] * 9, gamma=[gamma] * 9)
+    found = delivered(newcomer, 9, motion, Bounds(0.95, 1.1))
+    assert (found.first_low, found.second_low, found.low, found.high) == pytest.approx(
+        (0.95 * least, 0.95 * second, 0.95 * second, 1.1 * most)
+    )
+    assert (found.low_rest, found.middle, found.high_rest) == (80.0, 80.0, 80.0)
+    assert delivered(newcomer, 9, None).first_low == 80.0
+    assert delivered(device(Fy=[80.0]), 9, motion).second_low is None
+
+
+def test_few_devices_take_the_outermost_prior():
+    priors = {
+        label: NewDevice("A", 2, label, {"Fy": np.array(values, dtype=float)})
+        for label, values in {"default": [80, 80], "alike": [70, 70], "free": [95, 95]}.items()
+    }
+    few, many = delivered(priors, 3, None), delivered(priors, 4, None)
+    assert (few.low, few.middle, few.high) == (70, 80, 95)
+    assert (many.low, many.middle, many.high) == (80, 80, 80)
+
+
+def test_a_set_never_tested_uses_the_spread_between_sets():
+    """Two devices in each of three sets: 80, 80; 100, 100; 125, 125 kN. Logarithms of the means: steps of ln 1.25.
+
+    s_m = 0.22314, nothing within, so s = 0.22314 with 2 degrees of freedom; k = 2.9200 sqrt(4/3) = 3.3717:
+    X_k = 100 exp(-3.3717 x 0.22314) = 47.12 kN. As six independent devices it would have been
+    s = 0.19958, k_6 = 2.1765: 64.8 kN.
+    """
+    sample, (way,) = between_sets([Sample(np.array([x, x]), 0.0) for x in (80.0, 100.0, 125.0)])
+    assert (sample.n, way.degrees, way.n_mean) == pytest.approx((3, 2, 3))
+    assert way.sd_log == pytest.approx(0.22314, abs=1e-5)
+    assert 100 * math.exp(-3.3717 * way.sd_log) == pytest.approx(47.12, abs=0.01)
+    assert between_sets([Sample(np.array([80.0, 82.0]), 0.0)])[1] == ()
+
+
+def test_tolerance_limits_hold_where_devices_cluster_in_sets():
+    """95/95 over 8 sets of 3, between 0.2 and within 0.1: held in 93 % of campaigns or more, by devices alone not."""
+    rng, n = np.random.default_rng(5), 2000
+    held = alone = 0
+    limit = math.hypot(0.2, 0.1)
+    for _ in range(n):
+        y = 0.2 * rng.standard_normal((8, 1)) + 0.1 * rng.standard_normal((8, 3))
+        sample, (way,) = between_sets([Sample(np.exp(row), 0.0) for row in y])
+        k = one_sided(round(way.n_mean, 1), 0.95, 0.95, round(way.degrees, 1))
+        held += stats.norm.sf((sample.mean_log - k * way.sd_log) / limit) >= 0.95
+        low = y.mean() - one_sided(24, 0.95, 0.95) * y.std(ddof=1)
+        alone += stats.norm.sf(low / limit) >= 0.95
+    assert held / n >= 0.93
+    assert alone / n < 0.85
+
+
+def test_a_pair_of_factors_holds_one():
+    assert Bounds.around(0.8, 1.3) == Bounds(0.8, 1.3)
+    assert Bounds.around(1.2) == Bounds(1.0, 1.2)
+    assert Bounds(1.0, 1.0) == NONE
