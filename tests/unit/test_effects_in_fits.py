@@ -107,14 +107,13 @@ def test_a_diagnosis_goes_where_a_tentative_fit_lies(recordings: list[Path], tmp
     short = {"max_steps": 200, "seed": 4, "threads": 1}
     tentative = shj_bayes.fit(recordings, tmp_path, **short)
     assert tentative.verdict != "reliable"
-    assert (tmp_path / "checkpoint.h5").exists()
-    longer = shj_bayes.fit(recordings, tmp_path, **(short | {"max_steps": 210}))
-    assert longer.record["sampling"]["n_steps_kept"] > tentative.record["sampling"]["n_steps_kept"]
+    left = (tmp_path / "checkpoint.h5").read_bytes()
     assert "slack.size" in shj_bayes.fit(recordings, tmp_path, effects=("slack",), **short).summary.index
     # One whose fit was not finished is of an answer that nobody has yet.
     (tmp_path / "fit.json").unlink()
+    (tmp_path / "checkpoint.h5").write_bytes(left)
     with pytest.raises(CheckpointError, match="belongs to another problem"):
-        shj_bayes.fit(recordings, tmp_path, **short)
+        shj_bayes.fit(recordings, tmp_path, effects=("slack",), **short)
 
 
 def test_speed_dependence_that_was_taken_out_and_found_is_fitted(tmp_path: Path) -> None:
