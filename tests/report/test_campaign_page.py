@@ -12,7 +12,8 @@ from shj_bayes.population.paper_claims import paper_claims
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import new_device_table
 from shj_bayes.report import sets
-from shj_bayes.report.campaign import render_campaign, render_tables, safe_folder
+from shj_bayes.report.campaign import render_campaign, render_tables
+from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.figures import population as figures
 from shj_bayes.summary import band_text
 
