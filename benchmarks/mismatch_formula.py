@@ -63,9 +63,10 @@ def shapes(seed: int) -> dict[str, tuple[Shape, Answer]]:
             lambda h: 0.12 * h.direction * ((h.position_mm - 95) / 95) ** 2,
             partial(_is, name="parabola"),
         ),
-        "V over position": (  # as friction, the base law's speed term would take up half of it
+        # As friction, the speed term of the base law would take up half of it; so it still moves the corner by 10 mm.
+        "V over position": (
             lambda h: 0.1 * np.abs(h.position_mm - edge) / 95,
-            partial(_is, name="modulus", mode="force", length=edge, near=NEAR_MM),
+            partial(_is, name="modulus", mode="force", length=edge, near=4 * NEAR_MM),
         ),
         "decay with travel": (
             lambda h: 0.1 * np.exp(-h.travel_m / decay),

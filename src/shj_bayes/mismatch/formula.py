@@ -10,12 +10,12 @@ from scipy.optimize import minimize_scalar
 
 from shj_bayes.mismatch.calibrate import Line
 from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.profiles import AXES, MODES, Axis, Folded, Profile, fold, fold_time, signs
+from shj_bayes.mismatch.profiles import AXES, MODES, N_BINS, Axis, Folded, fold, fold_time, signs
 from shj_bayes.mismatch.thresholds import FORMULA_P, FORMULA_PART, FORMULA_SHARE, LINE
 from shj_bayes.model.parameters import FloatArray
 
 N_FLIPS = 4999
-TIE = 0.03  # of what comes again: a shape of fewer numbers that is worse by less is preferred
+TIE = 0.03  # of what comes again beyond a constant: a simpler shape that is worse by less is preferred
 NEGLIGIBLE = 0.005  # of the largest term: less does not show beside its three digits and is not written
 WHERE = {
     "friction": "q is +1 in push and -1 in pull (friction: push and pull alike)",
@@ -33,8 +33,8 @@ class Shape:
     ----------
     name : str
         Short word for it.
-    n_numbers : int
-        How many numbers a reader must take in.
+    rank : int
+        How much a reader must take in; of shapes that are as good, the lowest is preferred.
     columns : callable
         ``columns(u, length)``: one column for each size, shape (n, n_sizes).
     lengths : callable
@@ -43,21 +43,19 @@ class Shape:
     """
 
     name: str
-    n_numbers: int
+    rank: int
     columns: Callable[[FloatArray, float], FloatArray]
     lengths: Callable[[FloatArray], FloatArray] = lambda _: np.ones(1)
 
 
 def _periods(u: FloatArray) -> FloatArray:
-    """Two waves in the range or more; the squares over them are a Lomb-Scargle periodogram with weights and a mean."""
-    return np.asarray(np.ptp(u) / np.arange(2.0, max(np.unique(u).size / 6, 3.0), 0.25))
+    """Periods from half of the range down to what a profile shows, as in a Lomb-Scargle spectrum."""
+    return np.asarray(np.ptp(u) / np.arange(2.0, N_BINS / 3, 0.25))
 
 
 def _places(u: FloatArray) -> FloatArray:
-    """Middles between neighbouring places, away from the ends of the range."""
-    places = np.unique(u)
-    middles = (places[1:] + places[:-1]) / 2
-    return np.asarray(middles[np.abs(middles - (u.min() + u.max()) / 2) < 0.45 * np.ptp(u)])
+    """Places away from the ends of the range."""
+    return np.asarray(u.min() + np.ptp(u) * np.linspace(0.05, 0.95, 91))
 
 
 def _decays(u: FloatArray) -> FloatArray:
@@ -69,7 +67,7 @@ def _wave(u: FloatArray, length: float) -> FloatArray:
     return np.stack([np.ones_like(u), np.sin(2 * np.pi * u / length), np.cos(2 * np.pi * u / length)], axis=1)
 
 
-CONSTANT = Shape("constant", 2, lambda u, _: np.ones((u.size, 1)))  # one for push, one for pull
+CONSTANT = Shape("constant", 1, lambda u, _: np.ones((u.size, 1)))  # its sizes: one for push, one for pull
 SINE = Shape("sine", 4, _wave, _periods)
 SHAPES = (
     CONSTANT,
@@ -81,7 +79,7 @@ SHAPES = (
     Shape("exponential", 3, lambda u, length: np.stack([np.ones_like(u), np.exp(-u / length)], axis=1), _decays),
     SINE,
 )
-WITHIN_PERIOD = (replace(SINE, lengths=lambda _: np.ones(1)),)  # over the time within a known period: one whole turn
+SINE_OF_PERIOD = replace(SINE, lengths=lambda _: np.ones(1))  # over the time within a known period: one whole turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +97,7 @@ class Fitted:
     sizes : array, shape (n_sizes,)
         kN.
     squares : float
-        Weighted sum of squared errors, kN^2.
+        Sum of squared errors, kN^2.
     """
 
     shape: Shape
@@ -145,9 +143,9 @@ class Formula:
 def find_formula(evidence: Evidence, residual: FloatArray, line: Line, *, seed: int = 1) -> Formula:
     """Look for a simple formula of a residual.
 
-    Every shape is fitted by least squares to the mean residual of every other cycle over the coordinate. The cycles
-    between them judge: of the shapes that are as good there as the best, the one with the fewest numbers is kept, if it
-    takes up most of what comes again and more than chance does.
+    Every shape is fitted by least squares to every other cycle over the coordinate. The cycles between them judge: of
+    the shapes that are as good there as the best, the simplest is kept, if it takes up most of what comes again and
+    more than chance does.
 
     Parameters
     ----------
@@ -168,13 +166,11 @@ def find_formula(evidence: Evidence, residual: FloatArray, line: Line, *, seed: 
     name = data.axis.name
     if data.repeats <= 0 or np.count_nonzero(data.early.count) < 10:
         return Formula(None, f"No formula: over {name} the misfit does not repeat from cycle to cycle.", name)
-    shapes = WITHIN_PERIOD if name == "time" else SHAPES
-    tried = [(_share(data, fitted), fitted) for shape in shapes if (fitted := _fit(shape, data.early))]
-    enough = max(share for share, _ in tried) - TIE
-    good = [pair for pair in tried if pair[0] >= enough]
-    share, fitted = min(good, key=lambda pair: (pair[1].shape.n_numbers, -pair[0]))
-    gain, part, p_value = _held_out(evidence, data, residual, fitted, seed)
-    if share < FORMULA_SHARE or not gain > 0:
+    learnt = data.x[data.learn], evidence.stack("direction")[data.learn], residual[data.learn]
+    fits = [_fit(shape, *learnt) for shape in ((SINE_OF_PERIOD,) if name == "time" else SHAPES)]
+    share, fitted = _simplest([(_share(data, fitted), fitted) for fitted in fits if fitted])
+    part, p_value = _held_out(evidence, data, residual, fitted, seed)
+    if share < FORMULA_SHARE:
         words = f"none of a few numbers takes up more than {_percent(share)} % of the misfit that repeats over {name}"
     elif p_value > FORMULA_P:
         words = f"on held-out cycles the best one does no better than chance may (p = {p_value:.2g})"
@@ -207,29 +203,18 @@ def _directed(columns: FloatArray, mode: str, sense: FloatArray) -> FloatArray:
     return np.asarray(columns * np.where(sense > 0, *signs(mode))[:, None])
 
 
-def _points(profile: Profile) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Scaled coordinate, direction, mean residual and number of samples of the intervals that hold any."""
-    own = profile.count > 0
-    sense = np.broadcast_to([[1.0], [-1.0]], own.shape)
-    return profile.x[own], sense[own], profile.mean_kN[own], profile.count[own]
-
-
-def _fit(shape: Shape, profile: Profile) -> Fitted | None:
+def _fit(shape: Shape, u: FloatArray, sense: FloatArray, residual: FloatArray) -> Fitted | None:
     """Least squares in the mode that fits best; None where there is no room for the shape."""
-    u, sense, mean, count = _points(profile)
-    root = np.sqrt(count)
 
     def at(length: float, mode: str) -> Fitted:
-        columns = _directed(shape.columns(u, length), mode, sense) * root[:, None]
-        sizes = np.asarray(np.linalg.lstsq(columns, mean * root, rcond=1e-9)[0], dtype=np.float64)
-        return Fitted(shape, mode, length, sizes, float(np.sum((mean * root - columns @ sizes) ** 2)))
+        columns = _directed(shape.columns(u, length), mode, sense)
+        sizes = np.asarray(np.linalg.lstsq(columns, residual, rcond=1e-9)[0], dtype=np.float64)
+        return Fitted(shape, mode, length, sizes, float(np.sum((residual - columns @ sizes) ** 2)))
 
     grid = np.sort(shape.lengths(u))
     tried = [at(float(x), mode) for mode in (("each",) if shape is CONSTANT else MODES) for x in grid]
-    if not tried:
-        return None
-    best = min(tried, key=lambda fitted: fitted.squares)
-    if grid.size == 1:
+    best = min(tried, key=lambda fitted: fitted.squares, default=None)
+    if best is None or grid.size == 1:
         return best
     k = int(np.searchsorted(grid, best.length))
     ends = (float(grid[max(k - 1, 0)]), float(grid[min(k + 1, grid.size - 1)]))
@@ -237,17 +222,30 @@ def _fit(shape: Shape, profile: Profile) -> Fitted | None:
     return min(best, at(float(found.x), best.mode), key=lambda fitted: fitted.squares)
 
 
+def _simplest(tried: list[tuple[float, Fitted]]) -> tuple[float, Fitted]:
+    """Choose the simplest fit that is as good as the best.
+
+    What counts is what a shape takes up beyond a constant, unless that is next to nothing: a large constant would make
+    every shape as good as any other.
+    """
+    best = max(share for share, _ in tried)
+    beyond = best - max([0.0, *(share for share, fitted in tried if fitted.shape is CONSTANT)])
+    enough = best - TIE * (beyond if beyond > TIE else 1.0)
+    good = [(share, fitted) for share, fitted in tried if share >= enough]
+    return min(good, key=lambda pair: (pair[1].shape.rank, -pair[0]))
+
+
 def _share(data: Folded, fitted: Fitted) -> float:
     """Held-out share of what comes again over the coordinate that a formula takes up."""
-    u, sense, mean, count = _points(data.late)
-    value = fitted.at(u, sense)
-    return float(np.sum(count * (2 * mean * value - value**2))) / max(data.repeats, 1e-300)
+    late, gain = data.late, 0.0
+    for side, sense in enumerate((1.0, -1.0)):
+        value = fitted.at(late.x[side], np.full_like(late.x[side], sense))
+        gain += float(np.sum(late.count[side] * (2 * late.mean_kN[side] * value - value**2)))
+    return gain / max(data.repeats, 1e-300)
 
 
-def _held_out(
-    evidence: Evidence, data: Folded, residual: FloatArray, fitted: Fitted, seed: int
-) -> tuple[float, float, float]:
-    """Gain on held-out samples in kN^2, the same as a share of their sum of squares, and the chance of such a score.
+def _held_out(evidence: Evidence, data: Folded, residual: FloatArray, fitted: Fitted, seed: int) -> tuple[float, float]:
+    """Share of the held-out sum of squares that a formula takes up, and the chance of such a score.
 
     The chance is that of whole half-cycles with random signs; samples are not independent.
     """
@@ -259,7 +257,7 @@ def _held_out(
         [-1.0, 1.0], size=(N_FLIPS, scores.size)
     )
     chance = (1 + np.count_nonzero(flips @ scores >= scores.sum())) / (N_FLIPS + 1)
-    return gain, gain / max(float(np.sum(residual[held] ** 2)), 1e-300), float(chance)
+    return gain / max(float(np.sum(residual[held] ** 2)), 1e-300), float(chance)
 
 
 def _percent(share: float) -> str:
