@@ -69,7 +69,7 @@ def test_campaign_without_a_population(campaign: Path) -> None:
 
 
 def test_no_campaign_is_one_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(ShjError, match=r"no readable campaign\.json"):
+    with pytest.raises(ShjError, match=r"cannot read campaign\.json"):
         render_campaign(tmp_path)
     (tmp_path / "campaign.json").write_text('{"name": "x", "sets": [{"name": 3}]}', encoding="utf-8")
     with pytest.raises(ShjError, match=r"no readable campaign\.json"):
