@@ -54,7 +54,7 @@ TASKS: dict[str, list[list[str]]] = {
     "thousand": [[str(PYTHON), "benchmarks/thousand.py"]],
     "calibrate": [
         [str(PYTHON), "benchmarks/calibrate.py", part, "-n", "300", "--seed", seed]
-        for part, seed in (("device", "7200"), ("margins", "7000"), ("effects", "7000"))
+        for part, seed in (("device", "7200"), ("margins", "7000"), ("noise", "7000"))
     ],
     "audit": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--target", "build/audit", "pip-audit"],

@@ -1,17 +1,18 @@
-"""Simulation-based calibration: ``python benchmarks/calibrate.py [device|margins|effects] -n 300``.
+"""Simulation-based calibration: ``python benchmarks/calibrate.py [noise|device|margins] -n 300``.
 
+noise
+    Fits of devices under noises that the model may or may not know, at four sampling rates: see `calibrate_noise`.
+    With ``--effects`` the law has slack, wear or asymmetry.
 device
-    The whole fit of a device.
+    The posterior of a device.
 margins
     The prediction of a new device, which all margins are quantiles of, with two tested devices in each of five sets.
-effects
-    The law with slack, asymmetry and wear, sampled as a diagnosis samples it.
 
-Each draw of the first part takes parameters from the priors, simulates two runs with correlated force noise and
-displacement noise, and fits them as `shj-bayes fit` would. If prior, simulator, law, smoothing of the displacement,
-likelihood and sampler belong together, the rank of the true value among the posterior draws is uniform, and a 90 %
-interval holds it in 90 % of the draws. Finished draws are kept in ``calibration*.jsonl``; the same command goes on
-where it stopped.
+Each draw of `device` takes parameters from the priors, simulates two runs with white and slow force noise and with
+displacement noise, and samples their posterior as `shj-bayes fit` does. If prior, simulator, law, smoothing of the
+displacement, likelihood and sampler belong together, the rank of the true value among the posterior draws is uniform,
+and a 90 % interval holds it in 90 % of the draws. Finished draws are kept in ``calibration*.jsonl``; the same command
+goes on where it stopped.
 
 ``--broken white`` (noise taken for white), ``--broken jacobian`` (the Jacobian of the sampler's parameters counted
 in the likelihood too) and ``--broken signed`` (speed with its sign) break one thing on purpose: the test must fail.
@@ -35,20 +36,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from calibrate_parts import DEFAULTS, EFFECTS, N_RANKS, draw_effects, draw_margins, ranks_of
+from calibrate_noise import draw_noise, tables
+from calibrate_parts import N_RANKS, draw_margins, ranks_of
 from numpy.typing import NDArray
 from scipy import stats
-from shj_bayes.inference.problem import Problem
 from tqdm import tqdm
 
 from shj_bayes.errors import ShjError
 from shj_bayes.files import write_text
 from shj_bayes.inference.convergence import judge
-from shj_bayes.inference.fit import fit, make_problem
+from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.shared import Density
 from shj_bayes.inference.start import find_start
-from shj_bayes.inference.store import natural_chains
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import force
+from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion, table_1
@@ -59,28 +63,31 @@ ROOT = Path(__file__).resolve().parents[1]
 BROKEN = ("white", "jacobian", "signed")
 SHORT = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))  # for the tests of the test: half a minute of motion
 LEVELS = (0.50, 0.80, 0.90, 0.95)
-DEVICE = {"rate_Hz": 5.0, "short": False, "broken": "", "max_steps": 10_000, "wobble_mm": 0.02}
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "noise": {"effects": False, "max_steps": 10_000},
+    "device": {"rate_Hz": 5.0, "short": False, "broken": "", "max_steps": 10_000, "wobble_mm": 0.02},
+    "margins": {"n_sets": 5, "n_devices": 2, "sd": 0.02},
+}
 NOISE_EDGES = (0.0, 0.1, 0.5, np.inf)
-LAW = ("K", "Fy", "beta", "gamma", "ratio")  # the others, sigma and phi, describe all that is left over
+LAW = ("K", "Fy", "beta", "gamma", "ratio")  # the others, of the noise, describe all that is left over
 
 
 class WithJacobian:
-    """The density of a problem with the Jacobian counted once more, in the likelihood, where it does not belong."""
+    """A posterior with the Jacobian counted once more, in the likelihood, where it does not belong."""
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.priors = [problem.priors.of(name) for name in problem.layout.names]
+    def __init__(self, posterior: Posterior) -> None:
+        self.posterior = posterior
 
     def log_posterior_free(self, z: Floats) -> Floats:
         """Log posterior density plus the logarithm of d(natural)/d(free)."""
         step = 1e-5
         slopes = [
             (prior.from_free(z[:, i] + step) - prior.from_free(z[:, i] - step)) / (2 * step)
-            for i, prior in enumerate(self.priors)
+            for i, prior in enumerate(self.posterior.model.laws_of_parameters)
         ]
         with np.errstate(divide="ignore", invalid="ignore"):
             extra = np.log(np.abs(slopes)).sum(axis=0)
-        return np.asarray(self.problem.log_posterior_free(z) + np.nan_to_num(extra, nan=-np.inf))
+        return np.asarray(self.posterior.log_posterior_free(z) + np.nan_to_num(extra, nan=-np.inf))
 
 
 def draw(
@@ -110,30 +117,29 @@ def draw(
     """
     begin = time.perf_counter()
     priors = read_priors("afc")
-    names = ("K", "Fy", "beta", "gamma", "ratio", "sigma", "phi")
+    model = DeviceModel(2, priors, noise=noise_model("independent" if broken == "white" else DEFAULT))
+    names = DeviceModel(2, priors).names
     rng = np.random.default_rng([seed, number])
     values = {name: float(priors.of(name).distribution.rvs(random_state=rng)) for name in names}
-    truth = Truth(**values, displacement_noise_mm=wobble_mm)
+    known = {"sigma" if name == "sigma_white" else name: value for name, value in values.items()}
+    truth = Truth(**known, phi=0.0, displacement_noise_mm=wobble_mm)
     blocks = SHORT if short else table_1()
     record: dict[str, Any] = {"number": number, "truth": values}
     try:
         recordings = simulate_device(truth, seed=int(rng.integers(2**31)), rate_Hz=rate_Hz, blocks=blocks)
         if broken == "signed":
             recordings = _with_signed_speed(recordings, truth, blocks, rate_Hz)
-        problem = make_problem(recordings, priors=priors, noise="independent" if broken == "white" else "ar1")
+        posterior, start = find_start(make_posterior(runs_of(recordings), model))
+        density: Density = WithJacobian(posterior) if broken == "jacobian" else posterior
         plan = Plan(seed=int(rng.integers(2**31)), max_steps=max_steps)
-        if broken == "jacobian":
-            density = WithJacobian(problem)
-            states, figures = run_ensembles(density, problem.layout.names, find_start(problem), plan, threads=1)
-            chains = natural_chains(problem, states, figures.n_burn).reshape(-1, len(problem.layout.names))
-            verdict, posterior = judge(figures).word, dict(zip(problem.layout.names, chains.T, strict=True))
-        else:
-            result = fit(problem, plan=plan, threads=1)
-            verdict = result.verdict.word
-            posterior = {n: result.data["posterior"][n].to_numpy().ravel() for n in problem.layout.names}
+        states, figures = run_ensembles(density, posterior.names, start, plan, threads=1)
+        chains = np.stack([state.chain[figures.n_burn :] for state in states])
+        theta = posterior.natural(chains.reshape(-1, len(posterior.names)))
+        draws = {name: row for name, row in zip(posterior.names, theta.T, strict=True) if name in values}
     except ShjError as error:
         return record | {"error": str(error), "seconds": time.perf_counter() - begin}
-    return record | {"verdict": verdict, **ranks_of(posterior, values), "seconds": time.perf_counter() - begin}
+    ranked = ranks_of(draws, values)
+    return record | {"verdict": judge(figures).word, **ranked, "seconds": time.perf_counter() - begin}
 
 
 def _with_signed_speed(
@@ -166,7 +172,7 @@ def run(
         How many draws, and their stream.
     path : Path
         Where they are kept.
-    part : {"device", "margins", "effects"}
+    part : {"noise", "device", "margins"}
         What is drawn.
     workers : int
         Processes, 0 for one per processor.
@@ -180,10 +186,8 @@ def run(
     list of dict
         The first n draws in order.
     """
-    options = {"device": DEVICE, **DEFAULTS}[part] | options
-    parts: dict[str, Callable[..., dict[str, Any]]] = {
-        "device": draw, "margins": draw_margins, "effects": draw_effects
-    }  # fmt: skip
+    options = DEFAULTS[part] | options
+    parts: dict[str, Callable[..., dict[str, Any]]] = {"noise": draw_noise, "device": draw, "margins": draw_margins}
     head = {"schema": "shj-bayes/calibration/1", "seed": seed, **options}
     done = _read(path, head)
     missing = [number for number in range(n) if number not in done]
@@ -277,10 +281,13 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def by_noise(rows: Sequence[dict[str, Any]], wobble_mm: float) -> list[str]:
-    """Coverage of the 90 % intervals by what the displacement noise moves the force on elastic branches, in sigma."""
+    """Coverage of the 90 % intervals by what the displacement noise moves the force, in its white noise."""
     good = [row for row in rows if "ranks" in row]
-    ratio = np.array([row["truth"]["K"] * wobble_mm / row["truth"]["sigma"] for row in good])
-    lines = ["| K x displacement noise / sigma | devices | " + " | ".join(LAW) + " |", "|---" * (2 + len(LAW)) + "|"]
+    ratio = np.array([row["truth"]["K"] * wobble_mm / row["truth"]["sigma_white"] for row in good])
+    lines = [
+        "| K x displacement noise / sigma_white | devices | " + " | ".join(LAW) + " |",
+        "|---" * (2 + len(LAW)) + "|",
+    ]
     for low, high in pairwise(NOISE_EDGES):
         chosen = [row for row, r in zip(good, ratio, strict=True) if low <= r < high]
         if chosen:
@@ -318,12 +325,12 @@ WORDS = {
     "device": (
         "Calibration of the device fit",
         """\
-devices with parameters drawn from the priors `afc`, simulated with correlated force noise and displacement noise,
-fitted like a measured device.""",
+devices with parameters drawn from the priors `afc`, simulated with white and slow force noise and displacement noise,
+averaged and sampled like a measured device.""",
         """\
-sigma and phi are compared with the noise of the force channel alone. A fit's own sigma and phi describe all that is
-left over, so with displacement noise (which moves the force by up to K times itself) they are not expected to be
-uniform; `--displacement-noise 0` shows them without it. The five parameters of the law are.""",
+The parameters of the noise are compared with the noise of the force channel alone. Those of a fit describe all that is
+left over, so with displacement noise, which the model holds to first order, they are not judged;
+`--displacement-noise 0` judges them too.""",
     ),
     "margins": (
         "Calibration of the prediction of a new device",
@@ -331,13 +338,6 @@ uniform; `--displacement-noise 0` shows them without it. The five parameters of 
         """\
 All margins are quantiles of the predictive draws of a new device, so that its row is theirs. The truth is drawn from
 the prior: this tests the model and its sampling, not the prior (that is what `benchmarks/population.py` does).""",
-    ),
-    "effects": (
-        "Calibration of the law with three effects",
-        f"""\
-devices with the law, the noise and the effects {", ".join(EFFECTS)} drawn from their priors, sampled by the code that
-a diagnosis uses, started from least squares with one effect added after the other.""",
-        "The motion is exact, and the recordings are simulated by the law itself.",
     ),
 }
 
@@ -376,36 +376,59 @@ def page(rows: Sequence[dict[str, Any]], command: str, drawing: str, part: str, 
     return "\n".join(lines).rstrip() + "\n"
 
 
+def noise_page(rows: Sequence[dict[str, Any]], command: str) -> str:
+    """Markdown page of the part `noise`."""
+    lines = [
+        "# Calibration of the fit under several noises",
+        "",
+        f"Printed by `{command}`: {len(rows)} devices",
+        "drawn from the priors `afc`. Share of the 90 % intervals that hold the true value, and in brackets the root",
+        "mean square of (mean - truth) / sd; later ratios count as `ratio`.",
+        "",
+        *tables(rows),
+        "",
+        *(f"- draw {row['number']}: {row['error']}" for row in rows if "error" in row),
+    ]
+    return "\n".join(lines).rstrip() + "\n"
+
+
 def main() -> int:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", nargs="?", choices=tuple(WORDS), default="device", help="what is calibrated (device)")
+    parser.add_argument("part", nargs="?", choices=tuple(DEFAULTS), default="noise", help="what is calibrated (noise)")
     parser.add_argument("-n", type=int, default=300, help="draws (300)")
     parser.add_argument("--seed", type=int, default=7000, help="stream of the draws (7000)")
-    parser.add_argument("--rate", type=float, default=5.0, help="sampling rate, Hz (5)")
-    parser.add_argument("--short", action="store_true", help="four cycles instead of Table 1")
-    parser.add_argument("--broken", choices=BROKEN, default="", help="break one thing; the test must then fail")
-    parser.add_argument("--displacement-noise", type=float, default=0.02, help="standard deviation, mm (0.02)")
+    parser.add_argument("--effects", action="store_true", help="noise: a law with an effect")
+    parser.add_argument("--rate", type=float, default=5.0, help="device: sampling rate, Hz (5)")
+    parser.add_argument("--short", action="store_true", help="device: four cycles instead of Table 1")
+    parser.add_argument("--broken", choices=BROKEN, default="", help="device: break one thing; the test must then fail")
+    parser.add_argument("--displacement-noise", type=float, default=0.02, help="device: standard deviation, mm (0.02)")
     parser.add_argument("--max-steps", type=int, default=10_000, help="steps of a fit (10000)")
     parser.add_argument("--workers", type=int, default=0, help="processes, 0 for one per processor")
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "reports", help="folder of the page (reports)")
     asked = parser.parse_args()
+    kinds, options = [asked.part], {}
     if asked.part == "device":
         kinds = [asked.broken, "short" if asked.short else "", "" if asked.displacement_noise else "still"]
         options = {"rate_Hz": asked.rate, "short": asked.short, "broken": asked.broken, "max_steps": asked.max_steps}
         options["wobble_mm"] = asked.displacement_noise
-    else:
-        kinds, options = [asked.part], {}
+    elif asked.part == "noise":
+        kinds += ["effects"] if asked.effects else []
+        options = {"effects": asked.effects, "max_steps": asked.max_steps}
     stem = "-".join(word for word in ("calibration", *kinds) if word)
     rows = run(asked.n, asked.seed, asked.out / f"{stem}.jsonl", part=asked.part, workers=asked.workers, **options)
     command = f"python benchmarks/calibrate.py {' '.join(sys.argv[1:])}".strip()
-    picture(rows, asked.out / f"{stem}.png")
-    text = page(rows, command, f"{stem}.png", asked.part, wobble_mm=float(options.get("wobble_mm", 0.0)))
+    if asked.part == "noise":
+        text, good = noise_page(rows, command), True
+    else:
+        picture(rows, asked.out / f"{stem}.png")
+        text = page(rows, command, f"{stem}.png", asked.part, wobble_mm=float(options.get("wobble_mm", 0.0)))
+        every = asked.part != "device" or not asked.displacement_noise
+        off = [name for name in failing(judge_ranks(rows)) if name in LAW or every]
+        good = bool(off) == bool(asked.part == "device" and asked.broken)
     write_text(asked.out / f"{stem}.md", text)
     print(text)
-    every = asked.part != "device" or not asked.displacement_noise
-    off = [name for name in failing(judge_ranks(rows)) if name in LAW or every]
-    return int(bool(off) != bool(asked.part == "device" and asked.broken))
+    return int(not good)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from timing import best
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, Effect
-from shj_bayes.model.history import histories
 from shj_bayes.model.law import force
 
 BASE = Base(18.0, 80.0, 10.0, 1 / 60, 80.0)
@@ -29,9 +28,7 @@ def values(effect: Effect) -> dict[str, float]:
 
 def main() -> None:
     """Print the dearest, and how many pairs are above the aim."""
-    problem = device(20.0, BASE.beta)
-    times = [run.recording.time_s for run in problem.runs]
-    history = histories(times, [run.motion for run in problem.runs])[0]
+    history = device(20.0, BASE.beta).histories[0]
     n = history.time_s.size
     base = best(lambda: force(history.motion, K=BASE.K, Fy=BASE.Fy, beta=BASE.beta, gamma=BASE.gamma), 20)
     print(f"law alone {1e6 * base:.0f} us for {n} samples; times it, dearest first")

@@ -135,8 +135,8 @@ def same_bits(one: Path, two: Path) -> bool:
             return False
         left, right = read_posterior(a), read_posterior(b)
         for group in left.children:
-            for name, values in left[group].data_vars.items():
-                if values.to_numpy().tobytes() != right[group][name].to_numpy().tobytes():
+            for name, values in left[str(group)].data_vars.items():
+                if values.to_numpy().tobytes() != right[str(group)][str(name)].to_numpy().tobytes():
                     return False
     return True
 

@@ -20,16 +20,16 @@ from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
-from shj_bayes.inference.problem import Run
+from scipy.signal import lfilter
 
-from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.inference.run import runs_of
+from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
 from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, Effect
 from shj_bayes.model.history import History, histories
-from shj_bayes.model.noise import Stretches, simulate_noise
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.recording import Recording
 
@@ -140,7 +140,6 @@ def simulate(
     drawn = float(rng.choice([-1.0, 0.0, 1.0])) / rng.uniform(30, 150)
     gamma = drawn if gamma is None else gamma
     time, motion = exact_motion(table_1(), RATE_HZ)
-    stretches = Stretches(np.ones(time.size, dtype=np.bool_), np.zeros(1, dtype=np.int64))
     known = catalogue()
     values = {name: _whole(known[name], given) for name, given in values.items()}
     out = []
@@ -149,7 +148,7 @@ def simulate(
         force = force_with_effects(history, base, [known[name] for name in values], values)
         if shape is not None:
             force = force + capacity * shape(history)
-        force = force + _noise(noise, stretches, motion.speed_mm_s, rng)
+        force = force + _noise(noise, motion.speed_mm_s, rng)
         if noise == "quantised":
             force = np.round(force / 2.0) * 2.0
         wobble = 0.02 * rng.standard_normal(time.size)
@@ -164,26 +163,37 @@ def _whole(effect: Effect, given: dict[str, float]) -> dict[str, float]:
     return {p.name: given.get(p.name, float(p.distribution.median())) for p in effect.parameters}
 
 
-def _noise(
-    kind: str, stretches: Stretches, speed: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def ar1(phi: float, n: int, rng: np.random.Generator, *, nu: float = np.inf) -> NDArray[np.float64]:
+    """Noise of 1 kN with correlation `phi` from sample to sample; its innovations follow Student's t."""
+    draw = rng.standard_t(nu, n) if np.isfinite(nu) else rng.standard_normal(n)
+    draw[0] /= np.sqrt(1 - phi**2)
+    return np.asarray(lfilter([np.sqrt(1 - phi**2)], [1.0, -phi], draw))
+
+
+def _noise(kind: str, speed: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     """Force noise of about 1 kN."""
+    n = speed.size
     if kind == "white":
-        return simulate_noise("independent", stretches, rng, sigma=1.0)
+        return rng.standard_normal(n)
     if kind == "student":
-        return simulate_noise("student", stretches, rng, sigma=1.0, phi=0.8, nu=4.0)
-    series = simulate_noise("ar1", stretches, rng, sigma=1.0, phi=0.95 if kind == "ar1 0.95" else 0.8)
+        return ar1(0.8, n, rng, nu=4.0)
+    series = ar1(0.95 if kind == "ar1 0.95" else 0.8, n, rng)
     if kind == "heteroscedastic":  # four times the variance near reversals, heavy tails
-        return series + (speed < 4.0) * simulate_noise("student", stretches, rng, sigma=1.7, phi=0.8, nu=4.0)
+        return series + 1.7 * (speed < 4.0) * ar1(0.8, n, rng, nu=4.0)
     if kind == "slow drift":
-        return series + simulate_noise("ar1", stretches, rng, sigma=1.0, phi=0.99)
+        return series + ar1(0.99, n, rng)
     return series
+
+
+def look(recordings: list[Recording], without: tuple[str, ...] = ()) -> Diagnosis:
+    """Take a first look at a device."""
+    runs = runs_of(recordings)
+    return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), quick=True, without=without)
 
 
 def _verdict(recordings: list[Recording], truth: tuple[str, ...]) -> str:
     """Outcome of a quick diagnosis in a few words: right name, right family, wrong, unknown, adequate."""
-    runs = [Run(recording, motion_of(recording)) for recording in recordings]
-    record = diagnose(runs, read_priors("afc"), quick=True).record
+    record = look(recordings).record
     found = {effect["id"] for effect in record["effects"]}
     members = {member["id"] for member in record["family"]}
     if not truth:

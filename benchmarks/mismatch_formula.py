@@ -13,17 +13,16 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from mismatch import Shape, simulate
-from shj_bayes.inference.problem import Run
+from mismatch import Shape, ar1, simulate
 
+from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.calibrate import strongest_line
 from shj_bayes.mismatch.diagnosis import N_QUICK
 from shj_bayes.mismatch.evidence import Evidence, evidence_of
 from shj_bayes.mismatch.formula import Formula, find_formula
-from shj_bayes.mismatch.refit import Refit, linearise, make_model, refit
-from shj_bayes.model.noise import Stretches, simulate_noise
+from shj_bayes.mismatch.refit import Refit, linearise, refit
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
 
 NOISES = {"white noise": 0.0, "AR(1) noise, phi 0.9": 0.9}
@@ -136,24 +135,23 @@ def noise_trial(phi: float, seed: int) -> str:
     """Look for a formula in a residual that is noise alone, with correlation `phi` from sample to sample."""
     evidence = _evidence(simulate({}, seed))
     n = evidence.force_kN.size
-    stretches = Stretches(np.ones(n, dtype=np.bool_), np.zeros(1, dtype=np.int64))
-    residual = simulate_noise("ar1", stretches, np.random.default_rng(seed), sigma=1.0, phi=phi) * evidence.weight
-    model = make_model(read_priors("afc"), len(evidence.histories), ())
-    fit = replace(linearise(evidence, model, np.zeros(len(model.names))), residual_kN=residual)
+    residual = ar1(phi, n, np.random.default_rng(seed)) * evidence.weight
+    model = DeviceModel(len(evidence.histories), read_priors("afc"))
+    fit = replace(linearise(evidence, model, np.zeros(model.n_law)), residual_kN=residual)
     return find_formula(evidence, residual, strongest_line(evidence, fit)).text or "none"
 
 
 def _fit(evidence: Evidence) -> Refit:
     """Fit the base law from a sharp and a rounded start."""
-    model = make_model(read_priors("afc"), len(evidence.histories), ())
+    model = DeviceModel(len(evidence.histories), read_priors("afc"))
     level = float(np.percentile(np.abs(evidence.force_kN[evidence.run == 1]), 90))
     starts = []
     for beta in (10.0, 100.0):
         values = {"K": 15.0, "Fy": level, "beta": beta, "gamma": 0.0, "ratio": 0.8}
-        pairs = zip(model.names, model.priors, strict=True)
+        pairs = zip(model.law_names, model.laws_of_parameters, strict=False)
         starts.append(np.array([float(prior.to_free(np.asarray(values[name]))) for name, prior in pairs]))
     return refit(evidence, model, starts)
 
 
 def _evidence(recordings: list[Recording]) -> Evidence:
-    return evidence_of([Run(recording, motion_of(recording)) for recording in recordings], N_QUICK)
+    return evidence_of(runs_of(recordings), N_QUICK)

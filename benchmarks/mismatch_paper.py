@@ -11,25 +11,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from mismatch import simulate
-from shj_bayes.inference.problem import Run
+from mismatch import look, simulate
 
-from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
-from shj_bayes.model.priors import read_priors
+from shj_bayes.mismatch.diagnosis import Diagnosis
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.published import PublishedRow, published_rows
-from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.recording import Recording
 
 RATE_HZ = 5.0
 Trials = dict[str, Callable[[int], dict[str, Any]]]
 FLAGSHIP: Trials = {}
-
-
-def look(recordings: list[Recording], without: tuple[str, ...] = ()) -> Diagnosis:
-    """Take a first look at a device."""
-    runs = [Run(recording, motion_of(recording)) for recording in recordings]
-    return diagnose(runs, read_priors("afc"), quick=True, without=without)
 
 
 def tables(pool: Executor, first_seed: int, only: str | None) -> None:

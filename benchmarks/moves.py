@@ -17,13 +17,15 @@ from collections.abc import Callable
 import emcee
 import numpy as np
 from emcee.moves import DEMove, DESnookerMove, KDEMove, MHMove, RedBlueMove, StretchMove
-from shj_bayes.inference.problem import Problem
 
 from shj_bayes.inference.convergence import autocorrelation_time
-from shj_bayes.inference.fit import make_problem
+from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.proposal import Proposal, fit_proposal
+from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import moves
 from shj_bayes.inference.start import Start, find_start
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 
 Mix = list[tuple[emcee.moves.Move, float]]
@@ -54,8 +56,10 @@ def start_only(start: Start) -> Proposal:
 
 
 DE: Mix = [(DEMove(), 0.15), (DEMove(gamma0=1.0), 0.05)]
-FITTED: dict[str, Callable[[Problem, Start], Mix]] = {
-    "fitted mixture (shipped)": lambda problem, start: moves(fit_proposal(problem, start, np.random.default_rng(1))),
+FITTED: dict[str, Callable[[Posterior, Start], Mix]] = {
+    "fitted mixture (shipped)": lambda posterior, start: moves(
+        fit_proposal(posterior, start, np.random.default_rng(1))
+    ),
     "0.8 t law at the top + 0.2 DE": lambda _, start: [(MHMove(start_only(start).move), 0.8), *DE],
     "0.8 Gaussian of the others + 0.2 DE": lambda _, start: [(ComplementMove(start, 14.0), 0.8), *DE],
 }
@@ -80,13 +84,13 @@ MIXES: dict[str, Callable[[int], Mix]] = {
 
 
 def sample(
-    problem: Problem, start: Start, mix: Mix, *, n_walkers: int, n_steps: int, seed: int
+    posterior: Posterior, start: Start, mix: Mix, *, n_walkers: int, n_steps: int, seed: int
 ) -> tuple[np.ndarray, float, float]:
     """Chain after a fifth of burn-in, accepted share, and seconds per step."""
     d = start.free.size
     rng = np.random.default_rng(seed)
     points = start.free + rng.standard_normal((n_walkers, d)) @ np.linalg.cholesky(start.covariance).T
-    sampler = emcee.EnsembleSampler(n_walkers, d, problem.log_posterior_free, moves=mix, vectorize=True)
+    sampler = emcee.EnsembleSampler(n_walkers, d, posterior.log_posterior_free, moves=mix, vectorize=True)
     state = emcee.State(points, random_state=np.random.RandomState(seed).get_state())
     begin = time.perf_counter()
     sampler.run_mcmc(state, n_steps)
@@ -103,17 +107,17 @@ def main() -> None:
     parser.add_argument("--walkers", type=int, nargs="+", default=[28])
     parser.add_argument("--only", nargs="+", default=[*FITTED, *MIXES], choices=[*FITTED, *MIXES])
     options = parser.parse_args()
-    truth = Truth(beta=options.beta, gamma=1 / 60)
-    problem = make_problem(simulate_device(truth, seed=1, rate_Hz=options.rate))
-    start = find_start(problem)
+    truth = Truth(beta=options.beta, gamma=1 / 60, phi=0.0, sigma_slow=0.6)
+    device = runs_of(simulate_device(truth, seed=1, rate_Hz=options.rate))
+    posterior, start = find_start(make_posterior(device, DeviceModel(len(device), read_priors("afc"))))
     d = start.free.size
     print(f"{d} parameters, {options.rate:g} Hz, beta {options.beta:g}, {options.steps} steps, 4 ensembles")
     print(f"{'moves':36s} walkers  acceptance       tau        steps per draw  ms per step  ms per draw  worst")
     for name in options.only:
-        mix = FITTED[name](problem, start) if name in FITTED else MIXES[name](d)
+        mix = FITTED[name](posterior, start) if name in FITTED else MIXES[name](d)
         for n_walkers in options.walkers:
             runs = [
-                sample(problem, start, mix, n_walkers=n_walkers, n_steps=options.steps, seed=seed)
+                sample(posterior, start, mix, n_walkers=n_walkers, n_steps=options.steps, seed=seed)
                 for seed in range(1, 5)
             ]
             times = np.array([autocorrelation_time([chain]) for chain, _, _ in runs])
@@ -123,7 +127,7 @@ def main() -> None:
             print(
                 f"{name:36s} {n_walkers:7d}  {np.mean([a for _, a, _ in runs]):10.3f}  {tau:6.1f} +/- {error:4.1f}"
                 f"  {tau / n_walkers:14.3f}  {step_ms:11.2f}  {step_ms * tau / n_walkers:11.2f}"
-                f"  {problem.layout.names[worst]}",
+                f"  {posterior.names[worst]}",
                 flush=True,
             )
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from shj_bayes.inference.problem import Problem
+from scipy.signal import lfilter
 
+from shj_bayes.inference.posterior import Posterior
 from shj_bayes.model.parameters import FloatArray
 
 _LOG_2PI = math.log(2 * math.pi)
@@ -34,15 +35,18 @@ class NumpyPosterior:
 
     Parameters
     ----------
-    problem : Problem
-        Two runs, AR(1) noise, the published reversal rule, every sample used.
+    posterior : Posterior
+        Two runs, white and slow noise, the published reversal rule, even sampling, every sample used, no noise of the
+        displacement.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, posterior: Posterior) -> None:
         """Lay out what does not depend on the parameters."""
-        self.problem, self.n = problem, 0
+        self.model, self.n = posterior.model, 0
         self.runs = []
-        for run in problem.runs:
+        for run in posterior.runs:
+            assert run.used.all()
+            assert run.motion.noise_mm == 0.0
             m = run.motion
             lengths = np.diff(m.start)
             since = m.displacement_mm - np.repeat(m.turning_mm, lengths)
@@ -50,10 +54,11 @@ class NumpyPosterior:
             self.runs.append(
                 (since, m.speed_mm_s, run.recording.force_kN, lengths, np.diff(m.turning_mm).tolist(), memory)
             )
+        self.step_s = 1 / posterior.runs[0].recording.rate_Hz
 
     def log_likelihood(self, theta: FloatArray) -> float:
-        """Log likelihood of K, Fy, beta, gamma, ratio, sigma, phi."""
-        K, Fy, beta, gamma, ratio, sigma, phi = (float(value) for value in theta)
+        """Log likelihood of K, Fy, beta, gamma, ratio, sigma_white, sigma_slow, tau_slow."""
+        K, Fy, beta, gamma, ratio, white, slow, tau = (float(value) for value in theta)
         total = 0.0
         for number, (since, speed, measured, lengths, legs, memory) in enumerate(self.runs):
             e, w = memory
@@ -71,12 +76,7 @@ class NumpyPosterior:
             w += 1.0
             e *= w
             np.subtract(measured, e, out=e)
-            np.multiply(e[:-1], phi, out=w[1:])
-            np.subtract(e[1:], w[1:], out=w[1:])
-            n = e.size
-            innovation = float(np.dot(w[1:], w[1:])) / (1 - phi**2)
-            total -= 0.5 * ((float(e[0]) ** 2 + innovation) / sigma**2 + n * _LOG_2PI)
-            total -= n * math.log(sigma) + 0.5 * (n - 1) * math.log1p(-(phi**2))
+            total += _log_noise(e, white**2, slow**2, math.exp(-self.step_s / tau))
         return total
 
     def __call__(self, z: FloatArray) -> float:
@@ -86,9 +86,27 @@ class NumpyPosterior:
             return -math.inf
         row = np.asarray(z, dtype=np.float64)[None]
         with np.errstate(all="ignore"):
-            value = self.log_likelihood(self.problem.natural(row)[0]) + float(self.problem.log_prior_free(row)[0])
+            value = self.log_likelihood(self.model.natural(row)[0]) + float(self.model.log_prior(row)[0])
         return value if math.isfinite(value) else -math.inf
 
     def log_posterior_free(self, z: FloatArray) -> FloatArray:
         """Log posterior of many points, one after the other, shape (m,)."""
         return np.array([self(row) for row in z])
+
+
+def _log_noise(residual: FloatArray, white: float, slow: float, decay: float) -> float:
+    """Log density of white and slow noise of given variances, evenly sampled.
+
+    The Kalman gain settles within some dozen samples; from there on its news is a recursive filter of the residual.
+    """
+    state, variance, total, n = 0.0, slow, 0.0, residual.size
+    for i, r in enumerate(residual.tolist()):
+        spread = variance + white
+        gain, new = variance / spread, r - state
+        after = decay**2 * variance * (1 - gain) + slow * (1 - decay**2)
+        if abs(after - variance) <= 1e-14 * spread:
+            news = lfilter([1.0, -decay], [1.0, -decay * (1 - gain)], residual[i:], zi=[-state])[0]
+            return total - 0.5 * (float(news @ news) / spread + (n - i) * math.log(spread) + n * _LOG_2PI)
+        total -= 0.5 * (new * new / spread + math.log(spread))
+        state, variance = decay * (state + gain * new), after
+    return total - 0.5 * n * _LOG_2PI

@@ -1,4 +1,4 @@
-"""Samplers for `peers`: each takes the problem, the numpy posterior and the start, and gives free parameters."""
+"""Samplers for `peers`: each takes our posterior (in blocks for a first look), the numpy one and the start."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ import emcee
 import numpy as np
 from numpy_posterior import NumpyPosterior
 from scipy.optimize import minimize
-from shj_bayes.inference.coarse import Coarse
-from shj_bayes.inference.problem import Problem
+from timing import Counted
 
 from shj_bayes.inference.convergence import ESS_LIMIT, RHAT_LIMIT, diagnose_chains
+from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.sampler import Plan, run_ensembles
-from shj_bayes.inference.start import Start, find_start, polish
+from shj_bayes.inference.start import Start, find_start, law_starts, polish
 from shj_bayes.model.parameters import FloatArray
 
 N_CHAINS = 4
+N_LAW = 5  # K, Fy, beta, gamma, ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,33 +34,27 @@ class Draws:
     weights: FloatArray | None = None
 
 
-def reference(problem: Problem, start: Start) -> FloatArray:
-    """Draws of a long run of shj-bayes, shape (n, d)."""
+def reference(whole: Posterior, start: Start) -> FloatArray:
+    """Draws of a long run of shj-bayes on all samples, shape (n_steps, n_walkers, d)."""
     plan = Plan(seed=77, n_walkers=60, round_steps=200, max_steps=200)
-    states, figures = run_ensembles(problem, problem.layout.names, start, plan)
+    states, figures = run_ensembles(whole, whole.names, start, plan)
     return np.concatenate([state.chain[figures.n_burn :] for state in states])
 
 
-def own(problem: Problem, _posterior: NumpyPosterior, _start: Start) -> Draws:
-    """Take shj-bayes as `fit` does: search, proposal, sampling, with the compiled likelihood."""
-    count = 0
-
-    class Counted:
-        def log_posterior_free(self, z: FloatArray) -> FloatArray:
-            nonlocal count
-            count += z.shape[0]
-            return problem.log_posterior_free(z)
-
-    start = find_start(problem)
-    states, figures = run_ensembles(Counted(), problem.layout.names, start, Plan())
+def own(first: Posterior, _peer: NumpyPosterior, _start: Start) -> Draws:
+    """Take shj-bayes as `fit` does: search, averaging, proposal, sampling, with the compiled likelihood."""
+    posterior, start = find_start(first, threads=0)
+    density = Counted(posterior)
+    states, figures = run_ensembles(density, posterior.names, start, Plan())
     kept = np.stack([state.chain[figures.n_burn :] for state in states])
-    return Draws(kept, float(figures.ess_bulk.min()), count, "with the search")
+    note = f"with the search; {posterior.n_blocks} averages"
+    return Draws(kept, float(figures.ess_bulk.min()), density.n, note)
 
 
 def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callable[..., Draws]:
     """Four emcee ensembles with given moves, run in rounds of 500 steps until they agree."""
 
-    def sample(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
+    def sample(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
         d = start.free.size
         root = np.linalg.cholesky(start.covariance)
         samplers, states = [], []
@@ -72,7 +67,7 @@ def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callab
         while True:
             states = [s.run_mcmc(x, 500, skip_initial_state_check=True) for s, x in zip(samplers, states, strict=True)]
             chains = [s.get_chain() for s in samplers]
-            figures = diagnose_chains(problem.layout.names, chains, np.ones((N_CHAINS, 28)))
+            figures = diagnose_chains(first.names, chains, np.ones((N_CHAINS, 28)))
             if (figures.ess_bulk.min() >= ESS_LIMIT and figures.rhat.max() < RHAT_LIMIT) or len(chains[0]) >= 4000:
                 kept = np.stack([chain[figures.n_burn :] for chain in chains])
                 return Draws(kept, float(figures.ess_bulk.min()), posterior.n, f"{len(chains[0])} steps")
@@ -80,15 +75,13 @@ def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callab
     return sample
 
 
-def laplace_from_our_grid(problem: Problem, posterior: NumpyPosterior, _start: Start) -> Draws:
-    """Laplace with importance sampling that starts from the best law of our compiled coarse grid."""
-    guess = Coarse(problem).best_laws(1, descend=False)[0]
-    guess[problem.layout.index("sigma")] = 5.0
-    guess[problem.layout.index("phi")] = 0.5
-    return _laplace(posterior, problem.free(guess[None])[0])
+def laplace_from_our_law(first: Posterior, posterior: NumpyPosterior, _start: Start) -> Draws:
+    """Laplace with importance sampling that starts from the law of our compiled least squares."""
+    law = law_starts(first)[0]
+    return _laplace(posterior, np.append(law, np.zeros(len(first.names) - law.size)))
 
 
-def laplace_alone(_problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
+def laplace_alone(_first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
     """Laplace with importance sampling that starts from the middle of the priors, with nothing of ours."""
     return _laplace(posterior, np.zeros(start.free.size))
 
@@ -118,7 +111,7 @@ def _laplace(posterior: NumpyPosterior, first: FloatArray) -> Draws:
             return Draws(z, ess, posterior.n, "ESS of weights", weight)
 
 
-def pints_adaptive(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
+def pints_adaptive(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
     """PINTS' adaptive covariance sampler, four chains."""
     pints: Any = importlib.import_module("pints")
     d = start.free.size
@@ -132,17 +125,17 @@ def pints_adaptive(problem: Problem, posterior: NumpyPosterior, start: Start) ->
 
     np.random.seed(1)  # noqa: NPY002 - PINTS draws from the global stream
     root = np.linalg.cholesky(start.covariance)
-    first = [start.free + root @ np.random.standard_normal(d) for _ in range(N_CHAINS)]  # noqa: NPY002
-    control = pints.MCMCController(Density(), N_CHAINS, first, sigma0=start.covariance, method=pints.HaarioBardenetACMC)
+    begin = [start.free + root @ np.random.standard_normal(d) for _ in range(N_CHAINS)]  # noqa: NPY002
+    control = pints.MCMCController(Density(), N_CHAINS, begin, sigma0=start.covariance, method=pints.HaarioBardenetACMC)
     n = 20_000
     control.set_max_iterations(n)
     control.set_log_to_screen(False)
     kept = np.asarray(control.run())[:, n // 5 :]
-    figures = diagnose_chains(problem.layout.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
+    figures = diagnose_chains(first.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
     return Draws(kept, float(figures.ess_bulk.min()), posterior.n, f"{n} iterations, R-hat {figures.rhat.max():.3f}")
 
 
-def nested(_problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
+def nested(_first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
     """Use dynesty with random walks, on a box of ten standard deviations around the top as prior."""
     dynesty: Any = importlib.import_module("dynesty")
     d = start.free.size
@@ -162,14 +155,12 @@ def nested(_problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
     return Draws(np.asarray(result.samples), float(1 / np.sum(weight**2)), posterior.n, "ESS of weights", weight)
 
 
-def transitional(problem: Problem, posterior: NumpyPosterior, _start: Start) -> Draws:
+def transitional(first: Posterior, posterior: NumpyPosterior, _start: Start) -> Draws:
     """Go from prior to posterior by tempering, as quoFEM's TMCMC does (Ching and Chen 2007), 1000 particles."""
     rng = np.random.default_rng(1)
-    n, d = 1000, len(problem.layout.names)
-    prior = [problem.priors.of(name) for name in problem.layout.names]
-    theta = np.stack([p.distribution.rvs(n, random_state=rng) for p in prior], axis=1)
-    z = problem.free(theta)
-    low = problem.log_prior_free(z)
+    n, d = 1000, len(first.names)
+    z = rng.standard_normal((n, d))  # the prior, in the unbounded space
+    low = first.model.log_prior(z)
     height = posterior.log_posterior_free(z) - low
     power, stages = 0.0, 0
     while power < 1.0:
@@ -188,7 +179,7 @@ def transitional(problem: Problem, posterior: NumpyPosterior, _start: Start) -> 
         z, height, low = z[index], height[index], low[index]
         for _ in range(10 if power < 1.0 else 25):
             trial = z + 0.8 * 2.38 / np.sqrt(d) * rng.standard_normal((n, d)) @ root.T
-            trial_low = problem.log_prior_free(trial)
+            trial_low = first.model.log_prior(trial)
             trial_height = posterior.log_posterior_free(trial) - trial_low
             better = np.log(rng.random(n)) < power * (trial_height - height) + trial_low - low
             z[better], height[better], low[better] = trial[better], trial_height[better], trial_low[better]
@@ -196,14 +187,14 @@ def transitional(problem: Problem, posterior: NumpyPosterior, _start: Start) -> 
     return Draws(z, float(unique), posterior.n, f"{stages} stages; ESS: different particles at the end")
 
 
-def no_u_turn(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draws:
+def no_u_turn(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
     """NumPyro's NUTS on the law in JAX, whitened by the curvature at the top; compilation counts."""
     jax: Any = importlib.import_module("jax")
     infer: Any = importlib.import_module("numpyro.infer")
     jax.config.update("jax_enable_x64", True)
     np_: Any = importlib.import_module("jax.numpy")
     root = np.linalg.cholesky(start.covariance)
-    prior = [problem.priors.of(name) for name in problem.layout.names]
+    prior = first.model.laws_of_parameters
 
     def natural(z: Any) -> Any:
         out = []
@@ -224,7 +215,16 @@ def no_u_turn(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draw
 
     def potential(u: Any) -> Any:
         z = start.free + root @ u
-        K, Fy, beta, gamma, ratio, sigma, phi = natural(z)
+        K, Fy, beta, gamma, ratio, white, slow, tau = natural(z)
+        decay = np_.exp(-posterior.step_s / tau)
+
+        def filtered(before: Any, r: Any) -> Any:
+            state, variance = before
+            spread = variance + white**2
+            gain, new = variance / spread, r - state
+            after = decay**2 * variance * (1 - gain) + slow**2 * (1 - decay**2)
+            return (decay * (state + gain * new), after), 0.5 * (new**2 / spread + np_.log(spread))
+
         total = 0.0
         for number, (since, speed, measured, lengths, legs, _) in enumerate(posterior.runs):
             capacity = Fy * (ratio if number else 1.0)
@@ -237,9 +237,7 @@ def no_u_turn(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draw
             resets = np_.concatenate([np_.zeros(1), later])
             half = np.repeat(np.arange(lengths.size), lengths)
             r = measured - held(K * since + resets[half], capacity, beta) * (1 + gamma * speed)
-            innovation = np_.sum((r[1:] - phi * r[:-1]) ** 2) / (1 - phi**2)
-            total += 0.5 * (r[0] ** 2 + innovation) / sigma**2
-            total += since.size * np_.log(sigma) + 0.5 * (since.size - 1) * np_.log1p(-(phi**2))
+            total += np_.sum(jax.lax.scan(filtered, (0.0, slow**2), r)[1])
         total += 0.5 * np_.sum(z**2)
         return total
 
@@ -247,18 +245,18 @@ def no_u_turn(problem: Problem, posterior: NumpyPosterior, start: Start) -> Draw
     sampler = infer.MCMC(
         kernel, num_warmup=300, num_samples=400, num_chains=N_CHAINS, chain_method="sequential", progress_bar=False
     )
-    first = np.random.default_rng(1).standard_normal((N_CHAINS, start.free.size))
-    sampler.run(jax.random.PRNGKey(1), init_params=np_.asarray(first), extra_fields=("num_steps",))
+    begin = np.random.default_rng(1).standard_normal((N_CHAINS, start.free.size))
+    sampler.run(jax.random.PRNGKey(1), init_params=np_.asarray(begin), extra_fields=("num_steps",))
     kept = start.free + np.asarray(sampler.get_samples(group_by_chain=True)) @ root.T
-    figures = diagnose_chains(problem.layout.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
+    figures = diagnose_chains(first.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
     gradients = int(np.asarray(sampler.get_extra_fields()["num_steps"]).sum())
     return Draws(kept, float(figures.ess_bulk.min()), gradients, "evaluations: gradients after warm-up")
 
 
-SAMPLERS: dict[str, Callable[[Problem, NumpyPosterior, Start], Draws]] = {
+SAMPLERS: dict[str, Callable[[Posterior, NumpyPosterior, Start], Draws]] = {
     "shj-bayes": own,
     "Laplace + importance sampling": laplace_alone,
-    "the same, from our coarse grid": laplace_from_our_grid,
+    "the same, from our least squares": laplace_from_our_law,
     "emcee, differential evolution": ensembles(
         lambda: [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     ),

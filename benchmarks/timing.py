@@ -5,6 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from shj_bayes.inference.shared import Density
+from shj_bayes.model.parameters import FloatArray
+
+
+class Counted:
+    """A density that counts its evaluations."""
+
+    def __init__(self, density: Density) -> None:
+        """Begin at zero."""
+        self.density, self.n = density, 0
+
+    def log_posterior_free(self, z: FloatArray) -> FloatArray:
+        """Count, and evaluate."""
+        self.n += z.shape[0]
+        return self.density.log_posterior_free(z)
+
 
 def best(work: Callable[[], object], repeats: int) -> float:
     """Shortest of several repeats after one that is not counted, s; other work only ever makes a repeat slower."""

@@ -59,7 +59,8 @@ def make_campaign(root: Path, fitted: Path, hostile_name: str) -> Path:
         "verdict": "",
     }
     lost = [
-        {"name": name, "folder": f"devices/{name}", "status": "done", "reason": "", "verdict": "reliable"} for name in "cd"
+        {"name": name, "folder": f"devices/{name}", "status": "done", "reason": "", "verdict": "reliable"}
+        for name in "cd"
     ]
     record = {
         "schema": "shj-bayes/campaign/1",

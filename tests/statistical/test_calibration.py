@@ -1,6 +1,6 @@
 """The calibration test is itself tested: right on simulated ranks, and failing on a fit that is broken on purpose.
 
-The long run is ``python benchmarks/calibrate.py -n 300`` (``make calibrate``); its page is kept in reports/.
+The long run is ``python benchmarks/calibrate.py device -n 300`` (``make calibrate``); its page is kept in reports/.
 """
 
 import json
@@ -93,12 +93,13 @@ def test_the_other_parts_draw_the_same_again(calibrate, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_law_with_effects_is_sampled(calibrate, tmp_path):
-    row = calibrate.run(1, 1, tmp_path / "effects.jsonl", part="effects", workers=1, progress=False)[0]
-    assert row["verdict"] == "reliable"
-    assert {"K", "slack.size", "slack.softness", "asymmetry.size", "wear.size", "sigma_white", "tau_slow"} <= set(
-        row["ranks"]
-    )
+def test_fits_under_noise_are_counted(calibrate, tmp_path):
+    rows = calibrate.run(3, 1, tmp_path / "noise.jsonl", part="noise", effects=True, workers=1, progress=False)
+    assert [row["effect"] for row in rows] == ["slack", "wear", "asymmetry"]
+    assert {"K", "Fy", "beta", "gamma", "ratio", "slack.size", "slack.softness"} == set(rows[0]["z"])
+    text = calibrate.noise_page(rows, "this")
+    assert "3 devices" in text
+    assert all(f"| {row['noise']} | 1 |" in text for row in rows)
 
 
 def test_the_command_line_answers(monkeypatch):

@@ -77,13 +77,15 @@ class Posterior:
         """Parameters in natural units, shape (m, d), to unbounded vectors."""
         return self.model.unbounded(theta)
 
-    def refined(self, theta: FloatArray) -> Posterior:
+    def refined(self, theta: FloatArray, *, longest_s: float | None = None) -> Posterior:
         """Average the recordings anew, with blocks that follow the bends of the force at one parameter set.
 
         Parameters
         ----------
         theta : array, shape (d,)
             Parameters in natural units, near the data.
+        longest_s : float, optional
+            Longest block, s; see `reduce_runs`.
         """
         still = theta[None].copy()
         if self.model.speed:  # the speed is noisy, and its share of the force is straight
@@ -93,7 +95,7 @@ class Posterior:
         def force_at(history: History, start_force_kN: float) -> FloatArray:
             return np.asarray(self.model.force(still, history, start_force_kN)[0])
 
-        return replace(self, averages=reduce_runs(self.runs, force_at))
+        return replace(self, averages=reduce_runs(self.runs, force_at, longest_s=longest_s))
 
     def modelled_force(self, theta: FloatArray, run: int) -> FloatArray:
         """Force of run ``run`` (1 for the first) without noise, at all its samples, shape (m, n_samples), kN."""

@@ -93,7 +93,9 @@ class Averages:
         return residual, slope
 
 
-def reduce_runs(runs: Sequence[Run], force_at: Force | None = None) -> tuple[Averages, ...]:
+def reduce_runs(
+    runs: Sequence[Run], force_at: Force | None = None, *, longest_s: float | None = None
+) -> tuple[Averages, ...]:
     """Average the runs of a device.
 
     Parameters
@@ -103,6 +105,9 @@ def reduce_runs(runs: Sequence[Run], force_at: Force | None = None) -> tuple[Ave
     force_at : callable, optional
         ``force_at(history, start_force_kN)`` gives the force (kN) at the points of a history in a model that is near
         the data: it tells where the force bends. Without it the blocks are of even and small slip, for a first look.
+    longest_s : float, optional
+        Longest block, s; 0 makes each sample a block of its own, which is no reduction at all. By default `LONGEST_S`,
+        or what divides the run into `LEAST_BLOCKS` where that is more.
 
     Returns
     -------
@@ -110,7 +115,7 @@ def reduce_runs(runs: Sequence[Run], force_at: Force | None = None) -> tuple[Ave
     """
     whole = histories_of(runs)
     bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)
-    return tuple(_reduce(run, history, bend) for run, history, bend in zip(runs, whole, bends, strict=True))
+    return tuple(_reduce(run, history, bend, longest_s) for run, history, bend in zip(runs, whole, bends, strict=True))
 
 
 def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> list[FloatArray]:
@@ -136,12 +141,12 @@ def _before(along: FloatArray, place: IntArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(along[place[1:] - 1])[:-1]])
 
 
-def _reduce(run: Run, history: History, bend: FloatArray | None) -> Averages:
+def _reduce(run: Run, history: History, bend: FloatArray | None, longest_s: float | None) -> Averages:
     """Average one run."""
     recording, motion = run.recording, run.motion
     time, x = recording.time_s, motion.displacement_mm
     stroke, n_half = float(np.ptp(x)), motion.n_half
-    longest = max(LONGEST_S, recording.duration_s / LEAST_BLOCKS)
+    longest = max(LONGEST_S, recording.duration_s / LEAST_BLOCKS) if longest_s is None else longest_s
     slip = stroke / (FIRST_LOOK if bend is None else PER_STROKE)
     flat = np.zeros(time.size) if bend is None else bend
     block = np.empty(time.size, dtype=np.int64)

@@ -127,7 +127,9 @@ def between_sets(of_sets: Sequence[Sample]) -> tuple[Sample, tuple[Spread, ...]]
     nu = total**2 / (between**2 / (sample.n - 1) + (inside**2 / degrees if degrees else 0.0))
     sd = math.sqrt(total)
     origin = f"{sample.n} set means and the devices about them ({harmonic:.3g} a set)"
-    return sample, (Spread(BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between if between else math.inf, origin),)
+    return sample, (
+        Spread(BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between if between else math.inf, origin),
+    )
 
 
 def limit(sample: Sample, way: Spread, factor: float, law: str, side: str) -> tuple[float, str, str]:

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from shj_bayes.inference import reduction
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run, histories_of, runs_of
@@ -176,16 +175,13 @@ def test_blocks_are_smaller_where_the_force_bends() -> None:
 
 
 @pytest.mark.parametrize("variant", ["published", "continuous"])
-def test_the_posterior_is_that_of_all_samples(monkeypatch: pytest.MonkeyPatch, variant: str) -> None:
+def test_the_posterior_is_that_of_all_samples(variant: str) -> None:
     """Blocks of one sample each are no reduction at all."""
     runs = runs_of(simulate_device(TRUTH, seed=5, rate_Hz=20.0, variant=variant))
     model = DeviceModel(2, read_priors("afc"), variant=variant)
     reduced, start = find_start(make_posterior(runs, model))
     theta = reduced.natural(start.free[None])[0]
-    monkeypatch.setattr(reduction, "PER_BEND", 1e12)
-    monkeypatch.setattr(reduction, "LONGEST_S", 0.0)
-    monkeypatch.setattr(reduction, "LEAST_BLOCKS", 1e12)
-    whole = reduced.refined(theta)
+    whole = reduced.refined(theta, longest_s=0.0)
     assert whole.n_blocks == sum(int(run.used.sum()) for run in runs)
     assert reduced.n_blocks < 0.5 * whole.n_blocks
     full = polish(whole, [start.free])
