@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-
 from shj_bayes.inference.problem import Run
+
 from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
 from shj_bayes.model.priors import read_priors
 from shj_bayes.proof.cases import Key, stated_key

@@ -70,6 +70,10 @@ class CheckpointError(InferenceError):
     """A checkpoint of another problem, or an altered one."""
 
 
+class StrangeCheckpointError(CheckpointError):
+    """A checkpoint that is in order and of another problem."""
+
+
 class CampaignError(ShjError):
     """A manifest or a campaign folder that cannot be used."""
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import shj_bayes
 from shj_bayes.alone import alone_in
-from shj_bayes.errors import InferenceError, ModelError, RecordingError, plain_text, shown
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_text, shown
 from shj_bayes.files import plain_name
-from shj_bayes.inference.fit import CHECKPOINT, fit
+from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.inference.store import check_files, read_group, read_record
@@ -239,11 +239,11 @@ def fit_device(
     name = plain_name(name) if name else _default_name(paths[0])
     if not force:
         refuse_used_folder(folder, name, recordings, InferenceError)
-    priors = read_priors(options.priors)
-    key = _key(_digests(paths, recordings), options, priors.sha256, name)
+    model = options.device_model(len(recordings), read_priors(options.priors))
+    key = _key(_digests(paths, recordings), options, model, name)
     finished, note = _finished(folder, key)
     if finished is None:
-        finished, fresh = _fit(runs_of(recordings), folder, options, priors, name, key, progress, threads), True
+        finished, fresh = _fit(runs_of(recordings), folder, options, model, name, key, progress, threads), True
     else:
         fresh = False
     if fresh or _stale(folder):
@@ -256,7 +256,7 @@ def _fit(
     runs: Sequence[Run],
     folder: Path,
     options: Options,
-    priors: Priors,
+    model: DeviceModel,
     name: str,
     key: str,
     progress: bool,
@@ -265,10 +265,22 @@ def _fit(
 ) -> dict[str, Any]:
     """Fit and write the files; give the record."""
     plan = Plan(seed=options.seed, max_steps=options.max_steps)
-    model = options.device_model(len(runs), priors)
-    result = fit(
-        runs, model, name=name, key=key, plan=plan, tops=tops, folder=folder, progress=progress, threads=threads
-    )
+
+    def sampled() -> Fit:
+        return fit(
+            runs, model, name=name, key=key, plan=plan, tops=tops, folder=folder, progress=progress, threads=threads
+        )
+
+    finished, checkpoint = folder / "fit.json", folder / CHECKPOINT
+    try:
+        result = sampled()
+    except StrangeCheckpointError:
+        # One that an earlier fit left when it was finished goes with its result; one of a fit that was interrupted
+        # stays.
+        if not finished.exists() or checkpoint.stat().st_mtime_ns > finished.stat().st_mtime_ns:
+            raise
+        checkpoint.unlink()
+        result = sampled()
     if result.verdict.word == "reliable":
         (folder / CHECKPOINT).unlink(missing_ok=True)
     return result.record
@@ -350,11 +362,10 @@ def diagnose_device(
 
     def sample(model: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         """Fit what was found: the same files as those of `shj-bayes fit` with these effects."""
-        whole = replace(options, effects=tuple(effect.id for effect in model.effects))
-        key = _key(digests, whole, priors.sha256, name, model.speed)
+        key = _key(digests, options, model, name)
         record, _ = _finished(folder, key)
         if record is None:
-            record = _fit(runs, folder, whole, priors, name, key, progress, threads, [top])
+            record = _fit(runs, folder, options, model, name, key, progress, threads, [top])
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
         render_device(folder)
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
@@ -414,11 +425,11 @@ def _digests(paths: Sequence[Path | Recording], recordings: Sequence[Recording])
     return [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
 
 
-def _key(digests: list[str], options: Options, priors: str, name: str, speed: bool = True) -> str:
-    """Digest of all that the result depends on; `speed` is False where the law was run without speed dependence."""
+def _key(digests: list[str], options: Options, model: DeviceModel, name: str) -> str:
+    """Digest of all that the result depends on; the effects are those of the model, asked for or found."""
     # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
-    chosen = asdict(options) | {"priors": Path(options.priors).name}
-    content = [digests, chosen, priors, name, speed, shj_bayes.__version__, sorted(BASE)]
+    chosen = asdict(options) | {"priors": Path(options.priors).name, "effects": [e.id for e in model.effects]}
+    content = [digests, chosen, model.priors.sha256, name, model.speed, shj_bayes.__version__, sorted(BASE)]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -16,7 +16,7 @@ from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.paper_claims import paper_claims
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
+from shj_bayes.population.predict import RUN_FORCES, never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, to_json, write_population
 from shj_bayes.population.selectors import members, strata_of
@@ -24,7 +24,7 @@ from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.sets import name_of
 
-SHOWN = ("Fy", "Fy_second", "ratio", "K", "gamma")
+SHOWN = ("Fy", *RUN_FORCES, *RUN_FORCES.values(), "K", "gamma")
 
 
 @dataclass(frozen=True, eq=False)

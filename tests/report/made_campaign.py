@@ -58,13 +58,15 @@ def make_campaign(root: Path, fitted: Path, hostile_name: str) -> Path:
         "reason": "<img src=x onerror=1> is 80000 kN",
         "verdict": "",
     }
-    strange = {"name": "c", "folder": "javascript:alert(1)", "status": "done", "reason": "", "verdict": "reliable"}
-    upward = {"name": "d", "folder": "../../etc", "status": "done", "reason": "", "verdict": "reliable"}
+    lost = [
+        {"name": name, "folder": f"devices/{name}", "status": "done", "reason": "", "verdict": "reliable"}
+        for name in "cd"
+    ]
     record = {
         "schema": "shj-bayes/campaign/1",
         "name": hostile_name,
         "simulated": True,
-        "sets": [{"name": hostile_name, "devices": [done, failed]}, {"name": "other", "devices": [strange, upward]}],
+        "sets": [{"name": hostile_name, "devices": [done, failed]}, {"name": "other", "devices": lost}],
     }
     (root / "campaign.json").write_text(json.dumps(record), encoding="utf-8")
     return root

@@ -330,14 +330,16 @@ def check(path, **_):
     import numpy
     numpy.log(-numpy.ones(1))
     warnings.warn("of a library")
-    return {"usable": True}, "text"
+    return [({"usable": True}, "text")]
 pipeline.check_recording = check
 main()
 """
 
 
 def test_warnings_of_libraries_stay_off_the_terminal(tmp_path):
-    done = subprocess.run([sys.executable, "-c", WARN, "check", "run.csv"], capture_output=True, text=True, check=True)
+    (tmp_path / "run.csv").write_text("", encoding="utf-8")
+    command = [sys.executable, "-c", WARN, "check", str(tmp_path / "run.csv")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("text\n", "")
     with nptdms.TdmsWriter(tmp_path / "run.tdms") as writer:
         for _ in range(3):

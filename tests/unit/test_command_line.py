@@ -190,6 +190,20 @@ def test_simulate_writes_recordings_and_truth(tmp_path):
     assert (tmp_path / "again" / "dev-run1.csv").read_bytes() == first
 
 
+def test_simulated_slow_noise_is_on_top_of_the_rest(tmp_path):
+    series = {}
+    for name, options in (("plain", ()), ("slow", ("--sigma-slow", 1.5, "--tau-slow", 4))):
+        assert run("simulate", "-o", tmp_path / name, "--rate", 4, "--seed", 3, *options).exit_code == 0
+        series[name] = np.loadtxt(tmp_path / f"{name}-run1.csv", delimiter=",", skiprows=2)
+    assert np.array_equal(series["plain"][:, :2], series["slow"][:, :2])
+    added = series["slow"][:, 2] - series["plain"][:, 2]
+    assert 0.9 < added.std() < 2.1
+    assert np.corrcoef(added[:-4], added[4:])[0, 1] > 0.6  # one second later
+    truth = json.loads((tmp_path / "slow.json").read_text(encoding="utf-8"))
+    assert (truth["truth"]["sigma_slow"], truth["truth"]["tau_slow"]) == (1.5, 4)
+    assert (truth["units"]["sigma_slow"], truth["units"]["tau_slow"]) == ("kN", "s")
+
+
 @pytest.fixture(scope="module")
 def both_runs(recordings, tmp_path_factory) -> Path:
     """Two runs in one file, whose clock goes on after a rest without samples."""
@@ -249,20 +263,6 @@ def test_slips_of_one_fit_are_said(recordings, tmp_path):
     assert "K, beta cannot differ between runs where there is one run" in idle.output
     record = json.loads((tmp_path / "idle" / "fit.json").read_text(encoding="utf-8"))
     assert "free-without-effect" in {f["code"] for f in record["inputs"][0]["findings"]}
-
-
-def test_simulated_slow_noise_is_on_top_of_the_rest(tmp_path):
-    series = {}
-    for name, options in (("plain", ()), ("slow", ("--sigma-slow", 1.5, "--tau-slow", 4))):
-        assert run("simulate", "-o", tmp_path / name, "--rate", 4, "--seed", 3, *options).exit_code == 0
-        series[name] = np.loadtxt(tmp_path / f"{name}-run1.csv", delimiter=",", skiprows=2)
-    assert np.array_equal(series["plain"][:, :2], series["slow"][:, :2])
-    added = series["slow"][:, 2] - series["plain"][:, 2]
-    assert 0.9 < added.std() < 2.1
-    assert np.corrcoef(added[:-4], added[4:])[0, 1] > 0.6  # one second later
-    truth = json.loads((tmp_path / "slow.json").read_text(encoding="utf-8"))
-    assert (truth["truth"]["sigma_slow"], truth["truth"]["tau_slow"]) == (1.5, 4)
-    assert (truth["units"]["sigma_slow"], truth["units"]["tau_slow"]) == ("kN", "s")
 
 
 def test_unwritable_folder_is_one_line(recordings, tmp_path):

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 import shj_bayes
 from shj_bayes.cli import main
-from shj_bayes.errors import InferenceError, ModelError
+from shj_bayes.errors import CheckpointError, InferenceError, ModelError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.catalogue import noise_models
@@ -100,6 +100,31 @@ def test_a_fit_beside_a_diagnosis_is_kept(recordings: list[Path], found: shj_bay
     again = shj_bayes.fit(recordings, found.folder, effects=found.effects, **CHOSEN)
     assert (found.folder / "posterior.nc").stat().st_mtime_ns == stamp
     assert again.record == found.fit.record
+
+
+def test_a_diagnosis_goes_where_a_tentative_fit_lies(recordings: list[Path], tmp_path: Path) -> None:
+    """Such a fit keeps its checkpoint, to be gone on from; it must not stop the diagnosis that it advises."""
+    short = {"max_steps": 200, "seed": 4, "threads": 1}
+    tentative = shj_bayes.fit(recordings, tmp_path, **short)
+    assert tentative.verdict != "reliable"
+    left = (tmp_path / "checkpoint.h5").read_bytes()
+    assert "slack.size" in shj_bayes.fit(recordings, tmp_path, effects=("slack",), **short).summary.index
+    # One whose fit was not finished is of an answer that nobody has yet.
+    (tmp_path / "fit.json").unlink()
+    (tmp_path / "checkpoint.h5").write_bytes(left)
+    with pytest.raises(CheckpointError, match="belongs to another problem"):
+        shj_bayes.fit(recordings, tmp_path, effects=("slack",), **short)
+
+
+def test_speed_dependence_that_was_taken_out_and_found_is_fitted(tmp_path: Path) -> None:
+    """The law runs without it, so that it is an effect like others."""
+    truth = Truth(gamma=1 / 60, sigma=0.4, phi=0.0, displacement_noise_mm=0.0)
+    runs = list(simulate_device(truth, seed=8, rate_Hz=4.0, blocks=BLOCKS))
+    found = shj_bayes.diagnose(runs, tmp_path, without=("velocity",), max_steps=200, threads=1)
+    assert "velocity" in found.effects
+    assert "gamma" not in found.fit.summary.index
+    assert found.fit.summary.loc["velocity.size", "mean"] == pytest.approx(1 / 60, rel=0.05)
+    assert not found.fit.record["model"]["speed"]
 
 
 def test_a_first_look_writes_no_fit(recordings: list[Path], tmp_path: Path) -> None:

@@ -53,7 +53,8 @@ def test_a_recording_is_read_and_shown(runs: list[Path]) -> None:
 def test_a_fit_is_a_table_draws_and_an_arviz_object(fitted: shj_bayes.FitResult) -> None:
     assert fitted.verdict in ("reliable", "tentative", "unusable")
     assert list(fitted.summary.index)[:2] == ["K", "Fy"]
-    assert fitted.draws["Fy"].mean() == pytest.approx(fitted.summary.loc["Fy", "mean"], rel=1e-6)
+    row = fitted.summary.loc["Fy"]  # of all draws that were kept; fewer are stored
+    assert fitted.draws["Fy"].mean() == pytest.approx(row["mean"], abs=0.1 * row["sd"])
     assert fitted.data.posterior["K"].ndim == 2
     html = fitted._repr_html_()
     assert fitted.verdict in html

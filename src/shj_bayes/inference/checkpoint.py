@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from shj_bayes.errors import CheckpointError
+from shj_bayes.errors import CheckpointError, StrangeCheckpointError
 from shj_bayes.files import replacing
 from shj_bayes.model.parameters import FloatArray
 
@@ -94,7 +94,7 @@ def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
                 )
             strange = [key for key, value in fingerprint.items() if file.attrs.get(f"fingerprint.{key}") != value]
             if strange:
-                raise CheckpointError(
+                raise StrangeCheckpointError(
                     f"{path.name} belongs to another problem: its {' and '.join(strange)} differ(s) from what is asked "
                     "now; choose another output folder, or delete the checkpoint to start anew"
                 )

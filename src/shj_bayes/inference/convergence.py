@@ -96,6 +96,16 @@ def _time_of_ensemble(chain: FloatArray, window: float = 5.0) -> FloatArray:
     return np.asarray(times[last, np.arange(times.shape[1])])
 
 
+def r_hat(chains: FloatArray) -> float:
+    """Rank-normalised split R-hat of one scalar in independent chains, shape (n_chains, n_draws)."""
+    return float(_ARVIZ.rhat(chains))
+
+
+def ess_bulk(chains: FloatArray) -> float:
+    """Bulk effective sample size of one scalar in independent chains, shape (n_chains, n_draws)."""
+    return float(_ARVIZ.ess(chains, method="bulk"))
+
+
 def diagnose_chains(
     names: tuple[str, ...], chains: Sequence[FloatArray], acceptance: FloatArray, n_failed: int = 0
 ) -> Diagnostics:
@@ -128,8 +138,8 @@ def diagnose_chains(
     rhat, bulk, tail = (np.empty(d) for _ in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
         for i in range(d):
-            rhat[i] = _ARVIZ.rhat(by_ensemble[:, :, i])
-            bulk[i] = min(_ARVIZ.ess(by_walker[:, :, i], method="bulk"), n_ensembles * n_walkers * n_steps / tau[i])
+            rhat[i] = r_hat(by_ensemble[:, :, i])
+            bulk[i] = min(ess_bulk(by_walker[:, :, i]), n_ensembles * n_walkers * n_steps / tau[i])
             tail[i] = _ARVIZ.ess(by_walker[:, :, i], method="tail", prob=(0.05, 0.95))
     # A parameter on which all walkers stand still has no variance: its R-hat is not a number, and that is not good.
     rhat = np.where(np.isfinite(rhat), rhat, np.inf)

@@ -11,7 +11,7 @@ from shj_bayes.margins.outermost import DEFAULT, Newcomers, outer, own_devices, 
 from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sample import LAW, SAMPLED, UNITS, Motion, predicted
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.predict import SECOND_RUN
+from shj_bayes.population.predict import RUN_FORCES
 
 SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 PURPOSE = {
@@ -25,7 +25,8 @@ LOSS = {
     MIDDLE: "best estimate of the loss of sliding force after a first earthquake",
     HIGH: "greatest loss of sliding force to allow for in a second earthquake",
 }
-BASIS = {SECOND_RUN: ("Fy", "ratio"), DEGRADATION: ("ratio",), "energy": LAW, "force": LAW}
+BASIS: dict[str, tuple[str, ...]] = {force: ("Fy", ratio) for force, ratio in RUN_FORCES.items()}
+BASIS |= {DEGRADATION: ("ratio",), "energy": LAW, "force": LAW}
 """Pooled quantities that a derived one rests on."""
 
 

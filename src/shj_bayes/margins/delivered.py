@@ -11,7 +11,7 @@ from shj_bayes.margins.outermost import DEFAULT, Newcomers, outer
 from shj_bayes.margins.pair import NONE, Bounds
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sample import Motion
-from shj_bayes.population.predict import SECOND_RUN, NewDevice
+from shj_bayes.population.predict import RUN_FORCES, SECOND_RUN, NewDevice
 from shj_bayes.population.quantities import FloatArray
 
 SLOWEST = 0.01
@@ -71,10 +71,13 @@ def force_draws(device: NewDevice, motion: Motion | None) -> list[dict[str, Floa
     Returns
     -------
     list of dict
-        Per law of speed: ``first`` and ``second`` least force of each run, ``least`` and ``most`` of both, kN.
+        Per law of speed: ``first`` and ``second`` least force of the first run and of the later ones, ``least`` and
+        ``most`` of all, kN.
     """
     first = device.draws["Fy"]
-    second = device.draws.get(SECOND_RUN, first)
+    later = [device.draws[force] for force in RUN_FORCES if force in device.draws]
+    second = np.min(later, axis=0) if later else first
+    largest = np.max([first, *later], axis=0)
     factors = [np.ones_like(first)]
     if motion is not None and "gamma" in device.draws:
         v = motion.guard.speed_mm_s
@@ -84,7 +87,7 @@ def force_draws(device: NewDevice, motion: Motion | None) -> list[dict[str, Floa
             "first": first * np.minimum(1.0, moving),
             "second": second * np.minimum(1.0, moving),
             "least": np.minimum(first, second) * np.minimum(1.0, moving),
-            "most": np.maximum(first, second) * np.maximum(1.0, moving),
+            "most": largest * np.maximum(1.0, moving),
         }
         for moving in factors
     ]

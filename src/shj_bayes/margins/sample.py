@@ -11,11 +11,13 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.margins.cycle import steady_cycle
 from shj_bayes.margins.speed_guard import Guard
 from shj_bayes.population.posterior import DeviceSet, PopulationResult
-from shj_bayes.population.predict import SECOND_RUN, NewDevice
+from shj_bayes.population.predict import RUN_FORCES, NewDevice
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 
-UNITS = {"Fy": "kN", SECOND_RUN: "kN", "ratio": "1", "degradation": "1", "K": "kN/mm", "energy": "kJ", "force": "kN"}
-SAMPLED = ("Fy", SECOND_RUN, "ratio", "K", "energy", "force")
+RATIOS = tuple(RUN_FORCES.values())
+SAMPLED = ("Fy", *RUN_FORCES, *RATIOS, "K", "energy", "force")
+UNITS = {"Fy": "kN", "degradation": "1", "K": "kN/mm", "energy": "kJ", "force": "kN"}
+UNITS |= dict.fromkeys(RUN_FORCES, "kN") | dict.fromkeys(RATIOS, "1")
 """Quantities that are pooled, or follow from pooled ones, and are positive; degradation = 1 - ratio follows."""
 N_DRAWS = 1600
 LAW = ("K", "Fy", "beta", "gamma")
@@ -92,13 +94,13 @@ def samples(group: DeviceSet, motion: Motion | None) -> dict[str, Sample]:
     n = len(group.devices)
     points = {q: np.array(group.points.get(q, (np.nan,) * n)) for q in QUANTITIES}
     values = {q: QUANTITIES[q].natural(points[q]) for q in QUANTITIES}
-    values[SECOND_RUN] = values["Fy"] * values["ratio"]
+    values |= {force: values["Fy"] * values[q] for force, q in RUN_FORCES.items()}
     out = {}
     known = np.all(np.isfinite([values[q] for q in LAW]), axis=0)
     if motion is not None and known.any():
         table = {q: values[q][known] for q in LAW}
         values |= {name: np.mean(list(law.values()), axis=0) for name, law in derived(table, motion).items()}
-    source = {"ratio": ("ratio",), "K": ("K",), SECOND_RUN: ("Fy", "ratio")}
+    source = {q: (q,) for q in (*RATIOS, "K")} | {force: ("Fy", q) for force, q in RUN_FORCES.items()}
     for q in SAMPLED:
         found = values.get(q, np.empty(0))
         found = found[np.isfinite(found) & (found > 0)]
@@ -122,7 +124,7 @@ def derived(values: dict[str, FloatArray], motion: Motion) -> dict[str, dict[str
 
 def predicted(device: NewDevice, motion: Motion | None) -> dict[str, dict[str, FloatArray]]:
     """Draws of a new device in every quantity, by law of speed ("linear" alone where the law does not matter)."""
-    out = {q: {"linear": device.draws[q]} for q in ("Fy", SECOND_RUN, "ratio", "K") if q in device.draws}
+    out = {q: {"linear": device.draws[q]} for q in ("Fy", *RUN_FORCES, *RATIOS, "K") if q in device.draws}
     if "ratio" in out:
         out["degradation"] = {"linear": 1.0 - device.draws["ratio"]}
     if motion is not None and all(q in device.draws for q in LAW):

@@ -122,10 +122,14 @@ def between_sets(of_sets: Sequence[Sample]) -> tuple[Sample, tuple[Spread, ...]]
     between = sample.sd_log**2
     inside = (1.0 - 1.0 / harmonic) * within**2 if degrees else 0.0
     total = between + inside
+    if total == 0.0:  # one device a set, and all alike: nothing is known of how sets differ
+        return sample, ()
     nu = total**2 / (between**2 / (sample.n - 1) + (inside**2 / degrees if degrees else 0.0))
     sd = math.sqrt(total)
     origin = f"{sample.n} set means and the devices about them ({harmonic:.3g} a set)"
-    return sample, (Spread(BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between, origin),)
+    return sample, (
+        Spread(BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between if between else math.inf, origin),
+    )
 
 
 def limit(sample: Sample, way: Spread, factor: float, law: str, side: str) -> tuple[float, str, str]:

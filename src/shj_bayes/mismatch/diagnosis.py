@@ -141,9 +141,7 @@ def diagnose(
         "effects": content.effects(evidence, result, judgement, draws),
         "family": content.family(result, judgement),
         "location": content.locations(evidence, base, regions, result, noise),
-        "unknown": describe_unknown(evidence, result, regions, seed=seed, quick=quick)
-        if judgement.word == "unknown"
-        else None,
+        "unknown": describe_unknown(evidence, result, regions, seed=seed) if judgement.word == "unknown" else None,
         "before": content.quality(evidence, base, noise),
         "after": content.quality(evidence, shown, noise),
         "heldout": content.heldout(evidence, result, shown),

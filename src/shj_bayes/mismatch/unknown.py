@@ -19,9 +19,7 @@ COORDINATES = {"position": "position_mm", "slip since reversal": "slip_mm", "tra
 PERIODIC = 0.25  # share of the residual that one sine must take up to be called a period
 
 
-def describe_unknown(
-    evidence: Evidence, result: Search, regions: Regions, *, seed: int = 1, quick: bool = False
-) -> dict[str, Any]:
+def describe_unknown(evidence: Evidence, result: Search, regions: Regions, *, seed: int = 1) -> dict[str, Any]:
     """Describe what the residual still holds after the effects of the catalogue that were found.
 
     Parameters
@@ -34,8 +32,6 @@ def describe_unknown(
         Where to look for the largest misfit.
     seed : int
         Same seed and residual, same formula.
-    quick : bool
-        Look less long for a formula.
 
     Returns
     -------
@@ -50,9 +46,8 @@ def describe_unknown(
     again = result.steps[-1].repeat
     if again.p_value < REPEAT_P and again.size_kN > size:  # waves along a stroke have no region of their own
         size, region = again.size_kN, None
-    capacity = result.base.capacity_kN
     line = result.steps[-1].line
-    formula = find_formula(evidence, residual, capacity, line, seed=seed, quick=quick)
+    formula = find_formula(evidence, residual, line, seed=seed)
     taken = {name: _taken(evidence, residual, name) for name in COORDINATES}
     # A wave of the clock comes again over time, which no map shows; then the best of the mapped coordinates is drawn.
     coordinate = formula.coordinate if formula.coordinate in taken else max(taken, key=lambda name: taken[name])

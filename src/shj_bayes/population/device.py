@@ -10,7 +10,7 @@ import numpy as np
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.measurement import Measurement, PosteriorDraws, Rounded, RoundedRatio
-from shj_bayes.population.quantities import QUANTITIES, FloatArray, quantity
+from shj_bayes.population.quantities import FloatArray, quantity
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class DeviceEstimate:
             quantity(key)
         if not self.measurements:
             raise PopulationError(
-                f"device {self.name!r} gives none of {', '.join(QUANTITIES)}; leave it out or give one of them"
+                f"device {self.name!r} gives none of K, Fy, ratio, gamma, beta; leave it out or give one of them"
             )
         object.__setattr__(self, "measurements", MappingProxyType(dict(self.measurements)))
 

@@ -18,11 +18,13 @@ import pandas as pd
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.priors import ASSUMED
-from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.quantities import LATER_RUNS, QUANTITIES, FloatArray
 
 LEVELS = (0.05, 0.5, 0.95)
 SECOND_RUN = "Fy_second"
-UNITS = {**{q.name: q.unit for q in QUANTITIES.values()}, SECOND_RUN: "kN"}
+RUN_FORCES = {SECOND_RUN: "ratio"} | {f"Fy_run{run}": f"ratio_{run}" for run in LATER_RUNS}
+"""Sliding force of each later run: the ratio that makes it from that of the first."""
+UNITS = {q.name: q.unit for q in QUANTITIES.values()} | dict.fromkeys(RUN_FORCES, "kN")
 ENOUGH_SETS = 5
 
 
@@ -95,8 +97,7 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
     draws: dict[str, FloatArray] = {
         q: QUANTITIES[q].natural(levels[i] + spreads[i] * together[i]) for i, q in enumerate(result.posteriors)
     }
-    if "Fy" in draws and "ratio" in draws:
-        draws[SECOND_RUN] = draws["Fy"] * draws["ratio"]
+    draws |= {force: draws["Fy"] * draws[q] for force, q in RUN_FORCES.items() if "Fy" in draws and q in draws}
     n = 0 if index is None else len(result.sets[index].devices)
     return NewDevice(name, n, prior, draws)
 
@@ -120,11 +121,11 @@ def never_tested_words(n_sets: int) -> str:
 
 
 def devices_behind(result: PopulationResult, set_name: str, name: str) -> int:
-    """Count the tested devices of a set that give a quantity; for ``Fy_second`` both the force and the ratio."""
+    """Count the tested devices of a set that give a quantity; a later run's force needs the first one and the ratio."""
     if set_name == ANY_SET:
         return 0
     index = result.index(set_name)
-    needed = ("Fy", "ratio") if name == SECOND_RUN else (name,)
+    needed = ("Fy", RUN_FORCES[name]) if name in RUN_FORCES else (name,)
     return min(result.fit(q).n_devices[index] for q in needed)
 
 

@@ -93,7 +93,7 @@ _PRIORS = {
 def population_prior(name: str) -> PopulationPrior:
     """Return the default prior of one quantity."""
     quantity(name)
-    return _PRIORS[name]
+    return _PRIORS[name.partition("_")[0]]
 
 
 ASSUMED = {

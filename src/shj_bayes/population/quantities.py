@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ class Quantity:
     Parameters
     ----------
     name : str
-        Word of the interface: K, Fy, beta, gamma or ratio.
+        Word of the interface: K, Fy, beta, gamma or ratio; with a run number behind it where a run has its own.
     unit : str
         Natural unit.
     logarithmic : bool
@@ -57,15 +57,27 @@ class Quantity:
         return np.exp(np.clip(values, -_FARTHEST, _FARTHEST)) if self.logarithmic else values
 
 
-QUANTITIES: dict[str, Quantity] = {
+_OF_ALL_RUNS = (
+    Quantity("K", "kN/mm", True, "initial stiffness"),
+    Quantity("Fy", "kN", True, "sliding force of the first run"),
+    Quantity("ratio", "1", True, "sliding force of the second run over that of the first"),
+    Quantity("gamma", "s/mm", False, "relative change of force per unit of speed; 0 means none"),
+    Quantity("beta", "1", True, "sharpness of the transition to sliding"),
+)
+LATER_RUNS = range(3, 10)  # a device has up to nine runs
+
+
+def _of_run(quantity: Quantity, run: int) -> Quantity:
+    """Give a quantity that one run has for itself."""
+    words = f"sliding force of run {run} over that of the first"
+    meaning = words if quantity.name == "ratio" else f"{quantity.meaning}, run {run}"
+    return replace(quantity, name=f"{quantity.name}_{run}", meaning=meaning)
+
+
+QUANTITIES: dict[str, Quantity] = {q.name: q for q in _OF_ALL_RUNS} | {
     q.name: q
-    for q in (
-        Quantity("K", "kN/mm", True, "initial stiffness"),
-        Quantity("Fy", "kN", True, "sliding force of the first run"),
-        Quantity("ratio", "1", True, "sliding force of the second run over that of the first"),
-        Quantity("gamma", "s/mm", False, "relative change of force per unit of speed; 0 means none"),
-        Quantity("beta", "1", True, "sharpness of the transition to sliding"),
-    )
+    for run in (2, *LATER_RUNS)
+    for q in (_of_run(own, run) for own in _OF_ALL_RUNS if own.name != "Fy" and (own.name, run) != ("ratio", 2))
 }
 """The ratio is pooled as its logarithm, not its logit: nothing in friction forbids a second run above the first
 (bedding-in), log Fy of the second run then stays a plain sum, and a ratio rounded to 1 stays finite."""
@@ -81,5 +93,7 @@ def quantity(name: str) -> Quantity:
     """
     if name not in QUANTITIES:
         hint = "; dep is never pooled, give gamma = 1/dep" if name == "dep" else ""
-        raise PopulationError(f"{name!r} is not a pooled quantity; these are: {', '.join(QUANTITIES)}{hint}")
+        raise PopulationError(
+            f"{name!r} is not a pooled quantity; these are: {', '.join(q.name for q in _OF_ALL_RUNS)}{hint}"
+        )
     return QUANTITIES[name]

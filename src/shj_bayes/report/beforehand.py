@@ -123,7 +123,8 @@ def _range(force_kN: FloatArray, levels: tuple[float, float]) -> tuple[float, fl
 def _laws(draws: Mapping[str, FloatArray], n: int, run: int) -> FloatArray:
     """Law parameters of `n` evenly spread draws, shape (n, 4)."""
     at = np.linspace(0, draws["Fy"].size - 1, n).astype(int)
-    laws = np.stack([draws[name][at] for name in LAW], axis=1)
+    still = np.zeros(draws["Fy"].size)  # gamma of a law without speed dependence
+    laws = np.stack([draws.get(name, still)[at] for name in LAW], axis=1)
     if run == 2:
         laws[:, 1] *= draws["ratio"][at]
     return laws

@@ -54,7 +54,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
     content = {
         "name": record["name"],
         "simulated": bool(record.get("simulated")),
-        "warnings": record["warnings"],
+        "warnings": [str(line) for line in record.get("warnings", ())],
         "devices": devices,
         "n_done": len(done),
         "n_failed": len(devices) - len(done),

@@ -50,10 +50,14 @@ def render_device(folder: Path) -> Path:
         return write_page(folder, "device.html", filled, LOOPS)
 
 
+# Row of the table where the law was run without speed dependence and none was found.
+NO_SPEED = {"name": "gamma", "unit": "s/mm"} | dict.fromkeys(("mean", "sd", "q05", "q50", "q95"), 0.0)
+
+
 def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
     record = device.record
-    gamma = next(row for row in record["parameters"] if row["name"] == "gamma")
+    gamma = next((row for row in record["parameters"] if row["name"] in ("gamma", "velocity.size")), NO_SPEED)
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
     peak = max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
     return {

@@ -12,18 +12,20 @@ import numpy as np
 from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.loops import LoopBand, loop_band
 from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
-from shj_bayes.population.predict import SECOND_RUN, new_device, new_device_table, sets_suffice
+from shj_bayes.population.predict import RUN_FORCES, SECOND_RUN, new_device, new_device_table, sets_suffice
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 
 MEANING = {
     "Fy": "sliding force, first run",
     SECOND_RUN: "sliding force, second run",
     "ratio": "second run / first run",
+    **{force: f"sliding force, run {force[-1]}" for force in RUN_FORCES if force != SECOND_RUN},
+    **{ratio: f"run {ratio[-1]} / first run" for ratio in RUN_FORCES.values() if ratio != "ratio"},
     "K": "initial stiffness",
     "gamma": "speed coefficient 1/dep",
     "beta": "sharpness of the knee",
 }
-SHOWN = ("Fy", SECOND_RUN, "ratio", "K", "gamma")
+SHOWN = ("Fy", *RUN_FORCES, *RUN_FORCES.values(), "K", "gamma")
 MAX_MATRIX, MAX_PAIRS, MAX_LOOPS = 20, 12, 16
 NEVER = "a set never tested"
 Interval = tuple[float, float, float]
@@ -136,8 +138,8 @@ def _band(
 
 def _point(group: DeviceSet, index: int, quantity: str) -> Interval | None:
     """Point value of a device in natural units; None where it gives none."""
-    if quantity == SECOND_RUN:
-        parts = [_point(group, index, part) for part in ("Fy", "ratio")]
+    if quantity in RUN_FORCES:
+        parts = [_point(group, index, part) for part in ("Fy", RUN_FORCES[quantity])]
         value = float(np.prod([part[1] for part in parts if part])) if all(parts) else np.nan
     else:
         points = group.points.get(quantity, ())

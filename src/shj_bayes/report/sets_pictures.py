@@ -8,7 +8,7 @@ from typing import Any
 
 from shj_bayes.population.loops import LoopBand
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.predict import SECOND_RUN
+from shj_bayes.population.predict import RUN_FORCES, SECOND_RUN
 from shj_bayes.report import sets
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.page import Picture
@@ -17,6 +17,8 @@ TITLES = {
     "Fy": "Sliding force of the first run",
     SECOND_RUN: "Sliding force of the second run",
     "ratio": "Second run over first run",
+    **{force: f"Sliding force of run {force[-1]}" for force in RUN_FORCES if force != SECOND_RUN},
+    **{ratio: f"Run {ratio[-1]} over first run" for ratio in RUN_FORCES.values() if ratio != "ratio"},
     "K": "Initial stiffness",
     "gamma": "Speed coefficient",
 }

@@ -1,172 +1,153 @@
-"""Formulas of an unknown misfit: the right one where a simple one holds, none in noise, and nothing executed."""
-
-import importlib.util
-import sys
-from pathlib import Path
+"""Formulas of an unknown misfit: each shape of the list is found beside noise, and none in noise alone."""
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 
-from shj_bayes.mismatch.evolve import QUICK, evolve
-from shj_bayes.mismatch.expression import (
-    Factor,
-    Term,
-    apply,
-    evaluate,
-    n_numbers,
-    number,
-    sensible,
-    tidy,
-    times,
-    variable,
-)
-from shj_bayes.mismatch.formula import find_formula
-from shj_bayes.mismatch.formula_text import write_sum
-from shj_bayes.mismatch.polish import freed, polish, shortened
+from shj_bayes.inference.run import Run
+from shj_bayes.mismatch.calibrate import Line
+from shj_bayes.mismatch.evidence import evidence_of
+from shj_bayes.mismatch.formula import CONSTANT, SHAPES, SINE_OF_PERIOD, find_formula
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.kinematics import motion_of
 
-BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
-X = np.linspace(-1.0, 1.0, 64)
-U = np.linspace(0.02, 1.0, 40)
+QUIET = Line(p_value=1.0, run=1, period_s=0.0, amplitude_kN=0.0)
+SEEDS = range(20)
 
 
 @pytest.fixture(scope="module")
-def trials():
-    """The development trials, whose files import one another by their bare names."""
-    before = {name: sys.modules.get(name) for name in ("mismatch", "mismatch_formula")}
-    for name in before:
-        spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    yield sys.modules["mismatch_formula"]
-    for name, module in before.items():
-        sys.modules.pop(name)
-        if module is not None:
-            sys.modules[name] = module
+def evidence():
+    """Two runs of Table 1; only the motion matters here."""
+    recordings = simulate_device(Truth(), seed=1, rate_Hz=5.0)
+    return evidence_of([Run(r, motion_of(r)) for r in recordings], 4000)
 
 
-def fitted(x, y):
-    """Shortest formula within 2 % of the best one."""
-    found = evolve(x, y, np.full(x.size, 50.0), seed=1, effort=QUICK)
-    limit = min(error for _, error in found) + 0.02 * 50.0 * float(np.sum((y - y.mean()) ** 2))
-    return next(terms for terms, error in found if error <= limit)
+def noise(evidence, seed, phi=0.8):
+    """1 kN, correlated from sample to sample."""
+    drawn = np.random.default_rng(seed).standard_normal(evidence.force_kN.size)
+    return lfilter([np.sqrt(1 - phi**2)], [1.0, -phi], drawn) * evidence.weight
 
 
-def names(terms):
-    return sorted(f.name for t in terms for f in t.factors)
+def formula_of(evidence, shape, seed=3, line=QUIET, scatter=1.0, phi=0.8):
+    """Formula of a shape of x (mm), d (mm), s (m), v (mm/s), t (s) and q, beside noise."""
+    names = {"x": "position_mm", "d": "slip_mm", "s": "travel_m", "v": "speed_mm_s", "t": "time_s", "q": "direction"}
+    residual = shape(**{letter: evidence.stack(name) for letter, name in names.items()}) * evidence.weight
+    return find_formula(evidence, residual + scatter * noise(evidence, seed, phi), line)
 
 
-def test_sums_say_the_same_as_numpy():
-    line = variable(2.0, -0.5)
-    product = times(line, line)
-    assert_allclose(evaluate(product, X), (2 * X - 0.5) ** 2)
-    assert_allclose(evaluate(apply("sin", line), X), np.sin(2 * X - 0.5))
-    assert_allclose(evaluate(apply("exp", line), X), np.exp(2 * X - 0.5))
-    assert_allclose(evaluate(apply("bell", line), X), np.exp(-((2 * X - 0.5) ** 2)))
-    assert_allclose(evaluate(apply("step", line), X), (1 + np.tanh(2 * X - 0.5)) / 2)
-    assert_allclose(evaluate(apply("abs", line), X), np.abs(2 * X - 0.5))
-    assert tidy((*line, *times(number(-1.0), line))) == ()
+# name, coordinate, mode, length or place (None: it has none), shape
+CASES = {
+    "line over position": ("line", "position", "friction", None, lambda x, q, **_: q * 4 * x / 95),
+    "line over speed": ("line", "speed", "friction", None, lambda v, q, **_: q * 6 * (v / 10 - 0.6)),
+    "line over travel": ("line", "travel", "force", None, lambda s, **_: 1.5 * (s - 3)),
+    "parabola over position": ("parabola", "position", "friction", None, lambda x, q, **_: q * 5 * (x / 95) ** 2),
+    "V in pull": ("modulus", "position", "pull", 30.0, lambda x, q, **_: 8 * np.abs(x - 30) / 95 * (q < 0)),
+    "step over position": ("step", "position", "friction", -25.0, lambda x, q, **_: q * 4.0 * (x > -25)),
+    "step with travel": ("step", "travel", "friction", 4.0, lambda s, q, **_: q * 4.0 * (s > 4)),
+    "decay with slip": (
+        "exponential",
+        "slip since reversal",
+        "friction",
+        8.0,
+        lambda d, q, **_: q * 6 * np.exp(-d / 8),
+    ),
+    "rise with travel": ("exponential", "travel", "friction", 1.5, lambda s, q, **_: q * 6 * (1 - np.exp(-s / 1.5))),
+    "wave over position": (
+        "sine",
+        "position",
+        "friction",
+        24.8,
+        lambda x, q, **_: q * 3 * np.sin(2 * np.pi * x / 24.8),
+    ),
+    "wave over slip": ("sine", "slip since reversal", "push", 31.0, lambda d, q, **_: 4 * np.cos(d / 4.934) * (q > 0)),
+}
 
 
-def test_what_is_not_simple_is_refused():
-    curve = times(variable(), variable())
-    assert apply("sin", curve) is None
-    assert times(times(curve, curve), variable()) is None
-    wave = Term(1.0, 0, (Factor("sin", 1.0, 0.0),))
-    assert not sensible((wave,), X, np.sin(X))  # less than one turn
-    assert not sensible((Term(1.0, 0, (Factor("bell", 5.0, 20.0),)),), X, X)  # a bump outside the range
-    assert not sensible((Term(90.0, 1), Term(-90.0, 3)), X, X)  # terms that cancel
-    assert sensible((Term(1.0, 0, (Factor("sin", 8.0, 0.0),)),), X, X)
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_each_shape_is_found_over_its_coordinate(evidence, case, seed):
+    name, coordinate, mode, length, shape = CASES[case]
+    found = formula_of(evidence, shape, seed)
+    assert found.text is not None, found.words
+    assert (found.fitted.shape.name, found.coordinate, found.fitted.mode) == (name, coordinate, mode)
+    if length is not None:
+        near = {"sine": 0.02 * length, "exponential": 0.2 * length}.get(name, 0.03 * found.scale)
+        assert found.fitted.length * found.scale == pytest.approx(length, abs=near)
+    assert 0.85 < found.share < 1.15
+    assert 0.25 < found.part < 1.0
 
 
-def test_polish_finds_the_numbers():
-    y = 3.1 * np.sin(24.0 * X + 0.4) - 0.5
-    start = freed((Term(1.0, 0, (Factor("sin", 23.5, 0.0),)),))
-    terms, error = polish(start, X, y, np.ones_like(X))
-    assert error < 1e-12
-    assert_allclose(evaluate(terms, X), y, atol=1e-6)
-    assert n_numbers(terms) == 4
+def test_each_direction_has_its_own_constant(evidence):
+    found = formula_of(evidence, lambda q, **_: np.where(q > 0, 3.0, -1.0))
+    assert found.fitted.shape is CONSTANT
+    assert found.fitted.sizes == pytest.approx([3.0, -1.0], abs=0.3)
+    assert found.text.startswith("residual [kN] = ")
+    assert found.text.endswith(" in pull")
 
 
-def test_numbers_that_are_not_needed_are_dropped_last():
-    y = 2.0 * np.sin(24.0 * X)
-    ladder = shortened(freed((Term(1.0, 0, (Factor("sin", 23.8, 0.0),)),)), X, y, np.ones_like(X))
-    assert [n_numbers(terms) for terms, _ in ladder] == [4, 3, 2]
-    assert ladder[-1][1] < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "kinds"),
-    [
-        (X, np.sin(24.0 * X + 0.7), ["sin"]),
-        (X, X**3 - 0.6 * X, []),
-        (X, np.exp(-(((X - 0.3) / 0.1) ** 2)), ["bell"]),
-        (X, (X > 0.25) * 1.0, ["step"]),
-        (X, (np.abs(X + 0.1) < 0.3) * 1.0, ["step", "step"]),
-        (U, np.exp(-5.0 * U) - 0.2, ["exp"]),
-        (X, np.abs(X - 0.2), ["abs"]),
-    ],
-    ids=["wave", "cubic", "bump", "step", "patch", "decay", "vee"],
-)
-def test_simple_shapes_are_found_again(x, y, kinds):
-    rng = np.random.default_rng(5)
-    assert names(fitted(x, y + 0.05 * rng.standard_normal(x.size))) == kinds
-
-
-def test_same_seed_same_formula():
-    y = np.sin(24.0 * X) + 0.1 * np.random.default_rng(2).standard_normal(X.size)
-    assert fitted(X, y) == fitted(X, y)
-
-
-def test_formulas_are_written_with_units():
-    wave = Term(3.1, 0, (Factor("sin", 2 * np.pi * 95 / 24.8, 0.0),))
-    assert write_sum((wave,), "x", 95.0, "mm") == "3.1 sin(2 pi x / 24.8 mm)"
-    turned = Term(-2.0, 0, (Factor("sin", -2 * np.pi * 95 / 24.8, np.pi + 0.4),))
-    text = write_sum((turned, Term(-0.25)), "x", 95.0, "mm")
-    assert text == "-2 sin(2 pi x / 24.8 mm - 0.4) - 0.25"
-    value = -2.0 * np.sin(-2 * np.pi * 95 / 24.8 * X + np.pi + 0.4)
-    assert_allclose(value, -2 * np.sin(2 * np.pi * 95 * X / 24.8 - 0.4), atol=1e-9)
-    bump = Term(4.0, 0, (Factor("bell", 9.5, -2.85),))
-    assert write_sum((bump,), "x", 95.0, "mm") == "4 exp(-((x - 28.5 mm) / 10 mm)^2)"
-    assert write_sum((Term(2.0, 0, (Factor("exp", -5.0, 0.0),)),), "s", 7.7, "m") == "2 exp(-s / 1.54 m)"
-    assert write_sum((Term(-2.0, 3), Term(1.0, 1)), "x", 95.0, "mm") == "-2 (x / 95 mm)^3 + 1 x / 95 mm"
-    step = Term(2.0, 0, (Factor("step", -50.0, 10.0),))
-    assert write_sum((step,), "x", 100.0, "mm") == "2 step((20 mm - x) / 2 mm)"
-
-
-def test_a_wave_over_position_gets_its_formula(trials):
-    right, words = trials.shape_trial("wave over position", 21)
-    assert right, words
-    assert words.startswith("residual [kN] = q * ")
-    assert "x is the position from mid-stroke" in words
-
-
-def test_a_wave_of_the_clock_gets_its_formula(trials):
-    right, words = trials.shape_trial("wave over time", 22)
-    assert right, words
-    assert "t is the time since the start of run" in words
+def test_a_wave_of_the_clock_is_a_sine_of_its_period(evidence):
+    line = Line(p_value=1e-6, run=2, period_s=40.4, amplitude_kN=5.0)
+    second = evidence.run == 2
+    found = formula_of(evidence, lambda t, **_: 5 * np.sin(2 * np.pi * t / 40.0) * second, line=line)
+    assert (found.coordinate, found.fitted.shape.name, found.fitted.mode) == ("time", "sine", "force")
+    assert found.fitted.shape is SINE_OF_PERIOD
+    assert found.scale == pytest.approx(40.0, rel=0.01)
+    assert f"sin(2 pi t / {found.scale:.3g} s" in found.text
+    assert "t is the time since the start of run 2" in found.text
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.9])
-def test_noise_gets_no_formula(trials, phi):
-    assert [trials.noise_trial(phi, seed) for seed in (31, 32, 33)] == ["none"] * 3
+def test_noise_gets_no_formula(evidence, phi):
+    found = [find_formula(evidence, noise(evidence, seed, phi), QUIET) for seed in SEEDS]
+    assert [formula.text for formula in found] == [None] * len(SEEDS)
+    assert all(formula.words.startswith("No formula: ") for formula in found)
 
 
-def test_a_shape_that_is_not_simple_gets_a_reason(trials):
-    """Eight bumps of random height and place come again in every cycle, but no formula of a few numbers holds them."""
+def test_every_shape_of_the_list_is_tried_here():
+    assert {case[0] for case in CASES.values()} | {CONSTANT.name} == {shape.name for shape in SHAPES}
+
+
+def test_a_shape_that_is_not_on_the_list_gets_a_reason(evidence):
+    """Eight bumps of random height and place come again in every cycle, but no curve of a few numbers holds them."""
     rng = np.random.default_rng(3)
-    places, heights = (
-        np.linspace(-80, 80, 8) + rng.uniform(-8, 8, 8),
-        rng.choice([-1.0, 1.0], 8) * rng.uniform(0.6, 1, 8),
-    )
-    shape = lambda h: (  # noqa: E731
-        0.1
-        * h.direction
-        * sum(a * np.exp(-(((h.position_mm - p) / 5) ** 2)) for a, p in zip(heights, places, strict=True))
-    )
-    evidence = trials._evidence(sys.modules["mismatch"].simulate({}, 23, shape=shape))
-    base = trials._fit(evidence)
-    formula = find_formula(evidence, base.residual_kN, 70.0, trials.strongest_line(evidence, base), quick=True)
-    assert formula.text is None
-    assert formula.words.startswith("No formula: none of a few numbers takes up more than")
-    assert formula.terms == ()
+    places = np.linspace(-80, 80, 8) + rng.uniform(-8, 8, 8)
+    heights = rng.choice([-1.0, 1.0], 8) * rng.uniform(5, 8, 8)
+    bumps = [lambda x, a=a, p=p: a * np.exp(-(((x - p) / 5) ** 2)) for a, p in zip(heights, places, strict=True)]
+    found = formula_of(evidence, lambda x, q, **_: q * sum(bump(x) for bump in bumps))
+    assert found.text is None
+    assert found.words.startswith("No formula: none of a few numbers takes up more than")
+
+
+def test_a_small_part_of_what_is_left_gets_no_formula(evidence):
+    """The wave comes again and its formula is right, but it explains too little of what the reader sees."""
+    wave = CASES["wave over position"][-1]
+    found = formula_of(evidence, lambda **c: wave(**c) / 4, phi=0.0)
+    assert found.text is None
+    assert "takes up only" in found.words
+    assert found.fitted.shape.name == "sine"
+
+
+def test_a_curve_that_follows_a_simple_one_closely_gets_the_simple_one(evidence):
+    """A decay much longer than the test is a straight line to anyone who reads it."""
+    found = formula_of(evidence, lambda s, **_: 60 * (np.exp(-s / 40) - 0.9), scatter=0.3)
+    assert found.fitted.shape.name == "line"
+
+
+@pytest.mark.parametrize(
+    ("shape", "text"),
+    [
+        (lambda x, q, **_: q * 3 * x / 95, "q * 3 x / 95 mm; "),
+        (lambda x, q, **_: q * (5 * (x / 95) ** 2 - 1), "q * (5 (x / 95 mm)^2 - 1); "),
+        (lambda x, **_: 4.0 * (x > 20) - 1, "4 step(x - 20"),
+        (lambda s, **_: 6 * np.exp(-s / 1.5), "6 exp(-s / 1.5 m); "),
+        (lambda s, **_: 2 + 6 * (1 - np.exp(-s / 1.5)), "6 (1 - exp(-s / 1.5 m)) + 2; "),
+        (
+            lambda x, q, **_: q * (3 * np.sin(2 * np.pi * x / 24.8 - 0.4) - 0.5),
+            "q * (3 sin(2 pi x / 24.8 mm - 0.4) - 0.5)",
+        ),
+    ],
+    ids=["line", "parabola", "step", "decay", "rise", "sine"],
+)
+def test_formulas_are_written_with_numbers_and_units(evidence, shape, text):
+    found = formula_of(evidence, shape, scatter=0.0)
+    assert found.text.startswith("residual [kN] = " + text)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.chains import ess_bulk, r_hat
+from shj_bayes.inference.convergence import ess_bulk, r_hat
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.hierarchy import fit_population, fit_quantity
 from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded
