@@ -30,7 +30,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
-from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -68,7 +67,6 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "device": {"rate_Hz": 5.0, "short": False, "broken": "", "max_steps": 10_000, "wobble_mm": 0.02},
     "margins": {"n_sets": 5, "n_devices": 2, "sd": 0.02},
 }
-NOISE_EDGES = (0.0, 0.1, 0.5, np.inf)
 LAW = ("K", "Fy", "beta", "gamma", "ratio")  # the others, of the noise, describe all that is left over
 
 
@@ -280,23 +278,6 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def by_noise(rows: Sequence[dict[str, Any]], wobble_mm: float) -> list[str]:
-    """Coverage of the 90 % intervals by what the displacement noise moves the force, in its white noise."""
-    good = [row for row in rows if "ranks" in row]
-    ratio = np.array([row["truth"]["K"] * wobble_mm / row["truth"]["sigma_white"] for row in good])
-    lines = [
-        "| K x displacement noise / sigma_white | devices | " + " | ".join(LAW) + " |",
-        "|---" * (2 + len(LAW)) + "|",
-    ]
-    for low, high in pairwise(NOISE_EDGES):
-        chosen = [row for row, r in zip(good, ratio, strict=True) if low <= r < high]
-        if chosen:
-            held = [np.mean([abs(row["below"][name] - 0.5) <= 0.45 for row in chosen]) for name in LAW]
-            words = f"{low:g} to {high:g}" if np.isfinite(high) else f"{low:g} and more"
-            lines.append(f"| {words} | {len(chosen)} | " + " | ".join(f"{100 * share:.0f} %" for share in held) + " |")
-    return lines
-
-
 def picture(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Rank histograms above, cumulative histograms minus the diagonal with their envelopes below."""
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -368,7 +349,6 @@ def page(rows: Sequence[dict[str, Any]], command: str, drawing: str, part: str, 
         "",
         remark,
         "",
-        *(["The 90 % intervals alone:", "", *by_noise(rows, wobble_mm), ""] if wobble_mm else []),
         f"![Rank histograms, and cumulative histograms with their 95 % envelopes]({drawing})",
         "",
         *(f"- draw {row['number']}: {row['error']}" for row in failed),

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 
 import numpy as np
 from devices import device, n_samples
@@ -26,8 +25,7 @@ from numpy_posterior import NumpyPosterior
 from samplers import N_LAW, SAMPLERS, Draws, reference
 from threadpoolctl import threadpool_limits
 
-from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.start import Start, find_start, polish
+from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.parameters import FloatArray
 
 LOST = (ImportError, RuntimeError, OSError)  # not installed, or not for this machine
@@ -50,17 +48,6 @@ def line(name: str, draws: Draws, seconds: tuple[float, float], mean: FloatArray
     )
 
 
-def timed(
-    work: Callable[[Posterior, NumpyPosterior, Start], Draws], first: Posterior, start: Start
-) -> tuple[Draws, tuple[float, float]]:
-    """Sample with a fresh count of evaluations; processor and wall time, s."""
-    posterior = NumpyPosterior(first)
-    begin = time.process_time(), time.perf_counter()
-    with threadpool_limits(1, user_api="blas"):
-        draws = work(first, posterior, start)
-    return draws, (time.process_time() - begin[0], time.perf_counter() - begin[1])
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -80,7 +67,10 @@ def main() -> None:
         print(f"{'':38s} processor     wall  evaluations      ESS  per draw  mean off by  sd from    to  right")
         for name in options.only:
             try:
-                draws, seconds = timed(SAMPLERS[name], first, start)
+                peer, begin = NumpyPosterior(first), (time.process_time(), time.perf_counter())
+                with threadpool_limits(1, user_api="blas"):
+                    draws = SAMPLERS[name](first, peer, start)
+                seconds = time.process_time() - begin[0], time.perf_counter() - begin[1]
             except LOST as error:
                 print(f"{name:38s} not run: {error}", flush=True)
                 continue

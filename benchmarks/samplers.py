@@ -191,8 +191,8 @@ def no_u_turn(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draw
     """NumPyro's NUTS on the law in JAX, whitened by the curvature at the top; compilation counts."""
     jax: Any = importlib.import_module("jax")
     infer: Any = importlib.import_module("numpyro.infer")
-    jax.config.update("jax_enable_x64", True)
     np_: Any = importlib.import_module("jax.numpy")
+    own: Any = importlib.import_module("nuts")
     root = np.linalg.cholesky(start.covariance)
     prior = first.model.laws_of_parameters
 
@@ -209,35 +209,23 @@ def no_u_turn(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draw
                 out.append(np_.exp(inner) if p.law == "loguniform" else inner)
         return out
 
-    def held(e: Any, capacity: Any, beta: Any) -> Any:
-        power = beta * np_.log(np_.maximum(np_.abs(e) / capacity, 1e-280))
-        return e * np_.exp(-np_.logaddexp(0.0, power) / beta)
-
     def potential(u: Any) -> Any:
         z = start.free + root @ u
         K, Fy, beta, gamma, ratio, white, slow, tau = natural(z)
         decay = np_.exp(-posterior.step_s / tau)
-
-        def filtered(before: Any, r: Any) -> Any:
-            state, variance = before
-            spread = variance + white**2
-            gain, new = variance / spread, r - state
-            after = decay**2 * variance * (1 - gain) + slow**2 * (1 - decay**2)
-            return (decay * (state + gain * new), after), 0.5 * (new**2 / spread + np_.log(spread))
-
         total = 0.0
         for number, (since, speed, measured, lengths, legs, _) in enumerate(posterior.runs):
             capacity = Fy * (ratio if number else 1.0)
 
             def turn(reset: Any, leg: Any, capacity: Any = capacity) -> Any:
-                after = held(K * leg + reset, capacity, beta)
+                after = own.saturated(K * leg + reset, capacity, beta)
                 return after, after
 
             _, later = jax.lax.scan(turn, 0.0, np_.asarray(legs))
             resets = np_.concatenate([np_.zeros(1), later])
             half = np.repeat(np.arange(lengths.size), lengths)
-            r = measured - held(K * since + resets[half], capacity, beta) * (1 + gamma * speed)
-            total += np_.sum(jax.lax.scan(filtered, (0.0, slow**2), r)[1])
+            r = measured - own.saturated(K * since + resets[half], capacity, beta) * (1 + gamma * speed)
+            total -= own.log_noise(r, white**2, slow**2, decay)
         total += 0.5 * np_.sum(z**2)
         return total
 
