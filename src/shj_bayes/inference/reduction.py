@@ -22,6 +22,7 @@ from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.reversals import NEAR, degree_for
 
 IntArray = NDArray[np.int64]
 Force = Callable[[History, float], FloatArray]
@@ -31,9 +32,9 @@ PER_BEND = 24.0  # blocks at least that the bends of a typical half-cycle are di
 FIRST_LOOK = 400.0  # blocks to a stroke where the bend is not known yet
 FINEST = 2000.0  # points to a stroke at which the bend is looked for
 SAME = 64.0  # spacings that differ by less than 1/64 in the binary logarithm count as equal
-# Variance of a quartic's value in the middle of n points, times n (Savitzky and Golay 1964): reversals are placed so.
-QUARTIC = 225.0 / 64.0
-NEAR_TURN = 0.125  # of the shorter neighbouring stroke: the points of that quartic
+# Variance of a polynomial's value in the middle of n points, times n, by its degree (Savitzky and Golay 1964):
+# reversals are placed so.
+OF_DEGREE = {4: 225.0 / 64.0, 6: 1225.0 / 256.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,16 +209,17 @@ def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half:
 
 
 def _turning_noise(run: Run) -> FloatArray:
-    """Give the standard deviation of each turning point's error, mm: of a quartic through the samples near it."""
+    """Give the standard deviation of each turning point's error, mm: of a polynomial through the samples near it."""
     motion = run.motion
     x, edges = motion.displacement_mm, motion.start
     ends = np.append(motion.turning_mm[1:], x[-1])
     stroke = np.abs(ends - motion.turning_mm)
     out = np.zeros(motion.n_half)
     for k in range(1, motion.n_half):
-        reach = NEAR_TURN * min(stroke[k - 1], stroke[k])
+        reach = NEAR * min(stroke[k - 1], stroke[k])
         near = np.abs(x[edges[k - 1] : edges[k + 1]] - motion.turning_mm[k]) <= reach
-        out[k] = motion.noise_mm * min(1.0, float(np.sqrt(QUARTIC / max(int(np.count_nonzero(near)), 1))))
+        n = max(int(np.count_nonzero(near)), 1)
+        out[k] = motion.noise_mm * min(1.0, float(np.sqrt(OF_DEGREE[degree_for(n)] / n)))
     return out
 
 

@@ -127,7 +127,7 @@ class Prior:
         return (np.log(self.a), np.log(self.b)) if self.law == "loguniform" else (self.a, self.b)
 
 
-TAU_SLOW = Prior("tau_slow", "s", "lognormal", 2.0, 1.5, "As in the shipped families, where a file holds none.")
+TAU_SLOW = Prior("tau_slow", "s", "lognormal", 3.0, 1.0, "As in the shipped families, where a file holds none.")
 
 
 @dataclass(frozen=True)

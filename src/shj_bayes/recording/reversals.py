@@ -7,8 +7,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from shj_bayes.recording.recording import FloatArray
 
-_NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans: a sine within 0.71 rad of its peak
+NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans: a sine within 0.71 rad of its peak
 _MIN_POINTS = 9
+_MANY_POINTS = 100
 _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
 _AT_REST = 5.0  # standard deviations of a sample from the level of a rest
 _MOST = 0.5  # share of the samples near an extreme that stand still when it is a rest
@@ -121,7 +122,7 @@ def place(
 
 def _neighbourhood(smoothed: FloatArray, before: int, index: int, after: int) -> tuple[int, int]:
     """Find the samples on both sides of an extreme that lie within a share of the shorter stroke of it."""
-    reach = _NEAR * min(abs(smoothed[index] - smoothed[before]), abs(smoothed[index] - smoothed[after]))
+    reach = NEAR * min(abs(smoothed[index] - smoothed[before]), abs(smoothed[index] - smoothed[after]))
     left = np.flatnonzero(np.abs(smoothed[before : index + 1] - smoothed[index]) > reach)
     right = np.flatnonzero(np.abs(smoothed[index : after + 1] - smoothed[index]) > reach)
     lo = before + int(left[-1]) + 1 if left.size else before
@@ -129,27 +130,38 @@ def _neighbourhood(smoothed: FloatArray, before: int, index: int, after: int) ->
     return lo, max(hi, index)
 
 
+def degree_for(n: int) -> int:
+    """Degree of the polynomial through n samples around a reversal: what a quartic misses of a sine shows in many."""
+    return 4 if n < _MANY_POINTS else 6
+
+
 def _quartic(
     time_s: FloatArray, raw: FloatArray, lo: int, hi: int, noise: float, peak: bool
 ) -> tuple[float, float] | None:
-    """Extreme of a quartic through the samples lo..hi; None when it does not describe them."""
+    """Extreme of a quartic (of degree six, where there are many) through samples lo..hi; None when it does not fit."""
     if hi - lo + 1 < _MIN_POINTS:
         return None
-    stride = max(1, (hi - lo + 1) // _MAX_POINTS)
-    t, x = time_s[lo : hi + 1 : stride], raw[lo : hi + 1 : stride]
+    together = max(1, (hi - lo + 1) // _MAX_POINTS)  # means of neighbours: a few hundred points hold all samples
+    whole = slice(lo, lo + (hi - lo + 1) // together * together)
+    t, x = (values[whole].reshape(-1, together).mean(axis=1) for values in (time_s, raw))
     middle, span = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
     u = (t - middle) / span
-    matrix = np.vander(u, 5)
+    matrix = np.vander(u, 1 + degree_for(hi - lo + 1))
     coefficients = np.linalg.lstsq(matrix, x, rcond=None)[0]
-    residual = float(np.sqrt(np.sum((x - matrix @ coefficients) ** 2) / (x.size - 5)))
-    if residual > _POOR * noise + 1e-3 * float(np.ptp(x)):
+    residual = float(np.sqrt(np.sum((x - matrix @ coefficients) ** 2) / (x.size - matrix.shape[1])))
+    if residual > _POOR * noise / np.sqrt(together) + 1e-3 * float(np.ptp(x)):
         return None
     fine = np.linspace(-1.0, 1.0, 401)
     curve = np.polyval(coefficients, fine)
     best = int(np.argmax(curve) if peak else np.argmin(curve))
     if best in (0, fine.size - 1):
         return None
-    return float(middle + span * fine[best]), float(curve[best])
+    slope, bend = np.polyder(coefficients), np.polyder(coefficients, 2)
+    top = fine[best]
+    for _ in range(3):  # at 1 kHz the grid is twenty samples wide, and a sample on the wrong side is off by the jump
+        step = np.polyval(slope, top) / np.polyval(bend, top)
+        top = np.clip(top - step, fine[best - 1], fine[best + 1]) if np.isfinite(step) else top
+    return float(middle + span * top), float(np.polyval(coefficients, top))
 
 
 def _rest(
