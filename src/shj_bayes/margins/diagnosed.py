@@ -1,10 +1,11 @@
 """What the diagnoses of a campaign's devices change: populations with the physics that was found, beside the law alone.
 
 A diagnosis belongs to a device when its ``diagnosis.json`` lies in the device's results folder or in ``diagnosis``
-below it, and names the same recordings (by SHA-256). ``named``: the parameters of the augmented model replace
-those of the law. ``family`` and ``unknown``: both stay possible, and each margin is the less favourable of the two. The
-error of a wrong model is the same for every device of a rig, so the two populations are fitted whole; treating it as
-one more measurement error of each device would let it average out.
+below it, and names the same recordings (by SHA-256). Two populations are fitted, one with the parameters that each
+device has with what was found, one with those of the law alone, and each margin is the less favourable of the two:
+parameters taken one by one do not hold what an effect does to the force, so finding more must not make a margin less
+safe. The error of a wrong model is the same for every device of a rig; treating it as one more measurement error of
+each device would let it average out.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from shj_bayes.population.quantities import QUANTITIES
 
 PLACES = ("diagnosis.json", "diagnosis/diagnosis.json")
 OPEN = ("family", "unknown")
+LAW_ALONE = "with the law alone"
 Key = tuple[str, str]
 
 
@@ -37,14 +39,15 @@ class Diagnosed:
         adequate, named, family or unknown.
     found : tuple of str
         What was left out, in words; for a family its members.
-    after : mapping of str to (mean, sd)
-        Parameters of the augmented model, natural units.
+    before, after : mapping of str to (mean, sd)
+        Parameters of the law alone and of the augmented model, natural units.
     quick : bool
         True for a first look without sampling.
     """
 
     verdict: str
     found: tuple[str, ...]
+    before: Mapping[str, tuple[float, float]]
     after: Mapping[str, tuple[float, float]]
     quick: bool = False
 
@@ -84,21 +87,26 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
 def _diagnosed(record: Mapping[str, Any]) -> Diagnosed:
     titles = [str(e.get("title", e["id"])) for e in record["effects"]]
     family = [str(e["id"]) for e in record["family"]]
-    after = {
-        q: (float(values["after"]["mean"]), float(values["after"]["sd"]))
-        for q, values in record["shift"].items()
-        if q in QUANTITIES
-    }
+    before, after = (
+        {
+            q: (float(values[stage]["mean"]), float(values[stage]["sd"]))
+            for q, values in record["shift"].items()
+            if q in QUANTITIES
+        }
+        for stage in ("before", "after")
+    )
     verdict = str(record["verdict"])
     if verdict not in ("adequate", "named", *OPEN):
         raise ValueError(f"verdict {verdict!r}")
-    return Diagnosed(verdict, tuple(family if verdict == "family" else titles), after, bool(record.get("quick")))
+    return Diagnosed(
+        verdict, tuple(family if verdict == "family" else titles), before, after, bool(record.get("quick"))
+    )
 
 
-def with_found_physics(device: DeviceEstimate, diagnosis: Diagnosed) -> DeviceEstimate:
-    """Device with the parameters of the augmented model, where the diagnosis gives them."""
+def stated(device: DeviceEstimate, values: Mapping[str, tuple[float, float]]) -> DeviceEstimate:
+    """Device with the parameters (mean, sd) that a diagnosis gives, where it gives them."""
     known = dict(device.measurements)
-    for q, (mean, sd) in diagnosis.after.items():
+    for q, (mean, sd) in values.items():
         if q in known and sd > 0 and (mean > 0 or not QUANTITIES[q].logarithmic):
             known[q] = Stated(mean, sd)
     return replace(device, measurements=known)
@@ -111,7 +119,7 @@ class Cases:
     Parameters
     ----------
     devices : tuple of (label, devices)
-        None, one, or two where a diagnosis leaves the physics open.
+        With what was found, and with the law alone; none where no diagnosis changes anything.
     words : tuple of str
         What was found, device by device, and what could not be used.
     """
@@ -126,7 +134,7 @@ def cases(devices: Iterable[DeviceEstimate], found: Mapping[Key, Diagnosed], not
     Parameters
     ----------
     devices : iterable of DeviceEstimate
-        As fitted with the law alone.
+        As fitted.
     found : mapping of (set, device) to Diagnosed
         Per device.
     notes : iterable of str
@@ -142,11 +150,12 @@ def cases(devices: Iterable[DeviceEstimate], found: Mapping[Key, Diagnosed], not
     if not changed:
         return Cases((), notes)
     words = [_words(f"{key[0]}, {key[1]}", d) for key, d in changed.items()]
-    out = [("with the physics found", tuple(_taken(d, changed.get((d.set_name, d.name))) for d in devices))]
-    if any(d.verdict in OPEN for d in changed.values()):
-        named = {key: d for key, d in changed.items() if d.verdict == "named"}
-        out.append(("with what was named only", tuple(_taken(d, named.get((d.set_name, d.name))) for d in devices)))
-    return Cases(tuple(out), (*words, *notes))
+
+    def at(stage: str) -> tuple[DeviceEstimate, ...]:
+        known = ((d, changed.get((d.set_name, d.name))) for d in devices)
+        return tuple(device if found is None else stated(device, getattr(found, stage)) for device, found in known)
+
+    return Cases((("with the physics found", at("after")), (LAW_ALONE, at("before"))), (*words, *notes))
 
 
 def _how_many(diagnosed: int, devices: int) -> str:
@@ -157,15 +166,11 @@ def _how_many(diagnosed: int, devices: int) -> str:
     return f"{diagnosed} of {devices} devices have a diagnosis; the others rest on the law as published."
 
 
-def _taken(device: DeviceEstimate, diagnosis: Diagnosed | None) -> DeviceEstimate:
-    return device if diagnosis is None else with_found_physics(device, diagnosis)
-
-
 def _words(name: str, diagnosis: Diagnosed) -> str:
     what = ", ".join(diagnosis.found) or "something without a name"
     tail = " (first look, not sampled)" if diagnosis.quick else ""
     return {
-        "named": f"{name}: {what}; margins use the model with it{tail}",
+        "named": f"{name}: {what}; margins are the less favourable with and without it{tail}",
         "family": f"{name}: one of {what}, not told apart; margins are the less favourable with and without{tail}",
     }.get(
         diagnosis.verdict,

@@ -14,6 +14,7 @@ from shj_bayes.margins.agreement import agreement
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.delivered import FirstCycles
+from shj_bayes.margins.diagnosed import LAW_ALONE
 from shj_bayes.margins.outermost import newcomers
 from shj_bayes.margins.pair import NONE
 from shj_bayes.margins.parts import Parts, parts_of
@@ -117,7 +118,8 @@ def margins(
     models = {PUBLISHED_LAW: published}
     if diagnosed:
         models = {name: tuple(_rows(other, motion, request, cycles)) for name, other in diagnosed.items()}
-    rows = _outermost(list(models.values()), published) if diagnosed else published
+    alone = models.get(LAW_ALONE, published)
+    rows = _outermost(list(models.values()), alone) if diagnosed else published
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
     spoken = (*result.set_names, ANY_SET) if sets_suffice(len(result.sets)) else result.set_names
     compared = agreement([row for row in rows if row.set_name in spoken])
@@ -194,7 +196,7 @@ def _outermost(models: Sequence[tuple[Margin, ...]], published: tuple[Margin, ..
         note = chosen.note
         if len(values) > 1 and values[0] != values[1]:
             listed = " or ".join(f"{v:.4g}" for v in values)
-            note = "; ".join(filter(None, (note, f"the physics is open: {listed}")))
+            note = "; ".join(filter(None, (note, f"the less favourable of {listed}")))
         out.append(replace(chosen, note=note, without_diagnosis=alone.get(row.key, math.nan)))
     return tuple(out)
 

@@ -225,3 +225,12 @@ def test_motion_where_the_speed_changes_within_a_half_cycle(rate_Hz: float) -> N
     limit = 0.15 if rate_Hz == 5.0 else 0.08  # nine samples in a fast half-cycle at 5 Hz
     assert np.abs(motion.displacement_mm - x).max() < limit
     assert np.abs(motion.turning_mm[1:] - turning).max() < limit
+
+
+@pytest.mark.parametrize("rate_Hz", [20.0, 1000.0])
+def test_turning_times_are_right_to_a_sample(rate_Hz: float) -> None:
+    """At 1 kHz a cycle of a minute has a thousand samples near its reversal; one on the wrong side is off by kN."""
+    time_s, exact = exact_motion((Block(95.0, 0.017, 1),), rate_Hz)
+    found = motion_of(Recording(time_s, exact.displacement_mm, np.sign(exact.displacement_mm)))
+    assert np.abs(found.start - exact.start).max() <= 1
+    assert np.abs(found.turning_mm - exact.turning_mm).max() < 2e-4
