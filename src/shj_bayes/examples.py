@@ -8,7 +8,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "fit": (
         "shj-bayes fit run1.csv run2.csv -o results",
-        "shj-bayes fit test.txt -o results --columns time=1,displacement=5,force=7 --units ms,mm,N",
+        "shj-bayes fit test.txt -o other --columns time=1,displacement=5,force=7 --units ms,mm,N",
         "shj-bayes fit run1.csv run2.csv -o freed --free K,gamma --priors general",
     ),
     "diagnose": (

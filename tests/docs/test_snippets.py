@@ -150,6 +150,7 @@ def test_python_runs(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     mpl.use("Agg")
     if not (desk / "results" / "posterior.nc").exists():
         run("fit run1.csv run2.csv -o results")
+    run("fit run1.csv run2.csv -o with-slack --effects slack --max-steps 200")  # a page compares the two
     if not (desk / "tables").exists():
         assert run("tables -o tables") is None
     for page, body in snippets("python"):

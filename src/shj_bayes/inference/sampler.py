@@ -78,7 +78,7 @@ def moves(proposal: Proposal) -> list[tuple[emcee.moves.Move, float]]:
     jump the whole difference, which lets walkers change between peaks.
     emcee 3.1.6's ``DESnookerMove`` is not used: it gives posteriors that are too narrow (``tests/statistical``).
     """
-    share = float(np.clip(3.0 * proposal.efficiency, 0.1, 0.9))
+    share = float(np.clip(1.2 * proposal.efficiency, 0.1, 0.9))
     rest = 1.0 - share
     return [
         (emcee.moves.MHMove(proposal.move), share),
