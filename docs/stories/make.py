@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from shj_bayes.inference.problem import Run
 
+from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.proof.cases import Key, stated_key
 from shj_bayes.proof.make import make
 from shj_bayes.proof.run import write_recordings
 from shj_bayes.proof.score import heldout
-from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.report.figures.canvas import BLUE, GREY, INK, RED, label, tidy
 
@@ -93,9 +93,8 @@ def rediscovery() -> str:
 def damper(folder: Path) -> str:
     """Diagnose the measured band-brake damper, with the free travel in the catalogue and without it."""
     recording = read(folder / DAMPER)
-    runs = [Run(recording, motion_of(recording))]
-    priors = read_priors("general")
-    full, blind = (diagnose(runs, priors, without=without, quick=True) for without in ((), ("slack",)))
+    device = DeviceModel(1, read_priors("general"))
+    full, blind = (diagnose(runs_of([recording]), device, without=hidden, quick=True) for hidden in ((), ("slack",)))
     draw(full, HERE / "damper.png", "slip_mm", "slip since the last reversal (mm)", recorded=False)
     found, hidden = full.record, blind.record
     size = next((e["parameters"]["size"] for e in found["effects"] if e["id"] == "slack"), None)
@@ -117,8 +116,8 @@ def diagnosed(key: Key, without: tuple[str, ...] = ()) -> Diagnosis:
     """Write the recordings, read them like anybody's, and diagnose."""
     with tempfile.TemporaryDirectory() as folder:
         recordings = [read(path) for path in write_recordings(key, Path(folder))]
-    runs = [Run(recording, motion_of(recording)) for recording in recordings]
-    return diagnose(runs, read_priors("afc"), variant="continuous", without=without, quick=True)
+    device = DeviceModel(len(recordings), read_priors("afc"), variant="continuous")
+    return diagnose(runs_of(recordings), device, without=without, quick=True)
 
 
 def column(key: Key, record: dict[str, Any]) -> dict[str, str]:

@@ -5,10 +5,12 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from page_tools import Page, check_safe
 
 from shj_bayes.errors import ShjError
+from shj_bayes.report.data import read_device
 from shj_bayes.report.device import render_device
 from shj_bayes.report.words import rounded
 
@@ -88,3 +90,12 @@ def test_pyplot_keeps_no_figures(page: Page) -> None:
     assert page.raw
     pyplot = sys.modules.get("matplotlib.pyplot")
     assert pyplot is None or pyplot.get_fignums() == []
+
+
+def test_loss_between_runs_has_its_travel_beside_it(fitted: Path) -> None:
+    """A ratio belongs to the travel between the runs; per metre it can be compared between protocols."""
+    device = read_device(fitted)
+    travel = device.runs[0].travel_m
+    x = device.runs[0].displacement_mm
+    assert travel == pytest.approx(np.abs(np.diff(x)).sum() / 1000, rel=0.02)
+    assert f"after {travel:.3g} m of travel in the first" in " ".join(Page(render_device(fitted)).text.split())

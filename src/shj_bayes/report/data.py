@@ -57,6 +57,12 @@ class RunData:
         return np.concatenate([[0], self.reversals]).astype(np.int64)
 
     @property
+    def travel_m(self) -> float:
+        """Distance moved in the run, from turning point to turning point, m."""
+        turns = np.append(self.displacement_mm[self.starts], self.displacement_mm[-1])
+        return float(np.abs(np.diff(turns)).sum()) / 1000.0
+
+    @property
     def direction(self) -> IntArray:
         """+1 where displacement grows within the half-cycle of a sample (push), -1 where it falls; shape (n,)."""
         ends = np.concatenate([self.reversals, [self.time_s.size]]) - 1

@@ -130,7 +130,11 @@ def cards(device: DeviceData, peak_mm_s: float, one_speed: bool) -> list[dict[st
             note += " One peak speed only: this may be place, not speed; see Parameters." if one_speed else ""
         if name == "ratio":
             low, high = sorted((100 * (1 - row["q05"]), 100 * (1 - row["q95"])))
-            note = f"The second run lost {low:.1f} to {high:.1f} % of the sliding force."
+            metres = device.runs[0].travel_m
+            note = (
+                f"The second run lost {low:.1f} to {high:.1f} % of the sliding force, after {metres:.3g} m of travel "
+                f"in the first: {low / metres:.2g} to {high / metres:.2g} % per metre."
+            )
         out.append(
             {
                 "name": name,
