@@ -144,6 +144,9 @@ def test_commands_run(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(lines) > 20
 
 
+# ArviZ's own, of newer pandas; and what it says of a short fit with slack, which a page compares with the law alone.
+@pytest.mark.filterwarnings("ignore:The inplace keyword in DataFrame.sort_values")
+@pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto distribution")
 def test_python_runs(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     import matplotlib as mpl  # noqa: PLC0415
 
