@@ -354,7 +354,7 @@ def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = Fal
 
 
 def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
-    """Read a finished result; of a folder that holds a diagnosis, the diagnosis, whose ``fit`` is beside it.
+    """Read a finished result; of a folder that holds both a fit and a diagnosis, the fit.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
         If it holds no result, or one that is damaged.
     """
     place = Path(folder)
-    if (place / "fit.json").is_file() and not (place / "diagnosis.json").is_file():
+    if (place / "fit.json").is_file():
         return FitResult(place, read_record(place))
     if (place / "diagnosis.json").is_file():
         return Diagnosis(place, diagnosis_record(place))
