@@ -41,8 +41,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from tqdm import tqdm
 
+from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
-from shj_bayes.files import write_text
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import runs_of

@@ -24,7 +24,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from shj_bayes.inference.store import check_files, read_posterior, read_record
+from shj_bayes.inference.record import check_files, read_record
+from shj_bayes.inference.store import read_posterior
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv

@@ -2,11 +2,10 @@
 
 ``python benchmarks/mismatch.py null -n 20`` and ``python benchmarks/mismatch.py names -n 3`` print the tables of
 docs/decisions/0005-mismatch.md; ``outside`` tries effects that are not in the catalogue, ``pairs`` two at once,
-``formula`` looks for the formula of what the catalogue lacks, ``tables`` rediscovers the paper's devices without speed
-dependence in the law, ``flagship`` gives it prying that looks like speed dependence, and the converse. The
-trials simulate with the catalogue's own formulas on the paper's Table 1 (5 Hz, AR(1) noise of 1 kN, displacement noise
-0.02 mm) and use development seeds: they set thresholds and prove nothing. The proof, with other simulators and sealed
-keys, is a command of its own.
+``tables`` rediscovers the paper's devices without speed dependence in the law, ``flagship`` gives it prying that looks
+like speed dependence, and the converse. The trials simulate with the catalogue's own formulas on the paper's Table 1
+(5 Hz, AR(1) noise of 1 kN, displacement noise 0.02 mm) and use development seeds: they set thresholds and prove
+nothing. The proof, with other simulators and sealed keys, is a command of its own.
 """
 
 from __future__ import annotations
@@ -75,13 +74,13 @@ OUTSIDE: dict[str, Shape] = {
 def main() -> None:
     """Run one table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("table", choices=["null", "names", "pairs", "outside", "formula", "tables", "flagship"])
+    parser.add_argument("table", choices=["null", "names", "pairs", "outside", "tables", "flagship"])
     parser.add_argument("-n", type=int, default=3, help="trials for each line")
     parser.add_argument("--seed", type=int, default=1000, help="first development seed")
     parser.add_argument("--workers", type=int, default=2, help="processes at a time")
     parser.add_argument("--only", help="one line of the table")
     arguments = parser.parse_args()
-    if arguments.table in ("formula", "tables", "flagship"):
+    if arguments.table in ("tables", "flagship"):
         return _others(arguments)
     lines: dict[str, Callable[[int], str]]
     if arguments.table == "null":
@@ -102,14 +101,11 @@ def main() -> None:
 
 
 def _others(arguments: argparse.Namespace) -> None:
-    """Run one of the tables that stand in files of their own."""
-    import mismatch_formula  # noqa: PLC0415  (they import this file)
-    import mismatch_paper  # noqa: PLC0415
+    """Run one of the tables that stand in a file of their own."""
+    import mismatch_paper  # noqa: PLC0415  (it imports this file)
 
     with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
-        if arguments.table == "formula":
-            mismatch_formula.formulas(pool, arguments.n, arguments.seed, arguments.only)
-        elif arguments.table == "tables":
+        if arguments.table == "tables":
             mismatch_paper.tables(pool, arguments.seed, arguments.only)
         else:
             mismatch_paper.flagship(pool, arguments.n, arguments.seed, arguments.only)
@@ -197,8 +193,9 @@ def _verdict(recordings: list[Recording], truth: tuple[str, ...]) -> str:
     found = {effect["id"] for effect in record["effects"]}
     members = {member["id"] for member in record["family"]}
     if not truth:
-        words = f" ({', '.join(sorted(found))})" if record["verdict"] in ("named", "family") else ""
-        return f"{record['verdict']}{words}"
+        over = sorted({row["coordinate"] for row in record["coordinates"] if row["probability"] > 0.5})
+        words = sorted(found) if record["verdict"] in ("named", "family") else [f"over {name}" for name in over]
+        return f"{record['verdict']} ({', '.join(words)})" if words else str(record["verdict"])
     if record["verdict"] == "named" and found == set(truth):
         return "right name"
     if record["verdict"] == "family" and set(truth) <= found | members:

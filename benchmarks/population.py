@@ -163,7 +163,7 @@ def compare(n_repeats: int = 10, n_sets: int = 3, n_devices: int = 3, seed: int 
 # -- coverage ---------------------------------------------------------------------------------------------------------
 
 PROOF_SEED = 20261121
-"""Not looked at before the prior of the spread was settled; development used others (decision 0006)."""
+"""Not looked at before the prior of the spread was settled; development used others (decision 0004)."""
 TRUTHS = {
     "typical (spread 0.2, unequal 0.5)": (0.2, 0.5),
     "tight (spread 0.05, equal)": (0.05, 0.0),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from shj_bayes.elsewhere import import_elsewhere
+from shj_bayes._util.import_safety import import_elsewhere
 
 if TYPE_CHECKING:
     from shj_bayes.api import Campaign, CampaignResult, Diagnosis, FitResult, diagnose, fit, load, tables

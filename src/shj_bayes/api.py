@@ -9,8 +9,8 @@ from __future__ import annotations
 import shutil
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, fields
+from functools import cached_property, partial
 from html import escape
 from pathlib import Path
 from tempfile import mkdtemp
@@ -18,17 +18,21 @@ from typing import Any
 
 import pandas as pd
 
+from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.campaign import Manifest, read_manifest, run_campaign
-from shj_bayes.errors import ReportError
+from shj_bayes.comparison import compare_sets
+from shj_bayes.errors import ModelError, ReportError
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.store import check_files, read_record
+from shj_bayes.inference.record import check_files, read_record
 from shj_bayes.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.population.results import population_record
+from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.diagnosis_data import diagnosis_record
-from shj_bayes.summary import compare_sets, summarise_campaign, summarise_tables
+from shj_bayes.report.diagnosis_words import sentences
+from shj_bayes.summary import summarise_campaign, summarise_tables
 
 
 class _Held:
@@ -42,7 +46,8 @@ class _Held:
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
 
 
-Recordings = str | Path | Recording | Sequence[str | Path | Recording]
+OneRecording = str | Path | Recording | pd.DataFrame
+Recordings = OneRecording | Sequence[OneRecording]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +162,7 @@ class Diagnosis(_Result):
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def _repr_html_(self) -> str:
-        words = " ".join(str(line) for line in self.record["words"])
+        words = " ".join(sentences(self.record))
         table = self.shift.to_html(float_format="{:.5g}".format)
         return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b>. {escape(words)}</p>{table}"
 
@@ -262,8 +267,8 @@ def fit(
 
     Parameters
     ----------
-    recordings : path or Recording, or a sequence of them
-        Consecutive runs of one device, in the order they were made.
+    recordings : path, Recording or DataFrame, or a sequence of them
+        Consecutive runs of one device, in the order they were made; a data frame has one row for each sample.
     out : str or Path, optional
         Folder for the results; an unchanged finished fit there is kept, an unfinished one gone on with.
     name : str, optional
@@ -288,8 +293,10 @@ def fit(
         If a recording cannot be used or an option is not known.
     """
     folder, held = _place(out)
-    shared = Options(**options)
-    result = fit_device(_listed(recordings), folder, shared, name=name, progress=progress, threads=threads, force=force)
+    shared = _options(options)
+    result = fit_device(
+        _listed(recordings, shared), folder, shared, name=name, progress=progress, threads=threads, force=force
+    )
     return FitResult(folder, result.record, held)
 
 
@@ -326,9 +333,9 @@ def diagnose(
         If a recording cannot be used or an effect is not known.
     """
     folder, held = _place(out)
-    shared = Options(**options)
+    shared = _options(options)
     result = diagnose_device(
-        _listed(recordings),
+        _listed(recordings, shared),
         folder,
         shared,
         without=without,
@@ -382,10 +389,27 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 
-def _listed(recordings: Recordings) -> list[Path | Recording]:
-    """One recording or several, as a list."""
-    given = [recordings] if isinstance(recordings, str | Path | Recording) else recordings
-    return [Path(item) if isinstance(item, str) else item for item in given]
+def _listed(recordings: Recordings, options: Options) -> list[Path | Recording]:
+    """One recording or several, as a list; data frames are read with the options on columns and units."""
+    given = [recordings] if isinstance(recordings, str | Path | Recording | pd.DataFrame) else recordings
+    how = partial(read_frame, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
+    return [
+        Path(item)
+        if isinstance(item, str)
+        else how(item, f"data frame {number}")
+        if isinstance(item, pd.DataFrame)
+        else item
+        for number, item in enumerate(given, start=1)
+    ]
+
+
+def _options(given: dict[str, Any]) -> Options:
+    """Options of a fit by name; one that there is not is told with the nearest that there is."""
+    known = [field.name for field in fields(Options)]
+    for name in given:
+        if name not in known:
+            raise ModelError(f"'{name}' is not an option; known are {', '.join(known)}{did_you_mean(name, known)}")
+    return Options(**given)
 
 
 def _place(out: str | Path | None) -> tuple[Path, _Held | None]:

@@ -7,24 +7,26 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from shj_bayes.alone import alone_in
-from shj_bayes.cluster import results_on
+from shj_bayes._util.child_processes import Workers
+from shj_bayes._util.dask_cluster import results_on
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.files import folder_name, make_writable, plain_name, read_toml, sealed, toml_line, write_text
+from shj_bayes._util.lock import alone_in
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
-from shj_bayes.files import folder_name, make_writable, plain_name, read_toml, sealed, toml_line, write_text
+from shj_bayes.finished import DeviceResult, kept_result
 from shj_bayes.mistaken import repeated
 from shj_bayes.model.priors import read_priors
-from shj_bayes.pipeline import DeviceResult, Options, fit_device
+from shj_bayes.pipeline import Options, fit_device
 from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.processes import Workers
 from shj_bayes.report.device import is_simulated
-from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
@@ -194,12 +196,14 @@ def run_campaign(
     make_writable(folder)
     outcomes: dict[str, Outcome] = {}
     bar = tqdm(total=len(manifest.devices), unit="device", desc="devices", disable=None if progress else True)
+    kept = {device.folder: result for device in manifest.devices if (result := _kept(device, folder))}
+    waiting = [device for device in manifest.devices if device.folder not in kept]
     if cluster:
-        coming = _fit_on_cluster(manifest, folder, cluster, bar.set_postfix_str)
+        coming = _fit_on_cluster(waiting, folder, cluster, bar.set_postfix_str)
     else:
-        coming = _fit_all(manifest, folder, workers or os.cpu_count() or 1)
+        coming = _fit_all(waiting, folder, workers or os.cpu_count() or 1)
     with bar:
-        for outcome in coming:
+        for outcome in chain(kept.values(), coming):
             outcomes[outcome.device.folder] = outcome
             bar.update()
     ordered = [outcomes[device.folder] for device in manifest.devices]
@@ -207,9 +211,15 @@ def run_campaign(
     return ordered
 
 
-def _fit_all(manifest: Manifest, folder: Path, workers: int) -> Iterator[Outcome]:
+def _kept(device: Device, folder: Path) -> Outcome | None:
+    """Outcome of a device that was fitted earlier and has not changed: no process is started for it."""
+    result = kept_result(device.recordings, folder / device.folder, asdict(device.options), device.name)
+    return None if result is None else _outcome(device, result)
+
+
+def _fit_all(devices: Sequence[Device], folder: Path, workers: int) -> Iterator[Outcome]:
     """Outcomes as they come; a pool whose worker died is replaced and its devices are tried once more."""
-    waiting = list(manifest.devices)
+    waiting = list(devices)
     tries: dict[str, int] = {}
     while waiting:
         pool = Workers(min(workers, len(waiting)))
@@ -236,14 +246,20 @@ def _fit_all(manifest: Manifest, folder: Path, workers: int) -> Iterator[Outcome
                             waiting.append(device)
                         else:
                             yield Outcome(device, "failed", "the process that fitted it died twice (memory, or killed)")
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        except BaseException:
+            pool.stop()
+            raise
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _fit_on_cluster(manifest: Manifest, folder: Path, address: str, tell: Callable[[str], None]) -> Iterator[Outcome]:
+def _fit_on_cluster(
+    devices: Sequence[Device], folder: Path, address: str, tell: Callable[[str], None]
+) -> Iterator[Outcome]:
     """Outcomes as a dask cluster finishes them; it hands the devices of a lost worker to another."""
-    there = {d.folder: d for d in manifest.devices}  # an outcome speaks of the device as the manifest names it
-    sent = [_with_whole_paths(device) for device in manifest.devices]
+    if not devices:
+        return
+    there = {d.folder: d for d in devices}  # an outcome speaks of the device as the manifest names it
+    sent = [_with_whole_paths(device) for device in devices]
     fit_there = partial(_fit_one, folder=folder.absolute())
     for device, outcome, reason in results_on(address, folder.absolute(), fit_there, sent, tell=tell):
         mine = there[device.folder]
@@ -274,6 +290,11 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
         return Outcome(device, "failed", "not enough memory; use fewer --workers, or export fewer samples")
     except Exception as error:  # one bad device must not stop a thousand good ones; the type says it is a bug
         return Outcome(device, "failed", plain_text(f"unexpected {type(error).__name__}: {error}"))
+    return _outcome(device, result)
+
+
+def _outcome(device: Device, result: DeviceResult) -> Outcome:
+    """Outcome of a device that has a result."""
     inputs = result.record["inputs"]
     return Outcome(
         device,

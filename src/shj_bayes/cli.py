@@ -8,21 +8,19 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 import shj_bayes
+from shj_bayes._util.child_processes import quiet_libraries
+from shj_bayes._util.files import make_writable, need_files, need_population
 from shj_bayes.errors import CampaignError, RecordingError, ShjError
 from shj_bayes.examples import EXAMPLES
-from shj_bayes.files import make_writable, need_files, need_population
-from shj_bayes.processes import quiet_libraries
-
-if TYPE_CHECKING:
-    from shj_bayes.pipeline import Options
 
 Command = Callable[..., Any]
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
+RESUMING = {"fit", "campaign", "demo"}  # go on where they were stopped
 NAMED = 5  # failed devices that one line names
 
 
@@ -50,7 +48,8 @@ class _Group(click.Group):
             reason = error.strerror or str(error)
             click.echo(f"shj-bayes: {reason}{where}; check the path, the rights and the free space", err=True)
         except KeyboardInterrupt:
-            click.echo("shj-bayes: stopped; the same command again goes on from the last checkpoint", err=True)
+            again = "goes on from the last checkpoint" if ctx.invoked_subcommand in RESUMING else "begins anew"
+            click.echo(f"shj-bayes: stopped; the same command again {again}", err=True)
         ctx.exit(1)
 
 
@@ -88,7 +87,7 @@ OUTPUT = _options(
     click.option("--quiet", is_flag=True, help="Print nothing but errors."),
 )
 READING = _options(
-    click.option("--columns", metavar="ROLE=COLUMN,...", help="time=, displacement=, force=: name, number or formula."),
+    click.option("--columns", metavar="ROLE=COLUMN,...", help="time=, displacement=, force=, and others to show."),
     click.option("--units", metavar="mm,kN,s", help="Units, where the header does not say."),
     click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Sampling rate of files without time, Hz."),
     click.option("--runs", "n_runs", type=click.IntRange(1), metavar="N", help="Runs that the files hold together."),
@@ -114,6 +113,9 @@ MODEL = click.option(
 )
 MODELLING = _options(
     click.option("--priors", default="afc", show_default=True, help="Family that ships (afc, general) or TOML file."),
+    click.option(
+        "--priors-from", metavar="DIR[#SET]", help="Posterior of an earlier fit, or of a campaign's set, as prior."
+    ),
     MODEL,
     click.option(
         "--noise",
@@ -134,13 +136,11 @@ MODELLING = _options(
 )
 
 
-def _shared(options: dict[str, Any]) -> Options:
+def _listed(options: dict[str, Any]) -> dict[str, Any]:
     """Options of a fit, with lists where the command line has words between commas."""
-    from shj_bayes.pipeline import Options
-
     for name in ("free", "effects"):
         options[name] = tuple(part.strip() for part in options[name].split(",") if part.strip())
-    return Options(**_reading(**options))
+    return _reading(**options)
 
 
 def _reading(n_runs: int | None, split: bool, one_run: bool, **options: Any) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def main() -> None:
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
     """Run the whole job on (simulated) data that ship with the project."""
-    from shj_bayes.resources import shipped
+    from shj_bayes._util.shipped import shipped
 
     manifest = shipped("data", "examples", "campaign.toml")
     _run_campaign(manifest, out, seed=seed, workers=workers, quiet=quiet, as_json=False)
@@ -182,7 +182,7 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
     reading = _reading(**reading)
     if not as_json and not any(path.exists() for path in recordings):
         need_files(recordings, RecordingError)
-    from shj_bayes.pipeline import check_recording
+    from shj_bayes.recording.check import check_recording
 
     results = [result for path in recordings for result in check_recording(path, **reading)]
     if as_json:
@@ -215,11 +215,15 @@ def fit(
 ) -> None:
     """Posterior of one device; several recordings are its consecutive runs."""
     need_files(recordings, RecordingError)
-    from shj_bayes.pipeline import fit_device
+    from shj_bayes.finished import kept_result
 
-    shared = _shared(options)
-    speak = not (as_json or quiet)
-    result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0, force=force)
+    options, speak = _listed(options), not (as_json or quiet)
+    result = kept_result(recordings, out, options, name)
+    if result is None:
+        from shj_bayes.pipeline import Options, fit_device
+
+        shared = Options(**options)
+        result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0, force=force)
     if as_json:
         click.echo(json.dumps(result.record, indent=1))
     elif speak:
@@ -254,13 +258,13 @@ def diagnose(
 ) -> None:
     """Fit, then locate, name, model and show what the base law leaves out."""
     need_files(recordings, RecordingError)
-    from shj_bayes.pipeline import diagnose_device
+    from shj_bayes.pipeline import Options, diagnose_device
 
     speak = not (as_json or quiet)
     result = diagnose_device(
         recordings,
         out,
-        _shared(options),
+        Options(**_listed(options)),
         without=without,
         name=name,
         quick=quick,
@@ -346,9 +350,18 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-@click.option("--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of the cycle; largest tested by default.")
-@click.option("--speed", "speed_mm_s", type=float, metavar="MM/S", help="Peak speed; largest tested by default.")
-@click.option("--extrapolate", is_flag=True, help="Allow a speed that was not tested: the spread of bounded laws.")
+@click.option(
+    "--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of a sine, in place of the tests themselves."
+)
+@click.option("--speed", "speed_mm_s", type=float, metavar="MM/S", help="Its peak speed; largest tested by default.")
+@click.option("--cycles", type=int, metavar="N", help="Its cycles; 3 by default.")
+@click.option(
+    "--history",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE",
+    help="Displacement (mm) over time (s), two columns, in place of the tests themselves.",
+)
+@click.option("--extrapolate", is_flag=True, help="Allow speed, travel and time beyond the tests: bounded laws.")
 @click.option(
     "--nominal", "nominal_kN", type=float, metavar="KN", help="Nominal sliding force; typical device by default."
 )
@@ -422,7 +435,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
     uncoated, "70 %" and "100 %".
     """
     need_population(folder)
-    from shj_bayes.summary import compare_sets
+    from shj_bayes.comparison import compare_sets
 
     record, text = compare_sets(folder, set_a, set_b, rope)
     if as_json:

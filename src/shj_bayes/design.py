@@ -7,19 +7,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from shj_bayes._util.files import need_population, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.files import need_population, write_text
+from shj_bayes.margins.asked import LEEWAY, asked_for
 from shj_bayes.margins.bounds import bounds
-from shj_bayes.margins.diagnosed import Cases, cases, find_diagnosis
+from shj_bayes.margins.codes.en15129 import kind_of
+from shj_bayes.margins.diagnosed import find_diagnosis, words_of
 from shj_bayes.margins.files import design_table, to_json, write_margins
-from shj_bayes.margins.first_cycle import by_set
 from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.opensees import python_script, tcl_script
 from shj_bayes.margins.request import PLAIN, Request
-from shj_bayes.margins.sheet import Sheet, margins, motion_of
-from shj_bayes.population.fits import device_from_fit
-from shj_bayes.population.hierarchy import fit_population
+from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
+from shj_bayes.margins.specimen import Specimen, largest_ranges, read_specimen, specimens_of_table
+from shj_bayes.margins.trial import try_all
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
@@ -28,6 +29,7 @@ from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 
 TABLES_NAME = "Published tables"
+MOST_DRAWN = 100  # devices whose loops are drawn and written
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +42,13 @@ class Design:
         The margins.
     page : Path
         The designer's sheet.
-    sets : tuple of str
-        Sets that were asked for; all where empty.
+    request : Request
+        What was asked for.
     """
 
     sheet: Sheet
     page: Path
-    sets: tuple[str, ...] = ()
+    request: Request
 
     @property
     def record(self) -> dict[str, Any]:
@@ -58,7 +60,7 @@ class Design:
         """For people: the design table, what to mind, and where the sheet is."""
         return "\n".join(
             [
-                margin_text(self.sheet, self.sets),
+                margin_text(self.sheet, self.request),
                 "",
                 *(f"- {line}" for line in (*self.sheet.diagnoses, *self.sheet.warnings)),
                 "",
@@ -85,7 +87,7 @@ def design_margins(
     population : PopulationResult, optional
         Its population; read from the folder when not given.
     progress : bool
-        Show a progress bar while populations with found physics are fitted.
+        Show a progress bar.
 
     Returns
     -------
@@ -99,15 +101,19 @@ def design_margins(
     need_population(folder)
     result = load_population(folder) if population is None else population
     request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
-    campaign, others, words = _models(folder, result, progress)
-    cycles = by_set((of_set, folder / place) for place, _, of_set in _places(campaign, result))
-    sheet = margins(result, request, diagnosed=others or None, words=words, first_cycles=cycles)
-    loop_bands = loops(next(iter(others.values()), result), sheet.motion)
+    campaign = _campaign(folder)
+    specimens, words = _specimens(folder, campaign, result)
+    asked = asked_for(request, specimens) if specimens else None
+    trials = try_all(specimens, asked, extrapolate=request.extrapolate)
+    sheet = margins(pool(trials, result, progress=progress), trials, request, asked=asked, words=words)
+    speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
+    loop_bands = loops(trials, speed) if len(trials) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
     write_loops(loop_bands, folder)
     name = str(campaign["name"]) if campaign else TABLES_NAME
-    page = render_margins(folder, sheet, loop_bands, name=name, simulated=bool(campaign and campaign.get("simulated")))
-    return Design(sheet, page, request.sets)
+    simulated = bool(campaign and campaign.get("simulated"))
+    page = render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
+    return Design(sheet, page, request)
 
 
 def export_analysis(
@@ -124,7 +130,7 @@ def export_analysis(
     amplitude_mm : float, optional
         Of the cycle for effective stiffness and damping; the largest tested by default.
     progress : bool
-        Show a progress bar while populations with found physics are fitted.
+        Show a progress bar.
 
     Returns
     -------
@@ -133,20 +139,21 @@ def export_analysis(
     """
     need_population(folder)
     result = load_population(folder)
-    motion = motion_of(result, Request(amplitude_mm=amplitude_mm))
-    if motion is None:
-        raise PopulationError(
-            "this population does not say at which amplitudes and speeds its devices were tested, so no material can "
-            "be written; run the campaign or the tables again with this version"
-        )
-    campaign, others, _ = _models(folder, result, progress)
-    drawn = bounds(list(others.values()) or [result], motion)
+    campaign = _campaign(folder)
+    specimens, _ = _specimens(folder, campaign, result)
+    if not specimens:
+        raise PopulationError("no device gives all of K, Fy, beta and gamma, which a material needs")
+    tested = largest_ranges(specimens)["position"]
+    amplitude = tested if amplitude_mm is None else amplitude_mm
+    if not 0 < amplitude <= LEEWAY * tested:
+        raise PopulationError(f"an amplitude of {amplitude:g} mm was not tested; tested was up to {tested:.4g} mm")
+    drawn = bounds(pool(try_all(specimens, None), result, progress=progress), result, amplitude)
     source = str(campaign["name"]) if campaign else TABLES_NAME
     place = folder / "opensees" if out is None else out
     place.mkdir(parents=True, exist_ok=True)
-    cycle = f"{motion.amplitude_mm:.3g} mm at a peak speed of {motion.guard.speed_mm_s:.3g} mm/s"
+    cycle = f"{amplitude:.3g} mm"
     files = {
-        "connection_materials.py": python_script(drawn, motion, source),
+        "connection_materials.py": python_script(drawn, amplitude, source),
         "connection_materials.tcl": tcl_script(drawn, source),
         "link-elements.csv": link_csv(drawn, cycle),
     }
@@ -160,40 +167,28 @@ def _set_named(result: PopulationResult, name: str) -> str:
     return ANY_SET if name == ANY_SET else result.set_names[result.index(name)]
 
 
-def _models(
-    folder: Path, result: PopulationResult, progress: bool
-) -> tuple[dict[str, Any] | None, dict[str, PopulationResult], tuple[str, ...]]:
-    """Campaign record, populations with the physics that diagnoses found, and what they found in words."""
-    campaign = _campaign(folder)
-    found = _found(folder, campaign, result) if campaign else None
-    if found is None:
-        return campaign, {}, ()
-    others = {
-        label: replace(fit_population(devices, seed=result.seed, progress=progress), tested=result.tested)
-        for label, devices in found.devices
-    }
-    return campaign, others, found.words
+def _specimens(
+    folder: Path, campaign: dict[str, Any] | None, result: PopulationResult
+) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
+    """Read the tested devices with the models that their diagnoses ended in, and say what these found."""
+    if campaign is None:
+        return specimens_of_table(result), ()
+    out, found, notes = [], {}, []
+    places = _places(campaign, result)
+    for place, name, of_set in places:
+        diagnosis, why = find_diagnosis(folder / place)
+        if why:
+            notes.append(f"{of_set}, {name}: {why}")
+        if diagnosis is not None:
+            found[of_set, name] = diagnosis
+        better = diagnosis.fit if diagnosis is not None and diagnosis.verdict != "adequate" else None
+        out.append(read_specimen(folder / place, name, of_set, better))
+    return tuple(out), words_of(found, len(places), notes)
 
 
 def _campaign(folder: Path) -> dict[str, Any] | None:
     """Content of ``campaign.json``; None for the published tables."""
     return read_campaign(folder) if (folder / "campaign.json").exists() else None
-
-
-def _found(folder: Path, campaign: dict[str, Any], result: PopulationResult) -> Cases:
-    """Collect populations with the physics that diagnoses of the campaign's devices found."""
-    places = _places(campaign, result)
-    diagnoses, notes = {}, []
-    tags = {group.name: group.tags for group in result.sets}
-    for place, name, of_set in places:
-        diagnosis, why = find_diagnosis(folder / place)
-        if diagnosis is not None:
-            diagnoses[of_set, name] = diagnosis
-        if why:
-            notes.append(f"{of_set}, {name}: {why}")
-    wanted = places if diagnoses else []  # reading a thousand fits again takes long
-    devices = [device_from_fit(folder / place, name, of_set, tags[of_set]) for place, name, of_set in wanted]
-    return cases(devices, diagnoses, notes)
 
 
 def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[tuple[str, str, str]]:
@@ -207,44 +202,54 @@ def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[t
     ]
 
 
-def margin_text(sheet: Sheet, sets: tuple[str, ...] = ()) -> str:
+def margin_text(sheet: Sheet, request: Request) -> str:
     """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
     table = design_table(sheet)
     names = list(dict.fromkeys(row.set_name for row in sheet.rows))
     tested = [name for name in names if name != ANY_SET]
     enough = sets_suffice(len(tested))
     lines = []
-    for name in sets or (names if enough else tested):
+    for name in request.sets or (names if enough else tested):
         shown = "(all devices)" if name == ANY_SET else name
         part = table[table["set"] == shown]
         count = int(part["devices"].max())
         behind = f"from {len(tested)} tested sets" if name == ANY_SET else f"{count} device{'' if count == 1 else 's'}"
         lines += ["", f"{name_of(name)}: {behind}"]
+        lines.append(f"  {first_words(sheet, name)}")
         lines.append(f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}")
+        complete = True
         for line in part.to_dict("records"):
-            pairs = [
-                _from_to(line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan))
+            ends = [
+                (line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan))
                 for head in ("EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
             ]
+            complete &= all(map(_known, ends))
+            pairs = [f"{low:.3g} to {high:.3g}" if _known((low, high)) else "-" for low, high in ends]
             band = f"{line['middle']:.3g} ({line['new device, low']:.3g} to {line['new device, high']:.3g})"
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
             head = f"{line['quantity']}{unit}"
             lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}")
-        if any(line.rstrip().endswith(" -") or "  -  " in line for line in lines[-len(part) :]):
+        if not complete:
             lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
-        lines += [f"  {text}" for text in _factor_lines(sheet, name)]
-    if not (sets or enough):
+        lines += [f"  {text}" for text in _factor_lines(sheet, name, request.importance)]
+    if not (request.sets or enough):
         lines += ["", never_tested_words(len(tested))]
     return "\n".join(lines[1:])
 
 
-def _from_to(low: float, high: float) -> str:
-    """Both ends of a range; a dash where the tables of a standard have no factor for so few devices."""
-    return f"{low:.3g} to {high:.3g}" if math.isfinite(low) and math.isfinite(high) else "-"
+def _known(ends: tuple[float, float]) -> bool:
+    """Whether both ends of a range are given: a standard may have no factor for so few devices."""
+    return all(map(math.isfinite, ends))
 
 
-def _factor_lines(sheet: Sheet, name: str) -> list[str]:
-    own = {row.kind.partition(", importance")[0]: row for row in sheet.rows if row.set_name == name}
+def first_words(sheet: Sheet, name: str) -> str:
+    """Give the one number for drift and the one for capacity design of a set."""
+    own = {row.kind: row.value for row in sheet.rows if row.set_name == name}
+    return f"{DRIFT}: {own[DRIFT]:.3g} kN; {CAPACITY}: {own[CAPACITY]:.3g} kN"
+
+
+def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
+    own = {row.kind: row for row in sheet.rows if row.set_name == name}
 
     def value(kind: str) -> str:
         if kind not in own:
@@ -254,7 +259,8 @@ def _factor_lines(sheet: Sheet, name: str) -> list[str]:
     return [
         f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "
         f"{value('lambda_max with the floor for dampers')}, bounds {value('ASCE 7 lower bound force')} to "
-        f"{value('ASCE 7 upper bound force')} kN; EN 15129 {value('EN 15129 LBDP')} to {value('EN 15129 UBDP')} kN",
+        f"{value('ASCE 7 upper bound force')} kN; EN 15129 {value(kind_of('LBDP', importance))} to "
+        f"{value(kind_of('UBDP', importance))} kN",
         f"phi {value('phi equivalent, first run')}, after a first earthquake "
         f"{value('phi equivalent, after a first earthquake')}, phi_o {value('phi_o equivalent')} "
         "(NZ practice 0.70 and 1.40)",

@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError, ShjError
-from shj_bayes.files import read_json
 from shj_bayes.recording.recording import Finding, Recording
 
 
 def content_digest(recording: Recording) -> str:
     """Digest of what a recording holds, whatever its file is called."""
-    return _digest(recording.time_s, recording.displacement_mm, recording.force_kN, recording.used)
+    extras = [extra.values for extra in recording.extras]
+    return _digest(recording.time_s, recording.displacement_mm, recording.force_kN, recording.used, *extras)
 
 
 def _digest(*arrays: object) -> str:

@@ -2,39 +2,32 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import shj_bayes
-from shj_bayes.alone import alone_in
-from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_text, shown
-from shj_bayes.files import plain_name
+from shj_bayes._util.files import plain_name
+from shj_bayes._util.lock import alone_in
+from shj_bayes.earlier import earlier
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, shown
+from shj_bayes.finished import DeviceResult, default_name, device_result, finished_record, key_of, stale
 from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
+from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
-from shj_bayes.inference.store import check_files, read_group, read_record
-from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.model.device import DeviceModel, effects_named, meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
-from shj_bayes.model.parameters import BASE, FloatArray
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Priors, read_priors
-from shj_bayes.recording.check import describe, to_dict
 from shj_bayes.recording.columns import check_rate, parse_columns
-from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.runs import Runs, check_runs, settle
 from shj_bayes.recording.units import parse_units
 from shj_bayes.report.device import render_device
-from shj_bayes.report.diagnosis import render_diagnosis
-from shj_bayes.report.residual_file import read_residual
 
 SEEDS, STEPS = (0, 2**32 - 1), (1, 1_000_000)
 SURE_P = 1e-3  # below it, digits of a p value say nothing to a reader; diagnosis.json keeps them
@@ -66,6 +59,9 @@ class Options:
         Steps after which to stop.
     runs : int, "split", "one" or None
         Number of runs that the files hold; ``"split"`` parts files where runs are found, ``"one"`` never does.
+    priors_from : str or None
+        Folder of an earlier fit, or of a campaign with ``#SET`` behind it, whose posterior stands in for the priors
+        of the law.
     """
 
     columns: str | None = None
@@ -79,6 +75,7 @@ class Options:
     seed: int = 1
     max_steps: int = 10_000
     runs: Runs = None
+    priors_from: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse choices that no fit could take, before any device is read."""
@@ -110,7 +107,12 @@ class Options:
 
     def check(self, n_runs: int) -> None:
         """Refuse priors that cannot be read, or that lack a law that a device of so many runs needs."""
-        assert self.device_model(n_runs, read_priors(self.priors)).laws_of_parameters
+        assert self.device_model(n_runs, self.read_priors()).laws_of_parameters
+
+    def read_priors(self) -> Priors:
+        """Priors of the family, with what earlier tests say where they are named."""
+        family = read_priors(self.priors)
+        return family if self.priors_from is None else earlier(self.priors_from).on(family)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,12 +136,14 @@ class DiagnosisResult:
     @property
     def text(self) -> str:
         """What a person wants to read at the end of a diagnosis."""
+        from shj_bayes.report.diagnosis_words import VERDICTS, sentences  # noqa: PLC0415  (only a diagnosis needs them)
+
         record = self.record
         p = f"below {SURE_P:g}" if record["p_value"] < SURE_P else f"{record['p_value']:.2g}"
         lines = [f"{record['device']}: {record['verdict']} (chance of such a misfit if nothing were missing: {p})"]
-        lines += [f"  {sentence}" for sentence in record["words"]]
+        lines += [f"  {sentence}" for sentence in (VERDICTS[record["verdict"]][2], *sentences(record))]
         # Where nothing was added to the law there is one law and one set of numbers.
-        stages = ("before", "after") if record["effects"] else ("after",)
+        stages = ("before", "after") if record["modelled"] else ("after",)
         lines += ["", f"  {' -> '.join(stages)}" if len(stages) > 1 else "  base law"]
         for name, row in record["shift"].items():
             shown = " -> ".join(f"{row[stage]['mean']:11.5g} +- {row[stage]['sd']:<9.2g}" for stage in stages)
@@ -147,48 +151,6 @@ class DiagnosisResult:
         errors = " -> ".join(f"{record[stage]['heldout_rmse_kN']:.3g}" for stage in stages)
         lines.append(f"  error on held-out cycles {errors} kN")
         return "\n".join([*lines, "", f"report: {self.page}"])
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceResult:
-    """A finished device.
-
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        Content of ``fit.json``.
-    fresh : bool
-        False when an earlier, unchanged result was found and kept.
-    residual : str
-        What the page says of the residual: nothing beyond noise, or where it has a structure.
-    note : str
-        Why an earlier result was not kept although it is of the same fit: which file was damaged.
-    """
-
-    folder: Path
-    record: dict[str, Any]
-    fresh: bool
-    residual: str = ""
-    note: str = ""
-
-    @property
-    def text(self) -> str:
-        """What a person wants to read at the end of a fit."""
-        record = self.record
-        lines = [f"{record['device']}: {record['verdict']}"]
-        lines += [f"  {reason}" for reason in record["reasons"]]
-        lines += [f"  {extra}" for extra in (self.residual, self.note) if extra]
-        width = max(len(row["name"]) for row in record["parameters"]) + 1
-        lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
-        for row in record["parameters"]:
-            numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
-            lines.append(f"  {row['name']:{width}}{numbers}  {row['unit']}{dep_words(row)}")
-        notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
-        lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
-        lines += ["", f"report: {self.folder / 'report.html'}"]
-        return "\n".join(lines)
 
 
 @alone_in("folder", kept="fit.json")
@@ -236,20 +198,19 @@ def fit_device(
     """
     options.check(len(paths))
     recordings = _usable(paths, options)
-    name = plain_name(name) if name else _default_name(paths[0])
+    name = plain_name(name) if name else default_name(source_of(paths[0]))
     if not force:
         refuse_used_folder(folder, name, recordings, InferenceError)
-    model = options.device_model(len(recordings), read_priors(options.priors))
-    key = _key(_digests(paths, recordings), options, model, name)
-    finished, note = _finished(folder, key)
+    model = options.device_model(len(recordings), options.read_priors())
+    key = _key(paths, recordings, options, model, name)
+    finished, note = finished_record(folder, key)
     if finished is None:
         finished, fresh = _fit(runs_of(recordings), folder, options, model, name, key, progress, threads), True
     else:
         fresh = False
-    if fresh or _stale(folder):
+    if fresh or stale(folder):
         render_device(folder)
-    left = read_residual(folder)
-    return DeviceResult(folder, finished, fresh, left[1] if left else "", note)
+    return device_result(folder, finished, fresh=fresh, note=note)
 
 
 def _fit(
@@ -286,42 +247,6 @@ def _fit(
     return result.record
 
 
-def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple[dict[str, Any], str]]:
-    """Read and check one file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    runs : int, "split", "one" or None
-        As in `Options`.
-    **reading
-        ``columns``, ``units``, ``rate_Hz`` as for `shj_bayes.recording.reader.read`.
-
-    Returns
-    -------
-    list of (dict, str)
-        For each run in the file facts for machines (``usable`` says whether it may be fitted) and text for people. A
-        file that cannot be read at all gives its reason in both.
-    """
-    try:
-        recordings = settle([read(path, **reading)], runs)
-    except RecordingError as error:
-        name = plain_text(path.name)
-        reason = str(error).removeprefix(f"{name}: ")
-        return [({"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}")]
-    return [_checked(recording) for recording in recordings]
-
-
-def _checked(recording: Recording) -> tuple[dict[str, Any], str]:
-    """Facts and text of one run."""
-    try:
-        motion = motion_of(recording)
-    except RecordingError:
-        motion = None
-    return to_dict(recording, motion), describe(recording, motion)
-
-
 @alone_in("folder")
 def diagnose_device(
     paths: Sequence[Path | Recording],
@@ -353,17 +278,20 @@ def diagnose_device(
     -------
     DiagnosisResult
     """
+    # Naming what is missing needs half of scipy, which a fit need not wait for.
+    from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
+    from shj_bayes.report.diagnosis import render_diagnosis  # noqa: PLC0415
+
     recordings = _usable(paths, options)
-    name = plain_name(name) if name else _default_name(paths[0])
+    name = plain_name(name) if name else default_name(source_of(paths[0]))
     if not force:
         refuse_used_folder(folder, name, recordings, InferenceError)
-    priors, runs = read_priors(options.priors), runs_of(recordings)
-    digests = _digests(paths, recordings)
+    priors, runs = options.read_priors(), runs_of(recordings)
 
     def sample(model: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         """Fit what was found: the same files as those of `shj-bayes fit` with these effects."""
-        key = _key(digests, options, model, name)
-        record, _ = _finished(folder, key)
+        key = _key(paths, recordings, options, model, name)
+        record, _ = finished_record(folder, key)
         if record is None:
             record = _fit(runs, folder, options, model, name, key, progress, threads, [top])
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
@@ -386,17 +314,6 @@ def diagnose_device(
     return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
 
 
-def dep_words(row: dict[str, Any]) -> str:
-    """Interval of dep = 1/gamma behind a row of the parameter table; nothing for other parameters."""
-    if row["name"].partition("_")[0] != "gamma":
-        return ""
-    low, high = row["q05"], row["q95"]
-    if low <= 0 <= high:
-        return "  (dep has no bound: the force may not depend on speed)"
-    first, second = sorted((1 / low, 1 / high))
-    return f"  (dep {first:.4g} to {second:.4g} mm/s)"
-
-
 def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recording]:
     """Read recordings that are not read yet; refuse those that must not be fitted."""
     given = [
@@ -406,6 +323,8 @@ def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recordi
         for path in paths
     ]
     recordings = remarked(settle(given, options.runs), options.free)
+    if options.priors_from is not None:
+        recordings = earlier(options.priors_from).remarked(recordings)
     for recording in recordings:
         blocking = [f.message for f in recording.findings if f.severity == "unusable"]
         if blocking:
@@ -413,39 +332,16 @@ def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recordi
     return recordings
 
 
-def _default_name(first: Path | Recording) -> str:
-    """Name of the first file without its endings (a dot inside the name stays)."""
-    name = first.source.name if isinstance(first, Recording) else first.name
-    return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", name, flags=re.IGNORECASE))
-
-
-def _digests(paths: Sequence[Path | Recording], recordings: Sequence[Recording]) -> list[str]:
-    """Digest of each recording: of its file, or of what it holds where one was given that may have been changed."""
-    changeable = any(isinstance(given, Recording) for given in paths)
-    return [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
-
-
-def _key(digests: list[str], options: Options, model: DeviceModel, name: str) -> str:
+def _key(
+    paths: Sequence[Path | Recording], recordings: Sequence[Recording], options: Options, model: DeviceModel, name: str
+) -> str:
     """Digest of all that the result depends on; the effects are those of the model, asked for or found."""
-    # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
-    chosen = asdict(options) | {"priors": Path(options.priors).name, "effects": [e.id for e in model.effects]}
-    content = [digests, chosen, model.priors.sha256, name, model.speed, shj_bayes.__version__, sorted(BASE)]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    changeable = any(isinstance(given, Recording) for given in paths)
+    digests = [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
+    chosen = asdict(options) | {"effects": [effect.id for effect in model.effects]}
+    return key_of(digests, chosen, model.priors.sha256, name, speed=model.speed)
 
 
-def _finished(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]:
-    """Record of an unchanged finished fit, or None; and, where files of a fit were damaged, which and how."""
-    if not (folder / "fit.json").exists():
-        return None, ""
-    try:
-        record = read_record(folder)
-        check_files(folder, record)
-    except InferenceError as error:
-        return None, f"done anew: {error}"
-    return (record, "") if record.get("key") == key else (None, "")
-
-
-def _stale(folder: Path) -> bool:
-    """Whether the page is missing or older than the fit, as after a process was killed between the two."""
-    page = folder / "report.html"
-    return not page.exists() or page.stat().st_mtime_ns < (folder / "fit.json").stat().st_mtime_ns
+def source_of(given: Path | Recording) -> str:
+    """Name of the file of a recording."""
+    return given.source.name if isinstance(given, Recording) else given.name

@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from shj_bayes._util.files import write_text
 from shj_bayes.errors import ModelError
-from shj_bayes.files import write_text
 from shj_bayes.model.parameters import BASE, describe
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import table_1

@@ -7,19 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.alone import alone_in
+from shj_bayes._util.files import make_writable
+from shj_bayes._util.lock import alone_in
 from shj_bayes.campaign import Manifest, Outcome, campaign_record
 from shj_bayes.design import design_margins
-from shj_bayes.files import make_writable, need_population
-from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.paper_claims import paper_claims
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import RUN_FORCES, never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.published import published_devices
-from shj_bayes.population.results import load_population, to_json, write_population
-from shj_bayes.population.selectors import members, strata_of
+from shj_bayes.population.results import to_json, write_population
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.sets import name_of
@@ -106,83 +104,6 @@ def summarise_tables(folder: Path, *, seed: int, progress: bool = False) -> Summ
     text = "\n".join([band_text(population), "", *answers, "", design.text, f"report: {page}"])
     record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
     return Summary(record, text)
-
-
-def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.0) -> tuple[dict[str, Any], str]:
-    """Compare two sets, or two kinds of sets, of a folder that `campaign` or `tables` wrote.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    set_a, set_b : str
-        Names of sets, or kinds: coated, uncoated, corroded, uncorroded, "70 %".
-    rope_percent : float
-        Half-width of the region of practical equivalence, per cent.
-
-    Returns
-    -------
-    dict, str
-        For machines, for people.
-    """
-    need_population(folder)
-    result = load_population(folder)
-    first, second = members(result, strata_of(result, set_a, set_b)[2])
-    comparison = compare(result, set_a, set_b, rope=rope_percent / 100.0)
-    table = comparison.to_table()
-    who = [
-        f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
-        for side, name, sets in (("a", comparison.set_a, first), ("b", comparison.set_b, second))
-    ]
-    lines = [*who, *comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
-    rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
-    record = {
-        "schema": "shj-bayes/comparison/1",
-        "set_a": comparison.set_a,
-        "set_b": comparison.set_b,
-        "members": {"a": list(first), "b": list(second)},
-        "strata": comparison.strata,
-        "multiplicity": comparison.multiplicity,
-        "contrasts": rows,
-    }
-    return record, "\n".join([*lines, "", comparison.multiplicity])
-
-
-def comparison_lines(comparison: Comparison) -> list[str]:
-    """Comparison as a table of text, one line per quantity."""
-    words = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)", "Holm")
-    rows = [["", *words, "spread a/b"]]
-    for c in comparison.contrasts:
-        tests = c.tests
-        exact = f"{_p(tests.permutation_p)} ({_p(tests.permutation_least)})"
-        rows.append(
-            [
-                c.quantity + ("" if c.unit == "1" else f" {c.unit}"),
-                f"{c.q50:.3g}",
-                f"{c.q05:.3g} to {c.q95:.3g}",
-                *(f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)),
-                _p(tests.welch_p),
-                exact if tests.permutation_p is not None else "-",
-                f"{_p(c.holm_p)} {c.holm_test}".strip(),
-                f"{c.spread_factor[1]:.2f}",
-            ]
-        )
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  "
-        + "   ".join(
-            f"{cell:>{width}}" if i else f"{cell:{width}}"
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
-
-
-def _p(value: float | None) -> str:
-    """Write a p-value; a dash where the test cannot be made."""
-    if value is None:
-        return "-"
-    return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
 
 
 def band_text(population: PopulationResult) -> str:

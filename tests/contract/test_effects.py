@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.coordinates import coordinates
+from shj_bayes.model.curve import ACTIONS
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import FAMILIES, Base, Effect
 from shj_bayes.model.history import ARRAYS, History, histories
@@ -84,8 +86,31 @@ def joined(name: str) -> np.ndarray:
 
 
 def test_catalogue_holds_the_effects_of_the_interface_in_order():
-    assert {id: effect.family for id, effect in EFFECTS.items()} == FAMILY
-    assert list(EFFECTS) == sorted(FAMILY, key=lambda id: (FAMILIES.index(FAMILY[id]), id))
+    assert {effect.mechanism: effect.family for effect in EFFECTS.values()} == FAMILY
+    first = [id for id, effect in EFFECTS.items() if not effect.form]
+    assert first == sorted(FAMILY, key=lambda id: (FAMILIES.index(FAMILY[id]), id))
+
+
+def test_forms_stand_behind_their_mechanism():
+    """Each under the id of the mechanism and the word for the formula, acting on the same coordinate."""
+    order = list(EFFECTS)
+    seen = 0
+    for effect in EFFECTS.values():
+        for place, form in enumerate(effect.forms, start=1):
+            assert order[order.index(effect.id) + place] == form.id == f"{effect.id}_{form.form}"
+            assert (form.mechanism, form.family, form.acts) == (effect.id, effect.family, effect.acts)
+            assert form.equation != effect.equation
+            seen += 1
+    assert seen == sum(bool(effect.form) for effect in EFFECTS.values()) > 0
+
+
+@every_effect
+def test_acts_on_a_known_coordinate(effect: Effect):
+    assert effect.acts
+    for action, coordinate in effect.acts:
+        assert action in (*ACTIONS, "motion")
+        # The heat state has several coordinates, one for each time constant; of a sign or a constant there is no curve.
+        assert action == "motion" or coordinate in {*coordinates(), "heat", "direction", "constant"}
 
 
 def test_the_catalogue_survives_a_fresh_interpreter():

@@ -16,9 +16,9 @@ from shj_bayes.campaign import read_manifest
 from shj_bayes.errors import ShjError
 from shj_bayes.inference import checkpoint
 from shj_bayes.model.priors import read_priors
-from shj_bayes.pipeline import check_recording
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.population.results import load_population
+from shj_bayes.recording.check import check_recording
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.device import render_device
 

@@ -13,6 +13,7 @@ import openpyxl
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
+from shj_bayes._util.shipped import shipped
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan
@@ -24,7 +25,6 @@ from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import write_population
 from shj_bayes.recording import Block
 from shj_bayes.recording.recording import Recording
-from shj_bayes.resources import shipped
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 TRUTH = Truth(sigma=0.5, phi=0.3)

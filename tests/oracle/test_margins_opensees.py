@@ -10,10 +10,7 @@ from scipy.integrate import trapezoid
 from shj_bayes.margins.bounds import Bound
 from shj_bayes.margins.link_elements import HELP, link_csv
 from shj_bayes.margins.opensees import exponent_of_steel02, python_script, tcl_script
-from shj_bayes.margins.sample import Motion
-from shj_bayes.margins.speed_guard import Guard
 from shj_bayes.model.law import force
-from shj_bayes.population.tested import PUBLISHED
 from shj_bayes.recording.protocol import Block, exact_motion
 
 HOSTILE = 'brass"; import os #\n[exec rm] {$x}'
@@ -22,7 +19,7 @@ BOUNDS = tuple(
     for name, beta in (("zinc", 10.0), ("bare", 100.0), (HOSTILE, 10.0))
     for bound, K, F in (("lower", 9.0, 50.0), ("middle", 12.0, 80.0), ("upper", 18.0, 110.0))
 )
-MOTION = Motion(95.0, Guard(PUBLISHED, 10.0))
+AMPLITUDE_MM = 95.0
 POINT, MEAN_SQUARE, ENERGY = 0.075, 0.02, 0.005
 """What opensees.py says of the difference, as shares of the sliding force and of the energy."""
 
@@ -30,7 +27,7 @@ POINT, MEAN_SQUARE, ENERGY = 0.075, 0.02, 0.005
 @pytest.fixture
 def script(tmp_path):
     path = tmp_path / "connection_materials.py"
-    path.write_text(python_script(BOUNDS, MOTION, "tést\nimport os"), encoding="utf-8")
+    path.write_text(python_script(BOUNDS, AMPLITUDE_MM, "tést\nimport os"), encoding="utf-8")
     return runpy.run_path(str(path))
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.cli import main
 from shj_bayes.errors import ReportError
 from shj_bayes.report import browse
-from shj_bayes.suggest import did_you_mean
 
 
 def folder_with(root: Path, *names: str) -> Path:

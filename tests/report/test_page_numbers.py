@@ -81,15 +81,32 @@ def test_band_of_known_noise() -> None:
     assert np.median(band.force_low) == pytest.approx(-1.645, abs=0.05)
 
 
-def test_ranks_of_equal_and_of_shifted_ensembles() -> None:
-    rng = np.random.default_rng(4)
-    draws = rng.standard_normal((4, 5000))
-    shares, margin = numbers.rank_shares(draws, 20_000)
-    assert np.all(np.abs(shares - 1) < 1.4 * margin)
-    assert shares.mean(axis=1) == pytest.approx(np.ones(4))
-    draws[0] += 1.0
-    shares, margin = numbers.rank_shares(draws, 20_000)
-    assert shares[0, -1] > 1 + 3 * margin
+def made_run(force_of) -> RunData:
+    """Six sine cycles of 40 mm with a given force of (displacement, direction)."""
+    n = 2401
+    t = np.linspace(0, 6, n)
+    x = 40 * np.sin(2 * np.pi * t)
+    speed = 80 * np.pi * np.abs(np.cos(2 * np.pi * t))
+    half = np.floor(2 * t + 0.5).astype(np.int64)
+    force = force_of(x, np.sign(np.cos(2 * np.pi * t)))
+    return RunData(1, t, x, speed, force, np.ones(n, bool), half, np.tile(force, (4, 1)), np.tile(force, (4, 1)))
+
+
+def test_shape_of_cycles_is_that_of_the_loop_they_were_made_from() -> None:
+    """A rectangle has an equivalent damping of 2/pi; push and pull plateaus and the envelope are read off."""
+    run = made_run(lambda x, sign: np.where(sign > 0, 50.0, -40.0) + (np.abs(x) > 39) * 10.0 * sign)
+    energy = numbers.cycle_energy(run)
+    shape = numbers.cycle_shape(run, energy, run.force_kN)
+    assert shape.push_plateau_kN == pytest.approx(np.full(shape.push_kN.size, 50.0))
+    assert shape.pull_plateau_kN == pytest.approx(np.full(shape.push_kN.size, -40.0))
+    assert (shape.push_kN.max(), shape.pull_kN.min()) == (60.0, -50.0)
+    flat = made_run(lambda _, sign: 50.0 * np.where(sign >= 0, 1, -1))
+    shape = numbers.cycle_shape(flat, numbers.cycle_energy(flat), flat.force_kN)
+    assert shape.damping_percent == pytest.approx(np.full(shape.push_kN.size, 200 / np.pi), rel=0.01)
+    elastic = made_run(lambda x, _: 2.0 * x)
+    shape = numbers.cycle_shape(elastic, numbers.cycle_energy(elastic), elastic.force_kN)
+    assert np.isnan(shape.push_plateau_kN).all()  # nothing slides
+    assert shape.damping_percent == pytest.approx(np.zeros(shape.push_kN.size), abs=0.5)
 
 
 @pytest.mark.parametrize(

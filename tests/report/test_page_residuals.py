@@ -1,5 +1,9 @@
 """Structured or not: quiet on what the model describes, loud on what it does not, and never fooled by correlation."""
 
+import json
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -7,6 +11,7 @@ from scipy.signal import lfilter
 from shj_bayes.report import words
 from shj_bayes.report.binned import stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
+from shj_bayes.report.residual_file import read_residual, write_residual
 from shj_bayes.report.residuals import repeat_p, structure
 
 
@@ -35,7 +40,7 @@ def toy(rng: np.random.Generator, *, phi: float, shape_kN: float = 0.0, fitted_p
 def test_well_specified_is_not_flagged(well_specified: DeviceData) -> None:
     found = structure(well_specified)
     assert not found.structured, found
-    assert words.residual_headline(found) == "Nothing beyond noise is seen in what the model leaves over."
+    assert words.residual_headline(found) == "Nothing beyond noise is seen in the residuals."
 
 
 def test_misspecified_is_flagged(misspecified: DeviceData) -> None:
@@ -44,6 +49,20 @@ def test_misspecified_is_flagged(misspecified: DeviceData) -> None:
     text = words.residual_headline(found)
     assert "leaves something out" in text
     assert "% of the sliding force" in text
+
+
+def test_a_list_of_devices_repeats_what_was_found_and_reads_no_sentence(
+    tmp_path: Path, misspecified: DeviceData
+) -> None:
+    found = structure(misspecified)
+    write_residual(tmp_path, found)
+    record = json.loads((tmp_path / "residual.json").read_text(encoding="utf-8"))
+    changed = record | {"statement": "Nothing beyond noise: it is all well."}
+    (tmp_path / "residual.json").write_text(json.dumps(changed), encoding="utf-8")
+    left = read_residual(tmp_path)
+    assert left is not None
+    assert left.structured
+    assert left.cell == words.in_a_cell(found)
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.8, 0.95])
@@ -98,3 +117,30 @@ def test_profile_against_hand_calculation() -> None:
     # Independent noise: the 90 % band of a mean of m samples is 1.645 / sqrt(m).
     m = 12 * 400 / 2 * np.diff(np.arcsin(np.linspace(-1, 1, 11)))[5] / np.pi
     assert push.high_kN[5] == pytest.approx(1.645 / np.sqrt(m), rel=0.25)
+
+
+@pytest.mark.parametrize("p_noise", [0.5, 0.001])
+@pytest.mark.parametrize("n_cycles", [2, 8])
+@pytest.mark.parametrize("percent", [1.0, 4.0, 33.0, 273.0])
+@pytest.mark.parametrize("memory_s", [0.0, 9.0])
+def test_badge_headline_and_table_say_the_same(
+    well_specified: DeviceData, p_noise: float, n_cycles: int, percent: float, memory_s: float
+) -> None:
+    """Over all verdicts: no green beside a structure or a large misfit, no judgement on two cycles."""
+    found = replace(
+        structure(well_specified),
+        p_noise=p_noise,
+        p_repeat=None,
+        n_cycles=n_cycles,
+        unexplained_percent=percent,
+        memory_s=memory_s,
+        typical_cycle_s=10.0,
+    )
+    headline, colour = words.residual_headline(found), words.FIT[found.grade][1]
+    cell = words.in_a_cell(found)
+    assert cell in headline or cell == "nothing beyond noise"
+    nothing = headline.startswith("Nothing beyond noise")
+    assert nothing == (found.grade == "good") == (colour == "reliable") == (cell == "nothing beyond noise")
+    assert nothing == (p_noise > 0.01 and n_cycles >= 3 and percent <= 5 and memory_s == 0)
+    assert ("Too few cycles" in headline) == (n_cycles < 3) == (found.grade == "undecided")
+    assert (found.grade == "poor") == (n_cycles >= 3 and percent > 5)

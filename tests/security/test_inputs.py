@@ -25,7 +25,7 @@ from click.testing import CliRunner
 from shj_bayes.campaign import read_manifest
 from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError, PriorError, RecordingError, ShjError
-from shj_bayes.inference import store
+from shj_bayes.inference import record as record_file
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording import hdf5, numerals, read, read_table, tables, text
 
@@ -143,7 +143,7 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
     if kind == "device":
         (tmp_path / "fit.json").symlink_to("/dev/zero")
         with pytest.raises(ShjError, match="not an ordinary file"):
-            store.read_record(tmp_path)
+            record_file.read_record(tmp_path)
 
 
 # ---- bombs ----
@@ -324,14 +324,14 @@ def test_a_mat_file_whose_elements_lie_about_their_size(tmp_path, at, size):
 
 WARN = """
 import warnings, logging, sys
-import shj_bayes.pipeline as pipeline
+import shj_bayes.recording.check as room
 from shj_bayes.cli import main
 def check(path, **_):
     import numpy
     numpy.log(-numpy.ones(1))
     warnings.warn("of a library")
     return [({"usable": True}, "text")]
-pipeline.check_recording = check
+room.check_recording = check
 main()
 """
 

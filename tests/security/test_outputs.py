@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 import shj_bayes
+from shj_bayes._util.files import folder_name, plain_name, sealed
 from shj_bayes.campaign import Device, read_manifest
 from shj_bayes.design import design_margins
 from shj_bayes.errors import InferenceError, ReportError
-from shj_bayes.files import folder_name, plain_name, sealed
+from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
+from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.pipeline import Options
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
@@ -22,7 +24,7 @@ from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
-from shj_bayes.report.diagnosis_data import KEYS, SCHEMA
+from shj_bayes.report.diagnosis_data import KEYS
 
 ANYWHERE = re.compile(
     r"""(?:src|href|action|data|poster|background)\s*=\s*["']?\s*(?!data:|#)(?:[a-z]+:)?//|url\((?!["']?(?:data:|#))|@import""",
@@ -135,11 +137,19 @@ def test_names_in_a_campaign_are_text_on_its_page(tmp_path):
     assert "&lt;b&gt;" in page
 
 
-@pytest.mark.parametrize("key", ["effects", "family", "location", "shift", "aliases", "candidates", "words"])
+@pytest.mark.parametrize("key", ["effects", "family", "location", "shift", "aliases", "candidates", "coordinates"])
 @pytest.mark.parametrize("value", [5, None, "x", [5], {"a": 5}])
 def test_fields_of_a_diagnosis_that_are_of_another_kind_are_named(tmp_path, key, value):
     record = {"schema": SCHEMA, "verdict": "adequate", **dict.fromkeys(KEYS, 0.5)}
-    record |= {"effects": [], "family": [], "location": [], "shift": {}, "aliases": [], "candidates": [], "words": []}
+    record |= {
+        "effects": [],
+        "family": [],
+        "location": [],
+        "shift": {},
+        "aliases": [],
+        "candidates": [],
+        "coordinates": [],
+    }
     (tmp_path / "diagnosis.json").write_text(json.dumps(record), encoding="utf-8")
     assert shj_bayes.load(tmp_path).effects == ()
     (tmp_path / "diagnosis.json").write_text(json.dumps(record | {key: value}), encoding="utf-8")
@@ -193,7 +203,7 @@ def test_altered_files_of_a_fit_are_named(copy, name, change):
         raw[len(raw) // 2] ^= 1
         path.write_bytes(raw)
     with pytest.raises(InferenceError, match=rf"{name} (is missing in|in .* was cut short or altered)"):
-        store.check_files(copy, store.read_record(copy))
+        record_file.check_files(copy, record_file.read_record(copy))
     with pytest.raises((InferenceError, ReportError), match=name):
         render_device(copy)
 
@@ -206,10 +216,10 @@ def test_an_altered_record_is_told(copy):
     with pytest.raises(
         InferenceError, match=r"fit\.json in .* was altered after it was written .* run the command again"
     ):
-        store.read_record(copy)
+        record_file.read_record(copy)
 
 
 def test_a_record_that_is_only_laid_out_anew_is_the_same(copy):
     path = copy / "fit.json"
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8"))), encoding="utf-8")
-    store.check_files(copy, store.read_record(copy))
+    record_file.check_files(copy, record_file.read_record(copy))

@@ -12,8 +12,9 @@ import h5py
 import numpy as np
 import pytest
 
-from shj_bayes import elsewhere, processes
-from shj_bayes.processes import PYTHON, Workers
+import shj_bayes
+from shj_bayes._util import child_processes, import_safety
+from shj_bayes._util.child_processes import PYTHON, Workers
 
 # As pip writes it for the entry point of pyproject.toml.
 INSTALLED = "import sys\nfrom shj_bayes.cli import main\nif __name__ == '__main__':\n    sys.exit(main())\n"
@@ -63,10 +64,10 @@ def test_nothing_beside_a_recording_is_run(folder, command, arguments):
 
 def test_no_process_is_started_without_leaving_out_the_current_folder():
     """Every start of this Python in the source goes through `PYTHON`, `Workers`, or is isolated."""
-    source = Path(processes.__file__).parent
+    source = Path(shj_bayes.__file__).parent
     texts = {path.name: path.read_text(encoding="utf-8") for path in source.rglob("*.py")}
-    assert [name for name, text in texts.items() if "sys.executable" in text and '"-I"' not in text] == ["processes.py"]
-    assert [name for name, text in texts.items() if "get_context" in text] == ["processes.py"]
+    starts = [name for name, text in texts.items() if "sys.executable" in text and '"-I"' not in text]
+    assert starts == [name for name, text in texts.items() if "get_context" in text] == ["child_processes.py"]
 
 
 def test_only_our_own_processes_leave_the_current_folder_out(monkeypatch):
@@ -100,7 +101,7 @@ def test_a_folder_that_is_gone_stops_no_import(tmp_path, monkeypatch):
         raise FileNotFoundError
 
     monkeypatch.setattr(os, "getcwd", gone)
-    with elsewhere._moved():
+    with import_safety._moved():
         pass
 
 
@@ -111,16 +112,16 @@ def test_programs_are_not_taken_from_the_current_folder(tmp_path, monkeypatch):
     git.chmod(0o755)
     monkeypatch.setenv("PATH", os.pathsep.join(["", ".", str(tmp_path / "none")]))
     assert shutil.which("git") is not None  # as on Windows with any path
-    assert processes.program("git") is None
+    assert child_processes.program("git") is None
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert processes.program("git") == str(git)
+    assert child_processes.program("git") == str(git)
 
 
 # ---- the end of a parent ----
 
 POOL = """
 import os, sys, time
-from shj_bayes.processes import Workers
+from shj_bayes._util.child_processes import Workers
 if __name__ == "__main__":
     with Workers(2) as pool:
         print(*{pool.submit(os.getpid).result() for _ in range(2)}, flush=True)
@@ -128,14 +129,14 @@ if __name__ == "__main__":
 """
 CHILD = """
 import os, time
-from shj_bayes.processes import end_with_input
+from shj_bayes._util.child_processes import end_with_input
 end_with_input()
 print(os.getpid(), flush=True)
 time.sleep(60)
 """
 TETHER = f"""
 import subprocess
-from shj_bayes.processes import PYTHON, tether
+from shj_bayes._util.child_processes import PYTHON, tether
 with tether() as end:
     subprocess.run([*PYTHON, "-c", {CHILD!r}], stdin=end)
 """

@@ -4,13 +4,12 @@
 wrong name.
 """
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from shj_bayes.mismatch import search
-from shj_bayes.model.priors import read_priors
 from shj_bayes.proof.blind import diagnose_blind
 from shj_bayes.proof.cases import stated_key
 from shj_bayes.proof.run import DEFAULT_SEED, write_recordings
@@ -57,19 +56,31 @@ def test_nothing_is_claimed_where_nothing_is_concealed(key, tmp_path):
 
 
 def test_the_short_proof_fails_when_naming_is_broken(tmp_path, monkeypatch):
-    """Candidates ranked worst first: the same check must not pass."""
-    rank = search.rank
+    """Candidates ranked worst first, the gains in the old places: the same check must not pass."""
+    screen = search.screen
 
     def worst_first(*told):
-        right = rank(*told)
-        return replace(right, **{field.name: getattr(right, field.name)[::-1] for field in fields(right)})
+        right = screen(*told)
+        gains = [candidate.gain for candidate in right]
+        return [replace(candidate, gain=gain) for candidate, gain in zip(right[::-1], gains, strict=True)]
 
-    monkeypatch.setattr(search, "rank", worst_first)
+    monkeypatch.setattr(search, "screen", worst_first)
     assert outcome(TRIALS["prying"], diagnosed(TRIALS["prying"], tmp_path)) != "right"
 
 
+def test_the_short_proof_fails_when_the_coordinate_is_wrong(tmp_path, monkeypatch):
+    """What was found is said of another dependence, with the formula that fits there."""
+    monkeypatch.setattr(search, "candidates", _without_distance(search.candidates))
+    assert outcome(TRIALS["prying"], diagnosed(TRIALS["prying"], tmp_path)) != "right"
+
+
+def _without_distance(candidates):
+    """Candidates but for those over the distance from mid-stroke."""
+    return lambda *told: [c for c in candidates(*told) if c.of.coordinate != "distance"]
+
+
 def test_an_unseen_history_is_predicted_once_the_effect_is_known(records):
-    row = score_trial(TRIALS["load_offset"], records("load_offset"), read_priors("afc"))
+    row = score_trial(TRIALS["load_offset"], records("load_offset"))
     assert row["detectable"]
     assert row["heldout"]["earthquake_before"] > 2.0
     assert row["heldout"]["earthquake_after"] < 1.5  # the law itself leaves 1.2 to 1.3 on loops that do not slide

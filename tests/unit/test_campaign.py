@@ -8,15 +8,16 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from shj_bayes._util.files import folder_name
+from shj_bayes._util.shipped import shipped
 from shj_bayes.campaign import read_manifest, run_campaign
 from shj_bayes.cli import main
+from shj_bayes.comparison import compare_sets
 from shj_bayes.errors import CampaignError
-from shj_bayes.files import folder_name
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
-from shj_bayes.resources import shipped
-from shj_bayes.summary import compare_sets, summarise_campaign
+from shj_bayes.summary import summarise_campaign
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'
@@ -110,7 +111,7 @@ SET = '[[set]]\nname = "a"\n[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n
         (f"rate_Hz = {'9' * 400}", "Hz: allowed is 1e-6 to 1e7 Hz"),
         ('priors = "/etc/passwd"', "do not ship with shj-bayes; choose one of afc, general, or name a .toml file"),
         ('priors = "none.toml"', "cannot read none.toml"),
-        ('columns = "speed=3"', "--columns: cannot read 'speed=3'"),
+        ('columns = "forse=3"', "--columns: 'forse' is no channel of the law; did you mean 'force'"),
         ('units = "mm,mm"', "--units"),
         ('free = ["Fy"]', "'Fy' cannot be freed"),
         ('noise = "none"', "noise 'none' is not known"),

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import shj_bayes
-from shj_bayes import cluster
+from shj_bayes._util import dask_cluster
 from shj_bayes.campaign import Manifest, _fit_one, read_manifest, run_campaign
 from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError
@@ -124,7 +124,7 @@ def test_workers_that_cannot_do_it_are_named(processes, scheduler, manifest, tmp
     with distributed.Client(scheduler_file=str(scheduler), set_as_default=False) as client:
         client.wait_for_workers(1, timeout=PATIENCE_S)
         with pytest.raises(CampaignError, match="does not see the folder"):
-            cluster._check_workers(client, "here", tmp_path / "elsewhere")
+            dask_cluster._check_workers(client, "here", tmp_path / "elsewhere")
     monkeypatch.setattr(shj_bayes, "__version__", "99.0")
     with pytest.raises(CampaignError, match=r"has shj-bayes .*, this is 99\.0"):
         run_campaign(manifest, tmp_path / "out", cluster=str(scheduler))
@@ -132,7 +132,7 @@ def test_workers_that_cannot_do_it_are_named(processes, scheduler, manifest, tmp
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "no-such-file.json"])
 def test_an_address_that_does_not_answer_is_said(address, manifest, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(dask_cluster, "PATIENCE_S", 0.5)
     with pytest.raises(CampaignError) as error:
         run_campaign(manifest, tmp_path / "out", cluster=address)
     assert address in str(error.value)

@@ -91,7 +91,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, monke
     (tmp_path / "file").write_text("x", encoding="utf-8")
     done = run("tables", "-o", tmp_path / "file" / "below")
     assert (done.exit_code, "rights" in done.output) == (1, True)
-    monkeypatch.setattr("shj_bayes.files.TemporaryFile", denied)
+    monkeypatch.setattr("shj_bayes._util.files.TemporaryFile", denied)
     done = run("tables", "-o", tmp_path / "locked")
     assert (done.exit_code, "Permission denied (locked)" in done.output) == (1, True)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from shj_bayes.errors import ShjError
+from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.report.device import render_device
@@ -26,12 +27,14 @@ def test_it_is_an_old_one():
 
 
 def test_it_opens_pools_and_reports(old):
-    record = store.read_record(old)
-    store.check_files(old, record)
+    record = record_file.read_record(old)
+    record_file.check_files(old, record)
     assert list(store.read_posterior(old).posterior.data_vars) == [row["name"] for row in record["parameters"]]
     assert device_from_fit(old, "old device", "set").name == "old device"
     page = render_device(old).read_text(encoding="utf-8")
     assert "old device" in page
+    assert record["model"]["variant"] == "seed"
+    assert "variant “published”" in page
     for row in record["parameters"]:
         assert row["name"] in page
 

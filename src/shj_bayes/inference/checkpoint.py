@@ -11,8 +11,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from shj_bayes._util.files import replacing
 from shj_bayes.errors import CheckpointError, StrangeCheckpointError
-from shj_bayes.files import replacing
 from shj_bayes.model.parameters import FloatArray
 
 SCHEMA = "shj-bayes/checkpoint/1"

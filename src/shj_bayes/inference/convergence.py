@@ -1,24 +1,22 @@
 """Has it converged: numbers from several independent ensembles, and a verdict in words.
 
 The walkers of one ensemble are not independent chains, so R-hat compares whole ensembles; the effective sample size is
-the smaller of the two estimates that can be made (autocorrelation time of the ensemble, and ArviZ over walkers).
+the smaller of the two estimates that can be made (autocorrelation time of the ensemble, and ranks over walkers).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from shj_bayes.inference.quiet_arviz import az
+from shj_bayes.inference.ranks import ess_bulk, ess_tail, rhat
 from shj_bayes.model.parameters import FloatArray
 
 RHAT_LIMIT, ESS_LIMIT, TAU_LIMIT = 1.01, 1000.0, 50.0
 ACCEPTANCE_LIMIT = 0.05
-_ARVIZ: Any = az  # its functions carry no types
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +94,6 @@ def _time_of_ensemble(chain: FloatArray, window: float = 5.0) -> FloatArray:
     return np.asarray(times[last, np.arange(times.shape[1])])
 
 
-def r_hat(chains: FloatArray) -> float:
-    """Rank-normalised split R-hat of one scalar in independent chains, shape (n_chains, n_draws)."""
-    return float(_ARVIZ.rhat(chains))
-
-
-def ess_bulk(chains: FloatArray) -> float:
-    """Bulk effective sample size of one scalar in independent chains, shape (n_chains, n_draws)."""
-    return float(_ARVIZ.ess(chains, method="bulk"))
-
-
 def diagnose_chains(
     names: tuple[str, ...], chains: Sequence[FloatArray], acceptance: FloatArray, n_failed: int = 0
 ) -> Diagnostics:
@@ -135,16 +123,16 @@ def diagnose_chains(
     n_ensembles, n_steps, n_walkers, d = kept.shape
     by_ensemble = kept.reshape(n_ensembles, n_steps * n_walkers, d)
     by_walker = kept.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, d)
-    rhat, bulk, tail = (np.empty(d) for _ in range(3))
+    agreement, bulk, tail = (np.empty(d) for _ in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
         for i in range(d):
-            rhat[i] = r_hat(by_ensemble[:, :, i])
+            agreement[i] = rhat(by_ensemble[:, :, i])
             bulk[i] = min(ess_bulk(by_walker[:, :, i]), n_ensembles * n_walkers * n_steps / tau[i])
-            tail[i] = _ARVIZ.ess(by_walker[:, :, i], method="tail", prob=(0.05, 0.95))
+            tail[i] = ess_tail(by_walker[:, :, i])
     # A parameter on which all walkers stand still has no variance: its R-hat is not a number, and that is not good.
-    rhat = np.where(np.isfinite(rhat), rhat, np.inf)
+    agreement = np.where(np.isfinite(agreement), agreement, np.inf)
     bulk, tail = (np.where(np.isfinite(values), values, 0.0) for values in (bulk, tail))
-    return Diagnostics(names, tau, rhat, bulk, tail, np.asarray(acceptance), n_steps, burn, n_failed)
+    return Diagnostics(names, tau, agreement, bulk, tail, np.asarray(acceptance), n_steps, burn, n_failed)
 
 
 def converged(d: Diagnostics) -> bool:

@@ -16,6 +16,7 @@ from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
 from shj_bayes.inference.floor import Floor, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.remarks import remarks_of
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
@@ -116,12 +117,15 @@ def fit(
     )
     floor = floor_of(posterior, start)
     kept = np.stack([state.chain[figures.n_burn :] for state in states])
-    verdict = with_floor(judge(figures), floor)
+    converged = judge(figures)
+    verdict = with_floor(converged, floor)
     shown = floor.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
-    table = store.summary(posterior.model, figures, store.natural_chains(posterior, shown))
+    natural = store.natural_chains(posterior, shown)
+    table = store.summary(posterior.model, figures, natural)
     heights = np.stack([state.log_posterior[figures.n_burn :] for state in states])
     data = store.inference_data(posterior, shown, kept, heights, plan.seed)
     record = store.fit_record(posterior, figures, floor, verdict, table, name=name, seed=plan.seed, key=key)
+    record |= {"convergence": converged.word, "remarks": remarks_of(posterior.model, natural)}
     if folder is not None:
         store.write_fit(folder, data, table, record)
     return Fit(posterior, data, table, figures, floor, verdict, record)

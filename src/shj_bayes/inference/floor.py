@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtri
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
@@ -48,8 +48,7 @@ class Floor:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for name in ("factor", "scatter"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "factor", "scatter")
 
     @property
     def widened(self) -> tuple[str, ...]:
@@ -88,7 +87,7 @@ def floor_of(posterior: Posterior, start: Start) -> Floor:
         of_piece = np.stack([np.bincount(pieces, weights=column, minlength=n) for column in scores.T], axis=1)
         moves = (of_piece - of_piece.mean(axis=0)) @ start.covariance
         ratio = np.sqrt(n / (n - 1) * np.sum(moves**2, axis=0)) / sd
-        limit = float(np.sqrt(stats.chi2.ppf(1.0 - CHANCE / told.sum() / 2.0, n - 1) / (n - 1)))
+        limit = float(np.sqrt(chdtri(n - 1, CHANCE / told.sum() / 2.0) / (n - 1)))
         scatter = np.maximum(scatter, ratio)
         factor = np.maximum(factor, np.where(told & (ratio > limit), ratio, 1.0))
     # The prior holds what the cycles do not: no interval need be wider than its own.

@@ -44,9 +44,8 @@ class Posterior:
         """Check that the parts fit together and that the priors can hold the data."""
         if len(self.runs) != self.model.n_runs:
             raise InferenceError(f"{len(self.runs)} runs given, the model has {self.model.n_runs}")
-        law = self.model.priors.of("Fy").distribution
         peak = float(np.percentile(np.abs(self.runs[0].recording.force_kN), 99))
-        low, high = law.ppf([1e-4, 1 - 1e-4])
+        low, high = self.model.priors.of("Fy").quantile(np.array([1e-4, 1 - 1e-4]))
         if not low <= peak <= 2 * high:
             raise PriorError(
                 f"{self.runs[0].recording.source.name}: the force reaches {peak:.3g} kN, but priors "
@@ -77,15 +76,15 @@ class Posterior:
         """Parameters in natural units, shape (m, d), to unbounded vectors."""
         return self.model.unbounded(theta)
 
-    def refined(self, theta: FloatArray, *, longest_s: float | None = None) -> Posterior:
+    def refined(self, theta: FloatArray, *, longest_s: float | None = None, coarser: float = 1.0) -> Posterior:
         """Average the recordings anew, with blocks that follow the bends of the force at one parameter set.
 
         Parameters
         ----------
         theta : array, shape (d,)
             Parameters in natural units, near the data.
-        longest_s : float, optional
-            Longest block, s; see `reduce_runs`.
+        longest_s, coarser : float, optional
+            Longest block, s, and how much longer than usual blocks are; see `reduce_runs`.
         """
         still = theta[None].copy()
         if self.model.speed:  # the speed is noisy, and its share of the force is straight
@@ -95,7 +94,7 @@ class Posterior:
         def force_at(history: History, start_force_kN: float) -> FloatArray:
             return np.asarray(self.model.force(still, history, start_force_kN)[0])
 
-        return replace(self, averages=reduce_runs(self.runs, force_at, longest_s=longest_s))
+        return replace(self, averages=reduce_runs(self.runs, force_at, longest_s=longest_s, coarser=coarser))
 
     def modelled_force(self, theta: FloatArray, run: int) -> FloatArray:
         """Force of run ``run`` (1 for the first) without noise, at all its samples, shape (m, n_samples), kN."""

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import Timing
@@ -66,9 +66,8 @@ class Averages:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        object.__setattr__(self, "first", frozen(self.first, np.int64))
-        for name in ("force_kN", "count"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "first", kind=np.int64)
+        freeze(self, "force_kN", "count")
 
     @property
     def n(self) -> int:
@@ -95,7 +94,7 @@ class Averages:
 
 
 def reduce_runs(
-    runs: Sequence[Run], force_at: Force | None = None, *, longest_s: float | None = None
+    runs: Sequence[Run], force_at: Force | None = None, *, longest_s: float | None = None, coarser: float = 1.0
 ) -> tuple[Averages, ...]:
     """Average the runs of a device.
 
@@ -109,6 +108,8 @@ def reduce_runs(
     longest_s : float, optional
         Longest block, s; 0 makes each sample a block of its own, which is no reduction at all. By default `LONGEST_S`,
         or what divides the run into `LEAST_BLOCKS` where that is more.
+    coarser : float
+        By how much the blocks are longer than that, in time, slip and bend: for comparing many models.
 
     Returns
     -------
@@ -116,7 +117,8 @@ def reduce_runs(
     """
     whole = histories_of(runs)
     bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)
-    return tuple(_reduce(run, history, bend, longest_s) for run, history, bend in zip(runs, whole, bends, strict=True))
+    parts = zip(runs, whole, bends, strict=True)
+    return tuple(_reduce(run, history, bend, longest_s, coarser) for run, history, bend in parts)
 
 
 def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> list[FloatArray]:
@@ -142,14 +144,14 @@ def _before(along: FloatArray, place: IntArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(along[place[1:] - 1])[:-1]])
 
 
-def _reduce(run: Run, history: History, bend: FloatArray | None, longest_s: float | None) -> Averages:
+def _reduce(run: Run, history: History, bend: FloatArray | None, longest_s: float | None, coarser: float) -> Averages:
     """Average one run."""
     recording, motion = run.recording, run.motion
     time, x = recording.time_s, motion.displacement_mm
     stroke, n_half = float(np.ptp(x)), motion.n_half
     longest = max(LONGEST_S, recording.duration_s / LEAST_BLOCKS) if longest_s is None else longest_s
-    slip = stroke / (FIRST_LOOK if bend is None else PER_STROKE)
-    flat = np.zeros(time.size) if bend is None else bend
+    longest, slip = longest * coarser, coarser * stroke / (FIRST_LOOK if bend is None else PER_STROKE)
+    flat = np.zeros(time.size) if bend is None else bend / coarser
     block = np.empty(time.size, dtype=np.int64)
     n = _cut(block, run.used, recording.restarts, motion.start, time, x, flat, longest, slip)
     order = np.flatnonzero(block >= 0)

@@ -49,15 +49,18 @@ class Run:
 
     @cached_property
     def start_force_kN(self) -> float:
-        """Force with which the law starts: 0 for an unloaded device, else the median measured before it moves.
+        """Force with which the law starts: 0 for an unloaded device, else what was measured before it moves.
 
-        A device counts as unloaded when that median is below 10 % of the largest force or within the noise: taking a
-        noisy reading as the state would shift every loop that does not slide fully.
+        A device counts as unloaded when that is below 10 % of the largest force or within the noise: taking a noisy
+        reading as the state would shift every loop that does not slide fully. A recording that begins in motion has
+        the force of its first displacement, on a straight line through its first samples.
         """
         force, x = self.recording.force_kN, self.motion.displacement_mm
         moved = np.abs(x - x[0]) > 2e-3 * np.ptp(x)
         n_rest = max(1, int(np.argmax(moved)))
         first = float(np.median(force[:n_rest]))
+        if n_rest > 2 and np.ptp(x[:n_rest]) > 1e-3 * np.ptp(x):
+            first = float(np.polynomial.Polynomial.fit(x[:n_rest] - x[0], force[:n_rest], 1)(0.0))
         noise = 1.4826 * float(np.median(np.abs(np.diff(force))))
         return first if abs(first) > max(0.1 * float(np.abs(force).max()), 6 * noise) else 0.0
 

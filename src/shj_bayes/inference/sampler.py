@@ -6,11 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from threading import Event
 
-import emcee
 import numpy as np
 from tqdm import tqdm
 
+from shj_bayes._util.import_safety import without
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
@@ -19,6 +20,9 @@ from shj_bayes.inference.proposal import Proposal, fit_proposal
 from shj_bayes.inference.shared import Density, Shared, n_threads
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
+
+with without("scipy.stats"):
+    import emcee
 
 MIN_STEPS = 50  # fewer say nothing about convergence
 LEAST_ROUND, SURE = 10, 1.04  # steps; by how much the steps are taken longer than a first estimate of tau asks
@@ -133,6 +137,7 @@ def run_ensembles(
     else:
         streams = np.random.SeedSequence(plan.seed).spawn(plan.n_ensembles)
         states = [_begin(density, start, plan.walkers(d), stream) for stream in streams]
+    stop = Event()
     bar = tqdm(total=plan.max_steps, unit="step", desc="sampling", disable=None if progress else True, leave=False)
     with bar, ThreadPoolExecutor(min(plan.n_ensembles, n)) as pool:
         bar.update(states[0].chain.shape[0])
@@ -143,7 +148,11 @@ def run_ensembles(
                 if converged(figures) or states[0].chain.shape[0] >= plan.max_steps:
                     return states, figures
             steps = _next_round(plan, states[0].chain.shape[0], figures)
-            states = list(pool.map(partial(_advance, density, proposal, n_steps=steps), states))
+            try:
+                states = list(pool.map(partial(_advance, density, proposal, stop, n_steps=steps), states))
+            except BaseException:  # Ctrl-C: the pool would wait for the end of the round
+                stop.set()
+                raise
             if path is not None:
                 checkpoint.save(path, identity, states)
             bar.update(steps)
@@ -187,12 +196,14 @@ def _begin(density: Density, start: Start, n_walkers: int, stream: np.random.See
     return EnsembleState(points[None], density_at[None], np.zeros(n_walkers), tuple(legacy), 0)
 
 
-def _advance(density: Density, proposal: Proposal, state: EnsembleState, n_steps: int) -> EnsembleState:
+def _advance(density: Density, proposal: Proposal, stop: Event, state: EnsembleState, n_steps: int) -> EnsembleState:
     """Run one ensemble for some steps."""
     failed = 0
 
     def evaluate(z: FloatArray) -> FloatArray:
         nonlocal failed
+        if stop.is_set():
+            raise InferenceError("sampling was stopped")
         value = density.log_posterior_free(z)
         failed += int(np.count_nonzero(~np.isfinite(value)))
         return value

@@ -92,7 +92,7 @@ def best_of(scene: Scene, starts: Sequence[FloatArray], sigma_kN: float, *, roun
 
 def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: Effect) -> list[FloatArray]:
     """List starts of a model with one more effect: the smaller model's parameters and the effect's start values."""
-    tails = [dict(zip(effect.names, values, strict=True)) for values in product(*_grids(effect))]
+    tails = [dict(zip(effect.names, values, strict=True)) for values in product(*start_values(effect))]
     known = dict(zip(smaller.law_names, z, strict=True))
     names = larger.law_names
     return [
@@ -133,8 +133,8 @@ def orthogonal_to(slopes: FloatArray, columns: FloatArray) -> FloatArray:
     return np.asarray(columns - q @ (q.T @ columns))
 
 
-def _grids(effect: Effect) -> list[list[float]]:
-    """Free start values of each parameter of an effect."""
+def start_values(effect: Effect) -> list[list[float]]:
+    """Values in the unbounded space from which a search begins, for each parameter of an effect."""
     return [_start_values(effect, prior) for prior in effect.parameters]
 
 

@@ -7,24 +7,22 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
 import shj_bayes
-from shj_bayes.errors import InferenceError
-from shj_bayes.files import check_seal, file_digest, read_json, replacing, reserve, sealed, write_text
+from shj_bayes._util.files import file_digest, replacing, reserve, sealed, write_text
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of
+from shj_bayes.inference.record import FILES, SCHEMA, whole
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 
@@ -32,16 +30,10 @@ if TYPE_CHECKING:  # whoever only reads files need not wait for ArviZ
     from shj_bayes.inference.convergence import Diagnostics, Verdict
     from shj_bayes.inference.floor import Floor
 
-SCHEMA, READABLE = "shj-bayes/fit/2", ("shj-bayes/fit/1", "shj-bayes/fit/2")
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
 N_STORED, N_LOOPS = 500, 25  # draws of each ensemble, and those of them with the force of every sample
 N_PRIOR, N_FORESEEN = 4000, 100  # draws of the prior, and those of them with forces of half-cycles
 N_POINTS = 12_000  # of each run in the file, about
-FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
-KINDS: dict[str, type] = {
-    **{"device": str, "verdict": str, "reasons": list, "versions": dict, "model": dict},
-    **{"prior_laws": list, "inputs": list, "sampling": dict, "parameters": list},
-}
 PACKAGES = ("arviz", "emcee", "h5py", "numba", "numpy", "pandas", "scipy", "xarray")
 MEANINGS = {  # unit and meaning of what is not a parameter, by name
     "chain": ("1", "ensemble"),
@@ -60,6 +52,7 @@ MEANINGS = {  # unit and meaning of what is not a parameter, by name
     "force_of_half_cycle": ("kN", "mean force of the half-cycle's evidence in the direction of motion"),
     "lp": ("1", "log posterior density of the unbounded parameters, up to a constant"),
 }
+EXTRA = "extra_"  # before the names of further channels
 AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the record's cycles, widening is above 1"
 
 
@@ -100,9 +93,9 @@ def inference_data(
         natural_chains(posterior, chains[:, ::step].reshape(n_ensembles, -1, d)) for chains in (shown, sampled)
     )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
-    laws = [law.distribution for law in posterior.model.laws_of_parameters]
-    prior = np.stack([law.rvs(N_PRIOR, random_state=rng) for law in laws], axis=1)
-    log_prior = np.stack([law.logpdf(own[:, :, i]) for i, law in enumerate(laws)], axis=2)
+    laws = posterior.model.laws_of_parameters
+    prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
+    log_prior = np.stack([law.log_density(own[:, :, i]) for i, law in enumerate(laws)], axis=2)
 
     likely, predicted, measured = half_cycles(posterior, own.reshape(-1, d), rng)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -128,6 +121,8 @@ def inference_data(
         return {"force_of_half_cycle": values[:, some].reshape(n_chains, -1, some.size)}
 
     words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
+    extras = extra_names(posterior)
+    words |= {f"{EXTRA}{name}": (unit or "1", "further channel, as named") for name, unit in extras.items()}
     loops = {"force": noisy, "force_model": clean}
     loops = {name: force.reshape(n_ensembles, few.size, -1) for name, force in loops.items()}
     likely = np.round(likely * 2.0**20) / 2.0**20  # a millionth; the file is smaller
@@ -224,6 +219,7 @@ def fit_record(
                 "format": run.recording.source.format,
                 "columns": run.recording.source.columns,
                 "units": run.recording.source.units,
+                "extras": {extra.name: extra.unit for extra in run.recording.extras},
                 "n_samples": run.recording.n_samples,
                 "rate_Hz": run.recording.rate_Hz,
                 "duration_s": run.recording.duration_s,
@@ -270,49 +266,6 @@ def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: dict
     write_text(folder / "fit.json", json.dumps(record, indent=1))
 
 
-def read_record(folder: Path) -> dict[str, Any]:
-    """Read ``fit.json`` of a results folder.
-
-    Raises
-    ------
-    InferenceError
-        If there is none, it is not one of ours, or it was altered after it was written.
-    """
-    path = folder / "fit.json"
-    if not path.exists():
-        raise InferenceError(f"{folder.name} holds no finished fit (no {path.name} in it); run shj-bayes fit")
-    record = read_json(path, InferenceError)
-    if not isinstance(record, dict) or record.get("schema") not in READABLE:
-        raise InferenceError(
-            f"{path.name} in {folder.name} has none of the schemas {', '.join(READABLE)}; run the fit again"
-        )
-    check_seal(record, path, InferenceError)
-    for key, kind in KINDS.items():
-        if not isinstance(record.get(key), kind):
-            raise InferenceError(f"{path.name} in {folder.name} lacks a proper {key!r}; run the fit again")
-    return record
-
-
-def check_files(folder: Path, record: dict[str, Any]) -> None:
-    """Refuse files of a fit that are missing, cut short or altered; a fit of an earlier version has no digests.
-
-    Raises
-    ------
-    InferenceError
-        With the file at fault.
-    """
-    for name in FILES:
-        path = folder / name
-        if not path.is_file():
-            raise InferenceError(f"{name} is missing in {folder.name}; run the fit again")
-        wanted = record.get("files", {}).get(name)
-        if wanted is not None and file_digest(path) != wanted:
-            raise InferenceError(
-                f"{name} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one "
-                "in fit.json); restore it or run the fit again"
-            )
-
-
 def read_posterior(folder: Path) -> xr.DataTree:
     """Read ``posterior.nc`` of a results folder, all groups.
 
@@ -321,48 +274,8 @@ def read_posterior(folder: Path) -> xr.DataTree:
     InferenceError
         If it is missing, damaged, or not the one that ``fit.json`` belongs to.
     """
-    with _whole(folder) as path, xr.open_datatree(path, engine="h5netcdf") as data:
+    with whole(folder) as path, xr.open_datatree(path, engine="h5netcdf") as data:
         return data.load()
-
-
-def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
-    """Read the arrays of one group of ``posterior.nc`` and nothing else.
-
-    A campaign's summary asks three times for a little of every device; all groups with their coordinates through
-    xarray took a third of a second each time.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    group : str
-        ``posterior``, ``constant_data`` ...
-
-    Returns
-    -------
-    dict of str to array
-        By variable, in the shape in which they are stored.
-
-    Raises
-    ------
-    InferenceError
-        As for `read_posterior`.
-    """
-    with _whole(folder) as path, h5py.File(path, "r") as file:
-        return {name: np.asarray(part) for name, part in file[group].items() if isinstance(part, h5py.Dataset)}
-
-
-@contextmanager
-def _whole(folder: Path) -> Iterator[Path]:
-    """Give ``posterior.nc`` to read; a damaged one is told in one line."""
-    if (folder / "fit.json").exists():
-        check_files(folder, read_record(folder))
-    try:
-        yield folder / "posterior.nc"
-    except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
-        raise InferenceError(
-            f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
-        ) from error
 
 
 def versions() -> dict[str, str]:
@@ -374,6 +287,11 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             out[package] = "not installed"
     return out
+
+
+def extra_names(posterior: Posterior) -> dict[str, str]:
+    """Further channels of all runs: name and unit, each once."""
+    return {extra.name: extra.unit for run in posterior.runs for extra in run.recording.extras}
 
 
 def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
@@ -390,6 +308,11 @@ def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict
         }
         for number, run in enumerate(posterior.runs, start=1)
     ]
+    nowhere = [np.full(run.recording.n_samples, np.nan) for run in posterior.runs]
+    for name in extra_names(posterior):
+        for channels, run, missing in zip(of_runs, posterior.runs, nowhere, strict=True):
+            own = {extra.name: extra.values for extra in run.recording.extras}
+            channels[f"{EXTRA}{name}"] = own.get(name, missing)
     pairs = list(zip(of_runs, points, strict=True))
     return {name: np.concatenate([channels[name][keep] for channels, keep in pairs]) for name in of_runs[0]}
 

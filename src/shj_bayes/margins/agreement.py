@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from shj_bayes.margins.delivered import FORCES
 from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
 
 SLACK = 0.02
 """Share of the typical value by which two numbers may differ before they count as contradicting: noise of draws."""
 LOWER, UPPER = ("ASCE 7 lower bound force", "EN 15129 LBDP"), ("ASCE 7 upper bound force", "EN 15129 UBDP")
-FORCES = ("Fy", "Fy_second", "force")
-"""Sliding force of the first run, of the second, and at mid-stroke at the tested speed."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,8 @@ def agreement(rows: Sequence[Margin]) -> Agreement:
     found = [text for name in names for text in _of_set(name, [row for row in rows if row.set_name == name])]
     words = (
         f"Compared in {len(names)} sets: each lower bound force (ASCE 7, LBDP) with the 5 % ends, and each upper bound "
-        "force (ASCE 7, UBDP) with the 95 % ends, of the sliding force of the first and second run and of the force at "
-        "mid-stroke; lower with upper bounds; low, middle and high value of every other margin. "
+        "force (ASCE 7, UBDP) with the 95 % ends, of the smallest plateau, mean plateau, third cycle and largest force "
+        "of every run; lower with upper bounds; low, middle and high value of every other margin. "
         + (f"{len(found)} contradict." if found else "None contradict.")
     )
     return Agreement(words, tuple(found))
@@ -57,8 +56,8 @@ def agreement(rows: Sequence[Margin]) -> Agreement:
 def _of_set(name: str, rows: Sequence[Margin]) -> Iterator[str]:
     lower = [row for row in rows if row.kind.startswith(LOWER)]
     upper = [row for row in rows if row.kind.startswith(UPPER)]
-    scale = max((abs(row.value) for row in rows if row.quantity == "Fy" and row.side == MIDDLE), default=0.0)
-    ends = [row for row in rows if row.method == BANDS and row.quantity in FORCES]
+    scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
+    ends = [row for row in rows if row.method == BANDS and row.quantity.partition("_")[0] in FORCES]
     for bound in lower:
         for end in (*(e for e in ends if e.side == LOW), *upper):
             yield from _above(name, bound, end, scale)

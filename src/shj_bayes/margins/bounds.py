@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import row
-from shj_bayes.margins.cycle import steady_cycle
-from shj_bayes.margins.delivered import SLOWEST, delivered
-from shj_bayes.margins.outermost import DEFAULT, Newcomers, newcomers, outer, own_devices
-from shj_bayes.margins.sample import Motion
+from shj_bayes.margins.delivered import delivered
+from shj_bayes.margins.outermost import DEFAULT, newcomers, outer, own_devices
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import sets_suffice
+from shj_bayes.population.quantities import HIGHEST, LOWEST
 
 LOWER, MIDDLE, UPPER = "lower", "middle", "upper"
-NEEDED = ("K", "Fy", "beta", "gamma")
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ class Bound:
     K_kN_mm, force_kN, beta : float
         Stiffness, sliding force, sharpness of the knee of Eq. (1).
     stiffness_kN_mm, damping : float
-        Effective stiffness and damping of the cycle stated.
+        Effective stiffness and damping of the amplitude stated.
     n_devices : int
         Tested devices.
     """
@@ -59,78 +56,44 @@ class Bound:
             )
 
 
-def bounds(models: Sequence[PopulationResult], motion: Motion) -> tuple[Bound, ...]:
+def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm: float) -> tuple[Bound, ...]:
     """Draw up three bounds of every set.
 
     Parameters
     ----------
-    models : sequence of PopulationResult
-        One, or several where a diagnosis leaves the physics open: the outermost then counts.
-    motion : Motion
-        Cycle for the middle force, and range of speeds.
+    design : PopulationResult
+        Design quantities of the devices, pooled.
+    parameters : PopulationResult
+        Parameters of the law, pooled; for the sharpness.
+    amplitude_mm : float
+        For effective stiffness and damping.
 
     Returns
     -------
     tuple of Bound
-        Lower: 5 % of the smaller of both runs at the least favourable speed from 0 to that of the cycle. Middle: 50 %
-        of the first run, scaled to the energy that the law dissipates in the cycle (a sine: 1 + pi/4 gamma v). Upper:
-        95 % of the larger of both runs at the least favourable speed. Stiffness 5, 50 and 95 %; sharpness its middle.
+        Lower: 5 % of the smallest plateau of all runs. Middle: 50 % of the mean plateau of the first run. Upper: 95 %
+        of the largest force of all runs. Stiffness 5, 50 and 95 %; sharpness its middle. Effective stiffness and
+        damping are those of an elastic-plastic loop: F / A and (2/pi)(1 - F / (K A)).
     """
-    if motion.guard.beyond:
-        raise PopulationError(
-            f"materials are given for tested speeds only (up to {motion.guard.tested.fastest_mm_s:.3g} mm/s)"
-        )
     out = []
     # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.
-    untested = (ANY_SET,) if sets_suffice(len(models[0].sets)) else ()
-    for name in (*models[0].set_names, *untested):
-        found = [
-            three
-            for model in models
-            if (three := _of_set(newcomers(model, name), own_devices(model, name, (*NEEDED, "ratio")), motion))
-        ]
-        if found:
-            out += [_outermost(same) for same in zip(*found, strict=True)]
-    if not out:
-        raise PopulationError(f"no set gives all of {', '.join(NEEDED)}, which a material needs")
+    untested = (ANY_SET,) if sets_suffice(len(design.sets)) else ()
+    for name in (*design.set_names, *untested):
+        devices = newcomers(design, name)
+        own = own_devices(design, name, (LOWEST, HIGHEST, "K"))
+        force = delivered(devices, own)
+        middle = float(np.median(devices[DEFAULT].draws["plateau"]))
+        bands = {label: device.band("K") for label, device in devices.items()}
+        index = None if name == ANY_SET else parameters.index(name)
+        fit = parameters.fit("beta")
+        level = fit.hyper[:, 0] if index is None else fit.mu[:, index]
+        beta = float(np.clip(np.exp(np.median(level)), *BETA_RANGE))
+        for i, (bound, side, value) in enumerate(
+            ((LOWER, row.LOW, force.low), (MIDDLE, row.MIDDLE, middle), (UPPER, row.HIGH, force.high))
+        ):
+            stiffness = outer({label: band[i] for label, band in bands.items()}, side, own)
+            slip = min(value / (stiffness * amplitude_mm), 1.0)
+            damping = (2.0 / math.pi) * (1.0 - slip)
+            n = devices[DEFAULT].n_devices
+            out.append(Bound(name, bound, stiffness, value, beta, value / amplitude_mm, damping, n))
     return tuple(out)
-
-
-def _of_set(devices: Newcomers, own: int, motion: Motion) -> tuple[Bound, ...]:
-    device = devices[DEFAULT]
-    if any(q not in device.draws for q in NEEDED):
-        return ()
-    v = motion.guard.speed_mm_s
-    energy = np.maximum(1.0 + math.pi / 4.0 * device.draws["gamma"] * v, SLOWEST)
-    force = delivered(devices, own, motion)
-    forces = force.low, float(np.quantile(device.draws["Fy"] * energy, 0.5)), force.high
-    bands = {label: other.band("K") for label, other in devices.items()}
-    stiffness = [
-        outer({label: band[i] for label, band in bands.items()}, side, own)
-        for i, side in enumerate((row.LOW, row.MIDDLE, row.HIGH))
-    ]
-    beta = float(np.clip(np.median(device.draws["beta"]), *BETA_RANGE))
-    laws = np.column_stack([stiffness, forces, [beta] * 3, [0.0] * 3])
-    cycle = steady_cycle(laws, motion.amplitude_mm, v, motion.guard.tested.variant)
-    return tuple(
-        Bound(
-            device.set_name,
-            bound,
-            stiffness[i],
-            forces[i],
-            beta,
-            float(cycle.stiffness_kN_mm[i]),
-            float(cycle.damping[i]),
-            device.n_devices,
-        )
-        for i, bound in enumerate((LOWER, MIDDLE, UPPER))
-    )
-
-
-def _outermost(same: Sequence[Bound]) -> Bound:
-    """Lowest of the lower, highest of the upper, mean of the middle."""
-    first = same[0]
-    if len(same) == 1 or first.bound == MIDDLE:
-        return replace(first, force_kN=float(np.mean([b.force_kN for b in same])))
-    pick = min if first.bound == LOWER else max
-    return pick(same, key=lambda b: b.force_kN)

@@ -1,31 +1,24 @@
-"""What the diagnoses of a campaign's devices change: populations with the physics that was found, beside the law alone.
+"""The diagnoses of a campaign's devices: where they are, whether they belong, and what they found in words.
 
 A diagnosis belongs to a device when its ``diagnosis.json`` lies in the device's results folder or in ``diagnosis``
-below it, and names the same recordings (by SHA-256). Two populations are fitted, one with the parameters that each
-device has with what was found, one with those of the law alone, and each margin is the less favourable of the two:
-parameters taken one by one do not hold what an effect does to the force, so finding more must not make a margin less
-safe. The error of a wrong model is the same for every device of a rig; treating it as one more measurement error of
-each device would let it average out.
+below it, and names the same recordings (by SHA-256). The fit that it ended in lies beside it; the virtual test drives
+the device with that model and with the law alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from shj_bayes._util.files import read_json
 from shj_bayes.errors import InferenceError, PopulationError
-from shj_bayes.files import read_json
-from shj_bayes.inference.store import read_record
-from shj_bayes.mismatch.content import SCHEMA
-from shj_bayes.population.device import DeviceEstimate
-from shj_bayes.population.measurement import Stated
-from shj_bayes.population.quantities import QUANTITIES
+from shj_bayes.inference.record import read_record
+from shj_bayes.mismatch.schema import READ
 
 PLACES = ("diagnosis.json", "diagnosis/diagnosis.json")
 OPEN = ("family", "unknown")
-LAW_ALONE = "with the law alone"
 Key = tuple[str, str]
 
 
@@ -39,17 +32,13 @@ class Diagnosed:
         adequate, named, family or unknown.
     found : tuple of str
         What was left out, in words; for a family its members.
-    before, after : mapping of str to (mean, sd)
-        Parameters of the law alone and of the augmented model, natural units.
-    quick : bool
-        True for a first look without sampling.
+    fit : Path or None
+        Folder of the fit that it ended in; None for a first look, which has none.
     """
 
     verdict: str
     found: tuple[str, ...]
-    before: Mapping[str, tuple[float, float]]
-    after: Mapping[str, tuple[float, float]]
-    quick: bool = False
+    fit: Path | None = None
 
 
 def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
@@ -72,11 +61,11 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
         return None, ""
     try:
         record = read_json(path, PopulationError)
-        if record["schema"] != SCHEMA:
+        if record["schema"] not in READ:
             return None, f"its diagnosis has the schema {record['schema']!r}; run shj-bayes diagnose again"
         digests = [str(entry["sha256"]) for entry in record["inputs"]]
         fitted = [str(entry["sha256"]) for entry in read_record(folder)["inputs"]]
-        result = _diagnosed(record)
+        result = _diagnosed(record, path.parent)
     except (ValueError, KeyError, TypeError, AttributeError, InferenceError, PopulationError) as error:
         return None, f"its diagnosis cannot be read ({error}); run shj-bayes diagnose again"
     if digests != fitted:
@@ -84,78 +73,30 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
     return result, ""
 
 
-def _diagnosed(record: Mapping[str, Any]) -> Diagnosed:
+def _diagnosed(record: Mapping[str, Any], place: Path) -> Diagnosed:
     titles = [str(e.get("title", e["id"])) for e in record["effects"]]
     family = [str(e["id"]) for e in record["family"]]
-    before, after = (
-        {
-            q: (float(values[stage]["mean"]), float(values[stage]["sd"]))
-            for q, values in record["shift"].items()
-            if q in QUANTITIES
-        }
-        for stage in ("before", "after")
-    )
     verdict = str(record["verdict"])
     if verdict not in ("adequate", "named", *OPEN):
         raise ValueError(f"verdict {verdict!r}")
-    return Diagnosed(
-        verdict, tuple(family if verdict == "family" else titles), before, after, bool(record.get("quick"))
-    )
+    fitted = None if record.get("quick") or not (place / "fit.json").is_file() else place
+    return Diagnosed(verdict, tuple(family if verdict == "family" else titles), fitted)
 
 
-def stated(device: DeviceEstimate, values: Mapping[str, tuple[float, float]]) -> DeviceEstimate:
-    """Device with the parameters (mean, sd) that a diagnosis gives, where it gives them."""
-    known = dict(device.measurements)
-    for q, (mean, sd) in values.items():
-        if q in known and sd > 0 and (mean > 0 or not QUANTITIES[q].logarithmic):
-            known[q] = Stated(mean, sd)
-    return replace(device, measurements=known)
-
-
-@dataclass(frozen=True)
-class Cases:
-    """The populations that margins are taken over.
+def words_of(found: Mapping[Key, Diagnosed], n_devices: int, notes: Iterable[str] = ()) -> tuple[str, ...]:
+    """Say what the diagnoses of a campaign found, device by device, and what could not be used.
 
     Parameters
     ----------
-    devices : tuple of (label, devices)
-        With what was found, and with the law alone; none where no diagnosis changes anything.
-    words : tuple of str
-        What was found, device by device, and what could not be used.
-    """
-
-    devices: tuple[tuple[str, tuple[DeviceEstimate, ...]], ...]
-    words: tuple[str, ...]
-
-
-def cases(devices: Iterable[DeviceEstimate], found: Mapping[Key, Diagnosed], notes: Iterable[str] = ()) -> Cases:
-    """Give the populations to fit beside that of the law alone; none where the diagnoses change nothing.
-
-    Parameters
-    ----------
-    devices : iterable of DeviceEstimate
-        As fitted.
     found : mapping of (set, device) to Diagnosed
-        Per device.
+        Per device that has one.
+    n_devices : int
+        Devices of the campaign.
     notes : iterable of str
         Diagnoses that could not be used.
-
-    Returns
-    -------
-    Cases
     """
-    devices = tuple(devices)
-    notes = (_how_many(len(found), len(devices)), *notes)
-    changed = {key: d for key, d in found.items() if d.verdict != "adequate" and d.after}
-    if not changed:
-        return Cases((), notes)
-    words = [_words(f"{key[0]}, {key[1]}", d) for key, d in changed.items()]
-
-    def at(stage: str) -> tuple[DeviceEstimate, ...]:
-        known = ((d, changed.get((d.set_name, d.name))) for d in devices)
-        return tuple(device if found is None else stated(device, getattr(found, stage)) for device, found in known)
-
-    return Cases((("with the physics found", at("after")), (LAW_ALONE, at("before"))), (*words, *notes))
+    changed = [_words(f"{key[0]}, {key[1]}", d) for key, d in found.items() if d.verdict != "adequate"]
+    return (*changed, _how_many(len(found), n_devices), *notes)
 
 
 def _how_many(diagnosed: int, devices: int) -> str:
@@ -168,12 +109,12 @@ def _how_many(diagnosed: int, devices: int) -> str:
 
 def _words(name: str, diagnosis: Diagnosed) -> str:
     what = ", ".join(diagnosis.found) or "something without a name"
-    tail = " (first look, not sampled)" if diagnosis.quick else ""
-    return {
-        "named": f"{name}: {what}; margins are the less favourable with and without it{tail}",
-        "family": f"{name}: one of {what}, not told apart; margins are the less favourable with and without{tail}",
-    }.get(
-        diagnosis.verdict,
-        f"{name}: left out and not explained by the catalogue; margins are the less favourable of the law alone and of "
-        f"the best model found ({what}){tail}",
+    tail = (
+        ""
+        if diagnosis.fit
+        else " (first look without a posterior: bounds rest on the law alone and on what was measured)"
     )
+    return {
+        "named": f"{name}: {what}{tail}",
+        "family": f"{name}: one of {what}, not told apart{tail}",
+    }.get(diagnosis.verdict, f"{name}: left out and not explained by the catalogue; best model found: {what}{tail}")

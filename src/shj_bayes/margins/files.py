@@ -11,7 +11,8 @@ from typing import Any
 
 import pandas as pd
 
-from shj_bayes.files import write_text
+from shj_bayes._util.files import write_text
+from shj_bayes.margins.quantities import TABLE
 from shj_bayes.margins.row import COLUMNS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
@@ -20,11 +21,7 @@ from shj_bayes.population.results import safe_cell
 
 SCHEMA = "shj-bayes/margins/1"
 STEM = "margins"
-HEADS = {
-    "set_name": "set",
-    "degrees": "degrees_of_freedom",
-    "without_diagnosis": "value_of_the_law_as_published",
-}
+HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
 """Columns whose name in a file says more than the one in the code."""
 Key = tuple[str, str, str, str]
 
@@ -37,14 +34,11 @@ def to_table(sheet: Sheet) -> pd.DataFrame:
 
 def to_json(sheet: Sheet) -> dict[str, Any]:
     """Content of ``margins.json``; infinite degrees of freedom read "known", what does not apply is null."""
-    motion = sheet.motion
     return {
         "schema": SCHEMA,
-        "amplitude_mm": None if motion is None else motion.amplitude_mm,
-        "speed_mm_s": None if motion is None else motion.guard.speed_mm_s,
-        "tested": None if motion is None else asdict(motion.guard.tested),
-        "extrapolated": motion is not None and motion.guard.beyond,
-        "models": list(sheet.models),
+        "history": sheet.history,
+        "tested": None if sheet.tested is None else asdict(sheet.tested),
+        "extrapolated": sheet.extrapolated,
         "warnings": list(sheet.warnings),
         "diagnoses": list(sheet.diagnoses),
         "margins": [_record(row) for row in sheet.rows],
@@ -59,7 +53,7 @@ def _record(row: Margin) -> dict[str, Any]:
 
 
 def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
-    """Write ``margins.csv``, ``margins.xlsx`` and ``margins.json``.
+    """Write ``margins.csv``, ``margins.xlsx``, ``margins.json`` and ``margins-devices.csv``.
 
     Parameters
     ----------
@@ -74,11 +68,24 @@ def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
         The files.
     """
     table = to_table(sheet)
-    paths = tuple(folder / f"{STEM}.{ending}" for ending in ("csv", "xlsx", "json"))
+    paths = tuple(folder / f"{STEM}{ending}" for ending in (".csv", ".xlsx", ".json", "-devices.csv"))
     write_text(paths[0], table.to_csv(index=False, lineterminator="\n"))
     _write_excel(sheet, table, paths[1])
     write_text(paths[2], json.dumps(to_json(sheet), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(paths[3], device_table(sheet).to_csv(index=False, lineterminator="\n"))
     return paths
+
+
+def device_table(sheet: Sheet) -> pd.DataFrame:
+    """All design quantities of every tested device and run: predicted by its best model, and measured."""
+    rows = [
+        (trial.set_name, trial.name, run, name, TABLE[name][0], *values, TABLE[name][1])
+        for trial in sheet.trials
+        for run, table in enumerate(trial.table, start=1)
+        for name, values in table.items()
+    ]
+    heads = ["set", "device", "run", "quantity", "unit", "q05", "q50", "q95", "measured", "meaning"]
+    return pd.DataFrame(rows, columns=heads).map(safe_cell)
 
 
 def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:

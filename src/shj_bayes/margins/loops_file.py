@@ -1,60 +1,60 @@
-"""Bands of the whole loop of a new device, first and second run, as values and as a CSV file."""
+"""Bands of the widest cycle of the tested devices, run by run, as values and as a CSV file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.integrate import trapezoid
 
-from shj_bayes.files import write_text
-from shj_bayes.margins.sample import Motion
-from shj_bayes.model.law import force_of_laws
-from shj_bayes.population.loops import LoopBand, loop_band
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import SECOND_RUN, new_device
+from shj_bayes._util.files import write_text
+from shj_bayes.margins.trial import Trial
+from shj_bayes.population.loops import LEVELS, LoopBand
+from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.results import safe_cell
 
 LOOPS_CSV = "loops.csv"
-_NEEDED = ("K", "Fy", "beta", "gamma")
+N_POINTS = 121
 
 
-def loops(result: PopulationResult, motion: Motion | None) -> tuple[LoopBand, ...]:
-    """Draw the loop bands of every set, both runs where both are known; of a set never tested last.
+def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
+    """Draw the loop bands of every set over its tested devices, run by run.
 
     Parameters
     ----------
-    result : PopulationResult
-        A fitted population.
-    motion : Motion or None
-        The cycle. None, or a speed that was not tested, gives no loops: bounded laws of speed differ in shape too.
+    trials : sequence of Trial
+        The devices; a set's widest cycle is cut to what all its devices went through.
+    peak_speed_mm_s : float
+        Of the history.
 
     Returns
     -------
     tuple of LoopBand
     """
-    if motion is None or motion.guard.beyond:
-        return ()
-    return tuple(_loops(result, motion))
+    out = []
+    for name in dict.fromkeys(trial.set_name for trial in trials):
+        own = [trial for trial in trials if trial.set_name == name]
+        for run in range(min(len(trial.loops) for trial in own)):
+            cycles = [trial.loops[run] for trial in own]
+            low = max(float(x.min()) for cycle in cycles for x, _ in cycle)
+            high = min(float(x.max()) for cycle in cycles for x, _ in cycle)
+            grid = np.linspace(low, high, N_POINTS)
+            push, pull = (np.concatenate([_at(grid, *cycle[i]) for cycle in cycles]) for i in (0, 1))
+            energy = trapezoid(push - pull, grid, axis=1)
+            e05, e50, e95 = (float(e) for e in np.quantile(energy, LEVELS))
+            bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0))
+            head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
+            out.append(LoopBand(*head, *bands, (e05, e50, e95), len(own), push.shape[0]))
+    return tuple(out)
 
 
-def _loops(result: PopulationResult, motion: Motion) -> Iterator[LoopBand]:
-    law = partial(force_of_laws, variant=motion.guard.tested.variant)
-    for name in (*result.set_names, ANY_SET):
-        device = new_device(result, name)
-        if not all(q in device.draws for q in _NEEDED):
-            continue
-        for run in (1, 2) if SECOND_RUN in device.draws else (1,):
-            yield loop_band(
-                device,
-                law,
-                amplitude_mm=motion.amplitude_mm,
-                peak_speed_mm_s=motion.guard.speed_mm_s,
-                run=run,
-            )
+def _at(grid: FloatArray, x: FloatArray, force: FloatArray) -> FloatArray:
+    """Force of every draw at the displacements of a grid."""
+    order = np.argsort(x, kind="stable")
+    return np.stack([np.interp(grid, x[order], row[order]) for row in force])
 
 
 def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:

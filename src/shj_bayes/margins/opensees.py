@@ -15,7 +15,6 @@ import re
 from collections.abc import Sequence
 
 from shj_bayes.margins.bounds import Bound
-from shj_bayes.margins.sample import Motion
 
 HARDENING = 1e-5
 """Post-sliding stiffness over initial stiffness: next to nothing, but not 0, so that a model keeps a tangent."""
@@ -23,10 +22,10 @@ SHARPEST = 60.0
 """Largest exponent handed to Steel02, whose powers overflow beyond; the knee is then within 2 % of the force."""
 NOTES = (
     "Units: kN and mm. Force of ONE connection as tested, along its sliding direction.",
-    "Not carried: the speed law. A Steel02 material does not know speed; the middle force is that of equal energy at "
-    "the tested speed, lower and upper hold the tested range of speeds. Nothing is known beyond it.",
-    "Not carried: the loss of force from run to run and with travel within an analysis. The lower bound is that of a "
-    "second run; use it for a second earthquake.",
+    "Not carried: the speed law. A Steel02 material does not know speed; the forces are those at "
+    "the speeds of the test. Nothing is known beyond it.",
+    "Not carried: the loss of force from run to run and with travel within an analysis. The lower bound is the "
+    "smallest force of all runs of the test; it serves for a second earthquake.",
     "Not carried: the jump of Eq. (1) at reversals, slack, stick-slip, and bearing of the bolt at the end of the slot. "
     "Stop the analysis where the slot ends, or add a gap material there.",
     "Run the lower and the upper bound at least: the lower governs displacement, the upper governs forces.",
@@ -47,15 +46,15 @@ def plain(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9 .,_%()+-]", "_", name).strip() or "set"
 
 
-def python_script(bounds: Sequence[Bound], motion: Motion, source: str) -> str:
+def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str) -> str:
     """Script for OpenSeesPy: a table of materials, a function that defines one, and a check that runs each.
 
     Parameters
     ----------
     bounds : sequence of Bound
         The materials.
-    motion : Motion
-        Cycle that the check runs.
+    amplitude_mm : float
+        Of the cycle that the check runs.
     source : str
         Where they come from.
 
@@ -101,7 +100,7 @@ def loop(ops, set_name, bound, displacement):
 def main():
     import openseespy.opensees as ops
 
-    amplitude, steps = {motion.amplitude_mm!r}, 800
+    amplitude, steps = {amplitude_mm!r}, 800
     displacement = [amplitude * math.sin(2 * math.pi * i / steps) for i in range(2 * steps + 1)]
     print("set, bound, largest force kN, energy of the second cycle kJ")
     for set_name, bound in MATERIALS:

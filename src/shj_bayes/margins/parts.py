@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes.margins.delivered import Delivered, delivered, words
+from shj_bayes.margins.delivered import Delivered, delivered
 from shj_bayes.margins.outermost import Newcomers, own_devices
 from shj_bayes.margins.pair import NONE, Bounds
-from shj_bayes.margins.sample import Motion
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes.population.quantities import HIGHEST, LOWEST, THIRD_CYCLE, FloatArray
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Environment:
 def environment(result: PopulationResult, set_name: str) -> Environment:
     """Corroded over uncorroded sliding force of the same shim and coating, from its posterior."""
     untested = "no corroded partner of this set was tested: 1 says that nothing is known, not that nothing happens"
-    fit = result.fit("Fy")
+    fit = result.fit(THIRD_CYCLE)
     if set_name == ANY_SET:
         shifts = [fit.mu[:, j] - fit.mu[:, i] for i, j in corroded_pairs(result)]
         if not shifts:
@@ -76,40 +75,27 @@ class Parts:
     Parameters
     ----------
     nominal_kN : float
-        Nominal sliding force: that of the third cycle of the first run at standstill of a typical device, or as
-        stated by the user.
+        Nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user.
     nominal_words : str
         Which of the two.
     force : Delivered
         What new devices deliver.
     age : Environment
         Corrosion.
-    inputs : str
-        What the delivered force is made of, in words.
     """
 
     nominal_kN: float
     nominal_words: str
     force: Delivered
     age: Environment
-    inputs: str
 
 
-def parts_of(
-    result: PopulationResult,
-    set_name: str,
-    devices: Newcomers,
-    motion: Motion | None,
-    nominal_kN: float | None,
-    first_cycle: Bounds = NONE,
-) -> Parts:
+def parts_of(result: PopulationResult, set_name: str, devices: Newcomers, nominal_kN: float | None) -> Parts:
     """Split what is known of a set into the parts that the codes multiply."""
-    own = own_devices(result, set_name, ("Fy", "ratio", "gamma"))
-    force = delivered(devices, own, motion, first_cycle)
+    force = delivered(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
     return Parts(
-        force.middle if nominal_kN is None else nominal_kN,
+        force.third if nominal_kN is None else nominal_kN,
         "typical device" if nominal_kN is None else "stated by the user",
         force,
         environment(result, set_name),
-        words(force, motion),
     )

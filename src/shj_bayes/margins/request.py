@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 from shj_bayes.errors import PopulationError
 
@@ -15,9 +16,13 @@ class Request:
     Parameters
     ----------
     amplitude_mm, speed_mm_s : float or None
-        Of the cycle; the largest tested where not given.
+        Of a sine; the largest tested where the other one is given.
+    cycles : int or None
+        Its cycles, 3 where not given. Without any of the three, and without a history, the tests themselves.
+    history : Path or None
+        File of a displacement (mm) over time (s).
     extrapolate : bool
-        Speeds beyond the tested ones may be spoken of.
+        Speed, travel and time beyond what was tested may be spoken of.
     importance : {"I", "II", "III"}
         Importance class of the structure, for EN 15129.
     nominal_kN : float or None
@@ -33,6 +38,8 @@ class Request:
 
     amplitude_mm: float | None = None
     speed_mm_s: float | None = None
+    cycles: int | None = None
+    history: Path | None = None
     extrapolate: bool = False
     importance: str = "II"
     nominal_kN: float | None = None
@@ -42,6 +49,11 @@ class Request:
 
     def __post_init__(self) -> None:
         """Refuse a nominal force that is none, and a known spread without a reason."""
+        for value, unit in ((self.amplitude_mm, "mm"), (self.speed_mm_s, "mm/s"), (self.cycles, "cycles")):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise PopulationError(f"amplitude, speed and cycles must be above zero; got {value:g} {unit}")
+        if self.history is not None and (self.amplitude_mm, self.speed_mm_s, self.cycles) != (None, None, None):
+            raise PopulationError("give a history or amplitude, speed and cycles of a sine, not both")
         if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
             raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
         if self.v_known is not None and not 0 < self.v_known < 1:

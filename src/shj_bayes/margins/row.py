@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 
 from shj_bayes.errors import PopulationError
 
 BANDS, TESTING, TOLERANCE, FACTORS = "new device", "EN 1990", "tolerance", "factor"
+DESIGN, SPREAD = "design", "spread"
 LOW, MIDDLE, HIGH = "low", "middle", "high"
 
 
@@ -20,9 +20,10 @@ class Margin:
     set_name : str
         The set, or "(any set)" for one never tested.
     quantity : str
-        Fy, Fy_second, ratio, degradation, K, energy or force.
+        A design quantity (lowest, highest, least, most, plateau, third, energy; ``_2`` and so on for later runs),
+        ratio, degradation, K; or force, for what bounds the force of all runs.
     method : str
-        new device, EN 1990, tolerance or factor.
+        design, new device, EN 1990, tolerance, factor or spread.
     kind : str
         What it is, in a few words.
     side : {"low", "middle", "high"}
@@ -39,8 +40,6 @@ class Margin:
         Clause, formula in words and signs, the numbers put into it, and what it is for.
     note : str
         What to mind.
-    without_diagnosis : float
-        The same from the law as published, where a diagnosis changed it; NaN otherwise.
     warning : str
         A few words that belong into the same cell as the value wherever it is shown; empty for none.
     """
@@ -59,7 +58,6 @@ class Margin:
     inputs: str
     purpose: str
     note: str = ""
-    without_diagnosis: float = math.nan
     warning: str = ""
 
     def __post_init__(self) -> None:
@@ -73,7 +71,7 @@ class Margin:
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """What makes it comparable with the same margin of another model."""
+        """What it is found by: set, quantity, kind, side."""
         return self.set_name, self.quantity, self.kind, self.side
 
 

@@ -8,39 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.cycle import steady_cycle
-from shj_bayes.margins.speed_guard import Guard
 from shj_bayes.population.posterior import DeviceSet, PopulationResult
-from shj_bayes.population.predict import RUN_FORCES, NewDevice
-from shj_bayes.population.quantities import QUANTITIES, FloatArray
-
-RATIOS = tuple(RUN_FORCES.values())
-SAMPLED = ("Fy", *RUN_FORCES, *RATIOS, "K", "energy", "force")
-UNITS = {"Fy": "kN", "degradation": "1", "K": "kN/mm", "energy": "kJ", "force": "kN"}
-UNITS |= dict.fromkeys(RUN_FORCES, "kN") | dict.fromkeys(RATIOS, "1")
-"""Quantities that are pooled, or follow from pooled ones, and are positive; degradation = 1 - ratio follows."""
-N_DRAWS = 1600
-LAW = ("K", "Fy", "beta", "gamma")
-
-
-@dataclass(frozen=True)
-class Motion:
-    """The cycle for which energy and force are given.
-
-    Parameters
-    ----------
-    amplitude_mm : float
-        Half of the stroke, inside what was tested.
-    guard : Guard
-        The speed, and whether it was tested.
-    """
-
-    amplitude_mm: float
-    guard: Guard
-
-    def __post_init__(self) -> None:
-        """Refuse an amplitude that was not tested."""
-        self.guard.tested.check_amplitude(self.amplitude_mm)
+from shj_bayes.population.quantities import FloatArray, quantity
 
 
 @dataclass(frozen=True)
@@ -89,48 +58,15 @@ class Sample:
         return max(float(self.values.std(ddof=1)) / self.mean, self.floor) if self.n > 1 else math.nan
 
 
-def samples(group: DeviceSet, motion: Motion | None) -> dict[str, Sample]:
+def samples(group: DeviceSet) -> dict[str, Sample]:
     """Every quantity of the devices of a set, as far as they give it."""
-    n = len(group.devices)
-    points = {q: np.array(group.points.get(q, (np.nan,) * n)) for q in QUANTITIES}
-    values = {q: QUANTITIES[q].natural(points[q]) for q in QUANTITIES}
-    values |= {force: values["Fy"] * values[q] for force, q in RUN_FORCES.items()}
     out = {}
-    known = np.all(np.isfinite([values[q] for q in LAW]), axis=0)
-    if motion is not None and known.any():
-        table = {q: values[q][known] for q in LAW}
-        values |= {name: np.mean(list(law.values()), axis=0) for name, law in derived(table, motion).items()}
-    source = {q: (q,) for q in (*RATIOS, "K")} | {force: ("Fy", q) for force, q in RUN_FORCES.items()}
-    for q in SAMPLED:
-        found = values.get(q, np.empty(0))
-        found = found[np.isfinite(found) & (found > 0)]
-        errors = [np.nan_to_num(group.errors.get(s, (0.0,) * n)) for s in source.get(q, ("Fy",))]
-        floor = float(np.sqrt(np.mean(np.sum(np.square(errors), axis=0)))) if n else 0.0
-        if found.size:
-            out[q] = Sample(found, floor)
-    return out
-
-
-def derived(values: dict[str, FloatArray], motion: Motion) -> dict[str, dict[str, FloatArray]]:
-    """Energy (kJ) and force (kN) of one cycle, by law of speed, of devices given by K, Fy, beta and gamma."""
-    out: dict[str, dict[str, FloatArray]] = {"energy": {}, "force": {}}
-    guard = motion.guard
-    for name, gamma in guard.gammas(values["gamma"]).items():
-        laws = np.column_stack([values["K"], values["Fy"], values["beta"], gamma])
-        cycle = steady_cycle(laws, motion.amplitude_mm, guard.speed_mm_s, guard.tested.variant)
-        out["energy"][name], out["force"][name] = cycle.energy_kJ, cycle.force_kN
-    return out
-
-
-def predicted(device: NewDevice, motion: Motion | None) -> dict[str, dict[str, FloatArray]]:
-    """Draws of a new device in every quantity, by law of speed ("linear" alone where the law does not matter)."""
-    out = {q: {"linear": device.draws[q]} for q in ("Fy", *RUN_FORCES, *RATIOS, "K") if q in device.draws}
-    if "ratio" in out:
-        out["degradation"] = {"linear": 1.0 - device.draws["ratio"]}
-    if motion is not None and all(q in device.draws for q in LAW):
-        total = device.draws["K"].size
-        chosen = np.linspace(0, total - 1, min(N_DRAWS, total)).astype(np.int64)
-        out |= derived({q: device.draws[q][chosen] for q in LAW}, motion)
+    for q, points in group.points.items():
+        values = np.array(points)
+        known = np.isfinite(values)
+        if known.any():
+            errors = np.nan_to_num(group.errors.get(q, (0.0,) * values.size))[known]
+            out[q] = Sample(quantity(q).natural(values[known]), float(np.sqrt(np.mean(np.square(errors)))))
     return out
 
 
@@ -145,6 +81,6 @@ def common_spread(of_sets: list[Sample]) -> tuple[float, int]:
     return max(math.sqrt(squares / degrees), floor), degrees
 
 
-def everything(result: PopulationResult, motion: Motion | None) -> dict[str, dict[str, Sample]]:
+def everything(result: PopulationResult) -> dict[str, dict[str, Sample]]:
     """Draw up the samples of every set, by set and quantity."""
-    return {group.name: samples(group, motion) for group in result.sets}
+    return {group.name: samples(group) for group in result.sets}

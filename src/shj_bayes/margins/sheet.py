@@ -1,4 +1,4 @@
-"""All margins of a population in one sheet: bands, tests, factors; over every model that a diagnosis leaves open."""
+"""All margins of a population in one sheet: two numbers first, then bands, codes, and where the width comes from."""
 
 from __future__ import annotations
 
@@ -11,24 +11,26 @@ import numpy as np
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import bands
 from shj_bayes.margins.agreement import agreement
+from shj_bayes.margins.asked import Asked, published_factors
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.delivered import FirstCycles
-from shj_bayes.margins.diagnosed import LAW_ALONE
 from shj_bayes.margins.outermost import newcomers
-from shj_bayes.margins.pair import NONE
 from shj_bayes.margins.parts import Parts, parts_of
 from shj_bayes.margins.request import PLAIN, Request
-from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
-from shj_bayes.margins.sample import SAMPLED, Motion, Sample, common_spread, everything
-from shj_bayes.margins.speed_guard import Guard, published_factors
+from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Margin
+from shj_bayes.margins.sample import Sample, common_spread, everything
 from shj_bayes.margins.spread import NOT_NORMAL, between_sets, of_set
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.margins.trial import Trial
+from shj_bayes.population.hierarchy import fit_population
+from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import sets_suffice
+from shj_bayes.population.quantities import LOWEST, MOST, THIRD_CYCLE
+from shj_bayes.population.tested import RangeTested
 
-PUBLISHED_LAW = "law as published"
 UNEQUAL = 2.0
 """Sets spread unequally when the widest of them is surely (95 %) more than this many times the tightest."""
+OWN_TEST = "the test that each device went through"
+DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
 
 
 @dataclass(frozen=True)
@@ -39,21 +41,27 @@ class Sheet:
     ----------
     rows : tuple of Margin
         Set by set, quantity by quantity.
-    motion : Motion or None
-        Cycle of energy and force; None where the tested range is not known.
+    history : str
+        Displacement history that the devices were driven through, in words.
+    tested : RangeTested or None
+        Amplitudes and speeds that every device went through; None where not known.
+    extrapolated : bool
+        Whether the history leaves what was tested.
     warnings : tuple of str
         What to mind, one sentence each.
     diagnoses : tuple of str
-        What the diagnoses changed, device by device.
-    models : tuple of str
-        Models that the margins are taken over.
+        What the diagnoses found, device by device.
+    trials : tuple of Trial
+        The devices.
     """
 
     rows: tuple[Margin, ...] = field(repr=False)
-    motion: Motion | None
+    history: str
+    tested: RangeTested | None
+    extrapolated: bool
     warnings: tuple[str, ...]
     diagnoses: tuple[str, ...] = ()
-    models: tuple[str, ...] = (PUBLISHED_LAW,)
+    trials: tuple[Trial, ...] = field(repr=False, default=())
 
     def get(self, set_name: str, quantity: str, kind: str, side: str) -> Margin | None:
         """One margin; None where there is none."""
@@ -61,87 +69,171 @@ class Sheet:
         return next((row for row in self.rows if row.key == key), None)
 
 
-def motion_of(result: PopulationResult, request: Request) -> Motion | None:
-    """Cycle asked for, checked against what was tested; None where the tested range is not known.
+def pool(trials: Sequence[Trial], result: PopulationResult, *, progress: bool = False) -> PopulationResult:
+    """Pool the design quantities of devices after their virtual test.
 
-    Raises
-    ------
-    PopulationError
-        If it was not tested and extrapolation was not asked for, or the range is not known but a cycle was asked for.
+    Parameters
+    ----------
+    trials : sequence of Trial
+        The devices.
+    result : PopulationResult
+        Their population: tags of the sets, tested range, seed.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    PopulationResult
     """
-    tested = result.tested
-    if tested is None:
-        if request.amplitude_mm is not None or request.speed_mm_s is not None:
-            raise PopulationError(
-                "this population does not say at which amplitudes and speeds its devices were tested (or they have "
-                "none in common), so nothing can be said of a cycle; run the campaign or the tables again"
-            )
-        return None
-    speed = tested.fastest_mm_s if request.speed_mm_s is None else request.speed_mm_s
-    amplitude = tested.largest_mm if request.amplitude_mm is None else request.amplitude_mm
-    return Motion(amplitude, Guard(tested, speed, request.extrapolate))
+    if not trials:
+        raise PopulationError("no device gives all of K, Fy, beta and gamma; there are no margins without them")
+    tags = {group.name: group.tags for group in result.sets}
+    devices = [trial.estimate(tags[trial.set_name]) for trial in trials]
+    design = replace(fit_population(devices, seed=result.seed, progress=progress, brief=True), tested=result.tested)
+    return _carried(design, trials) if any(trial.carried for trial in trials) else design
+
+
+def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationResult:
+    """Add the error that a model had in its own test to the level of each set.
+
+    It is common to all devices of a rig: as one more error of each device it would average out.
+    """
+
+    def wider(label: str, fit: QuantityPosterior) -> QuantityPosterior:
+        rng = np.random.default_rng([design.seed, *label.encode(), *fit.name.encode()])
+        mu = fit.mu.copy()
+        for i, name in enumerate(design.set_names):
+            gaps = [t.model_errors[fit.name] for t in trials if t.set_name == name and fit.name in t.model_errors]
+            if gaps:
+                mu[:, i] += float(np.sqrt(np.mean(np.square(gaps)))) * rng.standard_normal(mu.shape[0])
+        return replace(fit, mu=mu)
+
+    return replace(
+        design,
+        posteriors={q: wider("default", fit) for q, fit in design.posteriors.items()},
+        other_priors={
+            label: {q: wider(label, fit) for q, fit in fits.items()} for label, fits in design.other_priors.items()
+        },
+    )
 
 
 def margins(
-    result: PopulationResult,
+    design: PopulationResult,
+    trials: Sequence[Trial],
     request: Request = PLAIN,
     *,
-    diagnosed: Mapping[str, PopulationResult] | None = None,
+    asked: Asked | None = None,
     words: Sequence[str] = (),
-    first_cycles: FirstCycles | None = None,
 ) -> Sheet:
     """Draw up the margins of a population.
 
     Parameters
     ----------
-    result : PopulationResult
-        Fitted with the law alone.
+    design : PopulationResult
+        Design quantities, pooled.
+    trials : sequence of Trial
+        The devices behind it.
     request : Request
-        Cycle and choices.
-    diagnosed : mapping of str to PopulationResult, optional
-        Populations with the physics that diagnoses found; the least favourable of them counts, and what `result` gives
-        stands beside it.
+        Choices of the user.
+    asked : Asked or None
+        History of the virtual test; None for the devices' own.
     words : sequence of str
         What the diagnoses found.
-    first_cycles : mapping of str to Bounds, optional
-        First over third cycle as measured, by set and for ``ANY_SET``.
 
     Returns
     -------
     Sheet
     """
-    if "Fy" not in result.posteriors:
-        raise PopulationError("no device gives the sliding force Fy; there are no margins without it")
-    motion = motion_of(result, request)
-    cycles = first_cycles or {}
-    published = tuple(_rows(result, motion, request, cycles))
-    models = {PUBLISHED_LAW: published}
-    if diagnosed:
-        models = {name: tuple(_rows(other, motion, request, cycles)) for name, other in diagnosed.items()}
-    alone = models.get(LAW_ALONE, published)
-    rows = _outermost(list(models.values()), alone) if diagnosed else published
+    rows = tuple(_rows(design, trials, request))
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
-    spoken = (*result.set_names, ANY_SET) if sets_suffice(len(result.sets)) else result.set_names
+    spoken = (*design.set_names, ANY_SET) if sets_suffice(len(design.sets)) else design.set_names
     compared = agreement([row for row in rows if row.set_name in spoken])
-    warnings = (*compared.contradictions, *_warnings(result, motion, request), compared.words)
-    return Sheet(rows, motion, warnings, tuple(words), tuple(models))
+    laws = next((trial.laws for trial in trials if len(trial.laws) > 1), ())
+    warnings = (*compared.contradictions, *_warnings(design, request, asked, laws), compared.words)
+    history = OWN_TEST if asked is None else asked.words
+    return Sheet(rows, history, design.tested, bool(laws), warnings, tuple(words), tuple(trials))
 
 
-def _rows(
-    result: PopulationResult, motion: Motion | None, request: Request, first_cycles: FirstCycles
-) -> Iterator[Margin]:
-    by_set = everything(result, motion)
-    common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in SAMPLED}
-    known = [*result.set_names, ANY_SET]
-    for name in known:
+def _rows(result: PopulationResult, trials: Sequence[Trial], request: Request) -> Iterator[Margin]:
+    by_set = everything(result)
+    common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
+    for name in (*result.set_names, ANY_SET):
         devices = newcomers(result, name)
-        nominal = request.nominal_of(name)
-        parts = parts_of(result, name, devices, motion, nominal, first_cycles.get(name, NONE))
+        parts = parts_of(result, name, devices, request.nominal_of(name))
         given = _given(name, by_set, common, parts, request)
-        found = list(bands.of_set(result, name, devices, given.devices, motion))
+        yield from _first(given)
+        found = list(bands.of_set(result, name, devices, given.devices))
         found += [row for code in catalogue() for row in code.rows(given)]
         yield from found
         yield from (_degradation(row) for row in found if row.quantity == "ratio" and row.method != BANDS)
+        if name != ANY_SET:
+            yield from _spreads(result, name, [t for t in trials if t.set_name == name])
+
+
+def _first(given: Given) -> Iterator[Margin]:
+    """Give the one number for drift and the one for capacity design."""
+    force = given.parts.force
+    n = given.devices.get(LOWEST, 0)
+    for kind, side, value, what in (
+        (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs"),
+        (CAPACITY, HIGH, force.high, "95 % of the largest force of all runs"),
+    ):
+        purpose = bands.PURPOSE[side]
+        origin = ("predictive distribution, decision 0006", what, force.words, purpose)
+        yield Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin)
+
+
+def _spreads(result: PopulationResult, name: str, trials: Sequence[Trial]) -> Iterator[Margin]:
+    """Where the width of a band comes from: device to device, within a device, model."""
+    index = result.index(name)
+    for q, fit in result.posteriors.items():
+        within = [trial.errors[q] for trial in trials if q in trial.errors]
+        found = [
+            (
+                "device to device",
+                float(np.median(fit.tau[:, index])),
+                "median of the spread of the set",
+                "how much devices differ",
+            ),
+            (
+                "within a device",
+                float(np.sqrt(np.mean(np.square(within)))) if within else math.nan,
+                "posterior of each device and reading of its recording",
+                "how well a tested device is known",
+            ),
+        ]
+        gaps = np.array([trial.model_errors[q] for trial in trials if q in trial.model_errors])
+        if gaps.size:
+            scatter = float(gaps.std(ddof=1)) if gaps.size > 1 else math.nan
+            found += [
+                ("model, b", float(np.exp(gaps.mean())), "mean of measured over predicted", "bias of the model"),
+                ("model, V_delta", scatter, "scatter of measured over predicted", "error of the model"),
+            ]
+        cycles = np.concatenate([np.empty(0), *(trial.cycle_errors for trial in trials)])
+        if q == "plateau" and cycles.size > 1:
+            bias, scatter, n = float(np.exp(cycles.mean())), float(cycles.std(ddof=1)), cycles.size
+            said = f"measured over predicted plateau of {n} half-cycles, each predicted without it"
+            found += [
+                ("model, b of a half-cycle left out", bias, f"mean of {said}", "bias of the model"),
+                ("model, V_delta of a half-cycle left out", scatter, f"scatter of {said}", "error of the model"),
+            ]
+        for kind, value, formula, purpose in found:
+            yield Margin(
+                name,
+                q,
+                SPREAD,
+                kind,
+                MIDDLE,
+                value,
+                "1",
+                len(within),
+                math.nan,
+                "EN 1990 D8" if kind.startswith("model") else "partially pooled model, decision 0004",
+                formula,
+                f"{len(within)} devices",
+                purpose,
+                "one device tells no scatter" if math.isnan(value) else "",
+            )
 
 
 def _given(
@@ -156,7 +248,7 @@ def _given(
         samples = by_set[name]
         spreads = {q: of_set(sample, common[q]) for q, sample in samples.items()}
         return Given(name, samples, spreads, {q: s.n for q, s in samples.items()}, parts, request)
-    together = {q: [s[q] for s in by_set.values() if q in s] for q in SAMPLED}
+    together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
     clustered = {q: between_sets(of_sets) for q, of_sets in together.items() if of_sets}
     return Given(
         name,
@@ -183,44 +275,26 @@ def _degradation(row: Margin) -> Margin:
     )
 
 
-def _outermost(models: Sequence[tuple[Margin, ...]], published: tuple[Margin, ...]) -> tuple[Margin, ...]:
-    """Least favourable of the models, row by row, with the value of the law alone beside it."""
-    alone = {row.key: row.value for row in published}
-    tables = [{row.key: row for row in rows} for rows in models]
-    out = []
-    for row in models[0]:
-        same = [table[row.key] for table in tables if row.key in table]
-        values = [r.value for r in same]
-        pick = {LOW: np.argmin, HIGH: np.argmax}.get(row.side)
-        chosen = same[int(pick(values))] if pick else replace(row, value=float(np.mean(values)))
-        note = chosen.note
-        if len(values) > 1 and values[0] != values[1]:
-            listed = " or ".join(f"{v:.4g}" for v in values)
-            note = "; ".join(filter(None, (note, f"the less favourable of {listed}")))
-        out.append(replace(chosen, note=note, without_diagnosis=alone.get(row.key, math.nan)))
-    return tuple(out)
-
-
-def _warnings(result: PopulationResult, motion: Motion | None, request: Request) -> Iterator[str]:
+def _warnings(result: PopulationResult, request: Request, asked: Asked | None, laws: Sequence[str]) -> Iterator[str]:
     tested = result.tested
     if request.v_known is not None:
         yield f"V = {request.v_known:g} of the sliding force is taken as known (EN 1990), because: {request.v_reason}"
-    if motion is not None and tested is not None:
-        if motion.guard.beyond:
-            yield (
-                f"{motion.guard.speed_mm_s:g} mm/s was NOT tested (tested up to {tested.fastest_mm_s:.3g} mm/s). "
-                "Energy and force are the spread of laws that agree with the tests and stay bounded. "
-                + published_factors(motion.guard.speed_mm_s)
-            )
-        if tested.one_speed:
-            yield (
-                f"All cycles had nearly one peak speed ({tested.slowest_mm_s:.3g} to {tested.fastest_mm_s:.3g} mm/s): "
-                "speed dependence and a loss of friction away from mid-stroke cannot be told apart; gamma may "
-                "be either."
-            )
+    if laws and asked is not None:
+        speed = float(asked.motion.speed_mm_s.max())
+        yield (
+            f"EXTRAPOLATED: {asked.words} was NOT tested. Its forces are the outermost of laws that agree with the "
+            f"tests and stay bounded ({', '.join(laws)}). "
+            + (published_factors(speed) if tested is None or not tested.holds_speed(speed) else "")
+        )
+    if tested is not None and tested.one_speed:
+        yield (
+            f"All cycles had nearly one peak speed ({tested.slowest_mm_s:.3g} to {tested.fastest_mm_s:.3g} mm/s): "
+            "speed dependence and a loss of friction away from mid-stroke cannot be told apart; gamma may "
+            "be either."
+        )
     if not result.converged:
         yield "The calculation of the population has not finished: take these margins as a first look."
-    fit = result.fit("Fy")
+    fit = result.fit(THIRD_CYCLE)
     several = [i for i, n in enumerate(fit.n_devices) if n > 1]
     if len(several) > 1:
         middle = np.median(fit.tau[:, several], axis=0)
@@ -237,5 +311,5 @@ def _warnings(result: PopulationResult, motion: Motion | None, request: Request)
             f"{few} of {len(fit.n_devices)} sets rest on one or two devices. The smallest and largest of two hold 90 % "
             "of all devices with a confidence of only 1 %: two devices are not a band."
         )
-    if "ratio" not in result.posteriors:
+    if f"{MOST}_2" not in result.posteriors:
         yield "No device has a second run, so nothing is said of a second earthquake."

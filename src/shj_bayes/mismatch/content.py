@@ -1,4 +1,4 @@
-"""What a diagnosis says, piece by piece: the fields of ``diagnosis.json`` and the channels of ``diagnosis.nc``."""
+"""The fields of ``diagnosis.json`` and the channels of ``diagnosis.nc``, from what a search says."""
 
 from __future__ import annotations
 
@@ -8,208 +8,371 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.locate import locate
-from shj_bayes.mismatch.name import effect_size
-from shj_bayes.mismatch.refit import Refit
-from shj_bayes.mismatch.regions import Regions
+from shj_bayes.mismatch.alias import Alias
+from shj_bayes.mismatch.findings import Answer, Finding, Reason, Verdict, curve_band, rivals_of
+from shj_bayes.mismatch.heldout import HeldOut, cycles_of
+from shj_bayes.mismatch.regions import Region, run_of
+from shj_bayes.mismatch.scene import Scene
+from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.mismatch.search import Search
-from shj_bayes.mismatch.verdict import Judgement
+from shj_bayes.mismatch.shapes import formula_of
+from shj_bayes.mismatch.state import State
 from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
 
-SCHEMA = "shj-bayes/diagnosis/1"
+Draws = Mapping[str, FloatArray]
 
 
-def effects(
-    evidence: Evidence, result: Search, judgement: Judgement, draws: Mapping[str, FloatArray]
-) -> list[dict[str, Any]]:
-    """Effects of the final model; under the verdict ``unknown`` they are a part of what was left out, and said so."""
-    out = []
-    for effect in result.new:
+def spread(values: FloatArray) -> dict[str, float]:
+    """Mean, standard deviation and 90 % interval of draws."""
+    low, high = np.quantile(values, [0.05, 0.95])
+    return {"mean": float(values.mean()), "sd": float(values.std(ddof=1)), "q05": float(low), "q95": float(high)}
+
+
+def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
+    """Mechanisms that were found; under the verdict ``unknown`` they are a part of what was left out."""
+    found = []
+    for finding in answer.findings:
+        effect = finding.member.variant.effect
+        if not finding.named:
+            continue
         own = {p.name: draws[f"{effect.id}.{p.name}"] for p in effect.parameters}
         means = {key: float(values.mean()) for key, values in own.items()}
-        out.append(
+        found.append(
             {
-                "id": effect.id,
+                "id": effect.mechanism,
+                "form": effect.form,
                 "family": effect.family,
                 "title": effect.title,
                 "statement": effect.statement.format(**means),
                 "equation": effect.equation,
                 "cause": effect.cause,
                 "shows": effect.shows,
-                "partial": judgement.word == "unknown",
-                "probability": _probability(result, effect.id),
-                "rivals": list(judgement.rivals.get(effect.id, ())),
-                "size_kN": effect_size(evidence, result.final, effect),
-                "parameters": {p.name: {**_spread(own[p.name]), "unit": p.unit} for p in effect.parameters},
+                "partial": answer.verdict is Verdict.UNKNOWN,
+                "probability": finding.probability,
+                "rivals": [name for name in rivals(out, answer, finding) if name != effect.mechanism],
+                "size_kN": finding.size * out.scene.scale_kN,
+                "parameters": {p.name: {**spread(own[p.name]), "unit": p.unit} for p in effect.parameters},
             }
         )
-    return out
+    return found
 
 
-def _spread(values: FloatArray) -> dict[str, float]:
-    low, high = np.quantile(values, [0.05, 0.95])
-    return {"mean": float(values.mean()), "sd": float(values.std(ddof=1)), "q05": float(low), "q95": float(high)}
+def modelled(answer: Answer, draws: Draws) -> dict[str, dict[str, float]]:
+    """Mean of each parameter of the effects in the model that is shown, by effect; curves are effects too."""
+    shown = answer.shown.state.model.effects if answer.findings else ()
+    return {e.id: {p.name: float(draws[f"{e.id}.{p.name}"].mean()) for p in e.parameters} for e in shown}
 
 
-def _probability(result: Search, name: str) -> float:
-    ranking = result.rankings[name]
-    return float(next(p for c, p in zip(ranking.candidates, ranking.probability, strict=True) if c.effect.id == name))
+def rivals(out: Search, answer: Answer, finding: Finding) -> list[str]:
+    """Mechanisms that may stand in the place of one: of the classes that other likely sets hold in its place."""
+    others = {
+        name
+        for key, _ in rivals_of(answer)
+        if finding.member.of.id not in key
+        for name in key - frozenset(f.member.of.id for f in answer.findings)
+    }
+    return [effect for name in sorted(others) for effect in mechanisms(out, answer, name)]
 
 
-def family(result: Search, judgement: Judgement) -> list[dict[str, Any]]:
-    """Effects that the recording cannot tell apart, most probable first."""
-    if judgement.word != "family":
+def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
+    """Mechanisms of a class; of one that was fitted with a formula, that of the formula."""
+    for h in answer.alternatives.values():
+        for member in h.members:
+            if member.of.id == name and member.variant.curve is None:
+                return [member.variant.effect.mechanism]
+    for finding in answer.findings:
+        if finding.member.of.id == name and finding.named:
+            return [finding.member.variant.effect.mechanism]
+    action, _, coordinate = name.partition(" over ")
+    known = [e for e in catalogue().values() if (action, coordinate) in e.acts and not e.form]
+    return [e.id for e in known if e.id not in out.hidden]
+
+
+def family(out: Search, answer: Answer) -> list[dict[str, Any]]:
+    """Mechanisms that the recording cannot tell apart, most probable first."""
+    if answer.verdict is not Verdict.FAMILY:
         return []
-    scores: dict[str, float] = {}
-    for name, rivals in judgement.rivals.items():
-        if rivals:
-            ranking = result.rankings[name]
-            known = {c.effect.id: float(p) for c, p in zip(ranking.candidates, ranking.probability, strict=True)}
-            scores |= {member: known[member] for member in (name, *rivals)}
-    return [{"id": k, "probability": v} for k, v in sorted(scores.items(), key=lambda item: -item[1])]
+    listed: dict[str, float] = {}
+    sure = frozenset.intersection(*(key for key, _ in rivals_of(answer)))
+    for key, probability in rivals_of(answer):
+        for name in key - sure:
+            for effect in mechanisms(out, answer, name):
+                listed[effect] = listed.get(effect, 0.0) + probability
+    return [{"id": k, "probability": v} for k, v in sorted(listed.items(), key=lambda item: -item[1])]
 
 
-def locations(evidence: Evidence, base: Refit, regions: Regions, result: Search, noise: float) -> list[dict[str, Any]]:
-    """List where the base law fails."""
+def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
+    """List what the force depends on beyond the base law, most probable first."""
+    found = {finding.member.of.id: finding for finding in answer.findings}
+    rows = []
+    for name, probability in sorted(answer.inclusion.items(), key=lambda item: -item[1]):
+        finding = found.get(name)
+        if finding is None and probability < 0.01:
+            continue
+        action, _, coordinate = name.partition(" over ")
+        row: dict[str, Any] = {
+            "coordinate": coordinate,
+            "unit": next((c.of.unit for c in out.looked if c.of.id == name), "1"),
+            "action": action,
+            "direction": "both",
+            "probability": float(probability),
+            "evidence": finding.evidence if finding and np.isfinite(finding.evidence) else None,
+            "size_percent": 100 * finding.size if finding else None,
+            "range_percent": None,
+            "curve": None,
+            "matches": mechanisms(out, answer, name) if finding is None or finding.named else [],
+        }
+        band = curve_band(out, finding) if finding else None
+        if band is not None:
+            row["range_percent"] = float(np.ptp(band["mean"]))
+            row["curve"] = {key: values.tolist() for key, values in band.items()} | {"unit": "% of Fy"}
+        rows.append(row)
+    return rows
+
+
+def locations(regions: list[Region]) -> list[dict[str, Any]]:
+    """Where the base law fails."""
     return [
         {
-            "coordinate": where.region.coordinate,
-            "interval": [where.region.low, where.region.high],
-            "unit": where.region.unit,
-            "direction": where.region.direction,
-            "runs": list(where.runs),
-            "size_kN": where.size_kN,
-            "share": where.share,
-            "p_value": where.p_value,
+            "coordinate": WORDS.get(r.coordinate, r.coordinate),
+            "interval": [r.low, r.high],
+            "unit": r.unit,
+            "direction": r.direction,
+            "runs": list(r.runs),
+            "size_kN": r.size_kN,
+            "share": r.share,
+            "p_value": r.p_value,
         }
-        for where in locate(evidence, base, regions, result.steps[0].alarm, noise)
+        for r in regions
     ]
 
 
-def quality(evidence: Evidence, fit: Refit, noise: float) -> dict[str, float]:
-    """Say how well a model fits: residual, noise floor, held-out residual (kN), energy per cycle (per cent)."""
-    held = fit.held_out_residual(evidence)
-    measured, modelled = _energy_of(evidence, evidence.force_kN), _energy_of(evidence, fit.force_kN)
+WORDS = {"slip": "slip since reversal"}
+
+
+def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
+    """Describe what no mechanism explains: the curve, or where the rest is largest."""
+    if answer.verdict is not Verdict.UNKNOWN:
+        return None
+    strange = [f for f in answer.findings if not f.named]
+    fy = out.scene.scale_kN
+    if answer.reason is Reason.NO_FORM and strange:
+        finding = strange[0]
+        band = curve_band(out, finding)
+        assert band is not None
+        of = finding.member.of
+        formula = formula_of(
+            band["at"], band["mean"], band["q05"], band["q95"], SYMBOLS.get(of.coordinate, "u"), of.unit
+        )
+        rows = [
+            {"centre": float(x), "push_kN": float(y) * fy / 100, "pull_kN": float(y) * fy / 100 * _mirrored(of.action)}
+            for x, y in zip(band["at"], band["mean"], strict=True)
+        ]
+        return {
+            "coordinate": WORDS.get(of.coordinate, of.coordinate),
+            "shape": rows,
+            "formula": f"{TERM[of.action]} = {formula}" if formula else None,
+            "period": None,
+            "size_kN": finding.size * fy,
+        }
+    residual = answer.shown.state.residual
+    rows, coordinate = _profile(out.scene, residual)
+    return {
+        "coordinate": coordinate,
+        "shape": rows,
+        "formula": None,
+        "period": None,
+        "size_kN": max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.scene.used > 0] ** 2)))),
+    }
+
+
+SYMBOLS = {
+    "position": "x",
+    "distance": "|x|",
+    "travel": "s",
+    "time": "t",
+    "speed": "|v|",
+    "slip": "d",
+    "amplitude": "A",
+}
+TERM = {"capacity": "change of Fy [%]", "added": "added force [% of Fy]", "motion": "change of the motion"}
+
+
+def _mirrored(action: str) -> float:
+    """Sign in pull of a term that is alike in push and pull: of friction it turns."""
+    return -1.0 if action == "capacity" else 1.0
+
+
+def _profile(scene: Scene, residual: FloatArray, n: int = 24) -> tuple[list[dict[str, Any]], str]:
+    """Mean residual over the coordinate over which it is most regular, push and pull."""
+    best: tuple[float, list[dict[str, Any]], str] | None = None
+    sense = scene.channel("direction")
+    for name, word in (("position_mm", "position"), ("slip_mm", "slip since reversal"), ("travel_m", "travel"),
+                       ("speed_mm_s", "speed")):  # fmt: skip
+        values = scene.channel(name)
+        edges = np.linspace(values.min(), values.max() * (1 + 1e-9) + 1e-9, n + 1)
+        index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, n - 1)
+        means, taken = [], 0.0
+        for sign in (1.0, -1.0):
+            own = (np.sign(sense) == sign) & (scene.used > 0)
+            count = np.bincount(index[own], minlength=n)
+            total = np.bincount(index[own], weights=residual[own], minlength=n)
+            taken += float(np.sum(total**2 / np.maximum(count, 1)))
+            means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        rows = [
+            {"centre": float(c), "push_kN": _number(a), "pull_kN": _number(b)}
+            for c, a, b in zip((edges[:-1] + edges[1:]) / 2, means[0], means[1], strict=True)
+        ]
+        if best is None or taken > best[0]:
+            best = (taken, rows, word)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def quality(scene: Scene, state: State, noise_kN: float, held: HeldOut) -> dict[str, float]:
+    """Say how well a model fits: residual, noise, held-out residual (kN), energy per cycle (per cent)."""
+    used = scene.used > 0
+    measured = energy_of(scene, scene.measured_kN)
+    modelled = energy_of(scene, scene.measured_kN - state.residual)
     wrong = np.abs(modelled - measured) / np.maximum(np.abs(measured), 1e-300)
     return {
-        "rmse_kN": fit.rmse_kN,
-        "noise_kN": noise,
-        "heldout_rmse_kN": float(np.sqrt(held @ held / max(float(evidence.weight.sum()), 1.0))),
+        "rmse_kN": float(np.sqrt(np.mean(state.residual[used] ** 2))),
+        "noise_kN": noise_kN,
+        "heldout_rmse_kN": held.rmse_kN,
         "energy_error_percent": float(100 * np.mean(wrong)),
     }
 
 
-def _energy_of(evidence: Evidence, force: FloatArray) -> FloatArray:
-    """Energy of each block, J (kN mm), by the trapezoid rule over the displacement."""
-    x = evidence.stack("position_mm")
-    work = np.append((force[1:] + force[:-1]) / 2 * np.diff(x), 0.0)
-    work[np.flatnonzero(np.diff(evidence.block))] = 0.0  # the step from one block, or run, to the next
-    return evidence.block_sums(work)
+def energy_of(scene: Scene, force_kN: FloatArray) -> FloatArray:
+    """Energy of each cycle, J (kN mm), by the trapezoid rule over the displacement."""
+    cycle = cycles_of(scene)
+    work = np.append((force_kN[1:] + force_kN[:-1]) / 2 * np.diff(scene.channel("position_mm")), 0.0)
+    work[np.flatnonzero(np.diff(cycle))] = 0.0  # the step from one cycle, or run, to the next
+    return np.asarray(np.bincount(cycle, weights=work), dtype=np.float64)
 
 
-def energy(evidence: Evidence, base: Refit, shown: Refit) -> dict[str, list[float]]:
-    """Energy of each block, measured and modelled before and after, J."""
+def energy(scene: Scene, base: State, shown: State) -> dict[str, list[float]]:
+    """Energy of each cycle, measured and modelled before and after, J."""
+    measured = energy_of(scene, scene.measured_kN)
     return {
-        "cycle": [float(i) for i in range(1, evidence.n_blocks + 1)],
-        "measured_J": _energy_of(evidence, evidence.force_kN).tolist(),
-        "before_J": _energy_of(evidence, base.force_kN).tolist(),
-        "after_J": _energy_of(evidence, shown.force_kN).tolist(),
+        "cycle": [float(i) for i in range(1, measured.size + 1)],
+        "measured_J": measured.tolist(),
+        "before_J": energy_of(scene, scene.measured_kN - base.residual).tolist(),
+        "after_J": energy_of(scene, scene.measured_kN - shown.residual).tolist(),
     }
 
 
-def heldout(evidence: Evidence, result: Search, shown: Refit) -> dict[str, Any]:
-    """Gain of the shown model over the base law on blocks that were held out."""
-    before, after = result.base.held_out_squares(evidence), shown.held_out_squares(evidence)
-    residual = shown.residual_kN
-    phi = float(np.clip(residual[:-1] @ residual[1:] / max(float(residual @ residual), 1e-300), 0.0, 0.99))
-    gain = (before - after) * (1 - phi) / (1 + phi) / (2 * shown.rmse_kN**2)
-    n = evidence.n_blocks
+def heldout(before: HeldOut, after: HeldOut) -> dict[str, Any]:
+    """Gain of the shown model over the base law on cycles that were left out."""
+    gain = after.log_density - before.log_density
+    n = gain.size
     return {
-        "scheme": "leave one cycle out" if n > 1 else "none",
+        "scheme": "leave one cycle out",
         "elpd_gain": float(gain.sum()),
-        "se": float(np.sqrt(n) * gain.std(ddof=1)),
+        "se": float(np.sqrt(n) * gain.std(ddof=1)) if n > 1 else 0.0,
         "n_blocks": n,
     }
 
 
-def shift(before: Mapping[str, FloatArray], after: Mapping[str, FloatArray]) -> dict[str, dict[str, dict[str, float]]]:
+def shift(before: Draws, after: Draws) -> dict[str, dict[str, dict[str, float]]]:
     """Say what the omission did to the parameters of the base law, from draws without and with the effects found."""
     base = [name for name in before if "." not in name]  # not of effects that were given
     shared = [name for name in base if name in after and base_and_run(name)[0] in LAW_PARAMETERS]
-    return {name: {"before": _spread(before[name]), "after": _spread(after[name])} for name in shared}
+    return {name: {"before": spread(before[name]), "after": spread(after[name])} for name in shared}
 
 
-def next_test(result: Search, judgement: Judgement) -> str | None:
+def alias_rows(aliases: list[Alias]) -> list[dict[str, Any]]:
+    """Pairs that the history cannot separate."""
+    return [{"pair": list(a.pair), "correlation": a.correlation} for a in aliases]
+
+
+def next_test(out: Search, answer: Answer) -> str | None:
     """Give the cheapest change of the test that would tell the leading rivals apart."""
-    if judgement.word != "family":
+    if answer.verdict is not Verdict.FAMILY:
         return None
     known = catalogue()
-    words = [known[name].next_test for name, rivals in judgement.rivals.items() if rivals]
-    return " ".join(dict.fromkeys(words)) or None
+    members = [member["id"] for member in family(out, answer)]
+    return " ".join(dict.fromkeys(known[name].next_test for name in members[:2])) or None
 
 
-def candidates(result: Search) -> list[dict[str, Any]]:
-    """Every effect tried against the base law, and why it was kept or dropped."""
-    ranking = result.steps[0].ranking
-    out = []
-    for c, gain, p in zip(ranking.candidates, ranking.elpd_gain, ranking.probability, strict=True):
-        if c.effect.id in result.found:
-            reason = "kept: best on held-out cycles" if c.effect.id == result.found[0] else "kept: entered later"
-        elif not result.found:
-            reason = result.steps[0].why
-        else:
-            reason = f"dropped: {result.found[0]} predicts held-out cycles better"
-        out.append(
+def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
+    """Every effect of the catalogue, with what its class gains on the base law alone and in the answer."""
+    base = out.found[frozenset()]
+    gains: dict[str, float] = {}
+    sizes: dict[str, float] = {}
+    for c in out.screen(base):
+        if c.of.id not in gains:
+            gains[c.of.id] = c.gain
+            sizes[c.of.id] = float(np.percentile(np.abs(c.change), 99)) if c.change.size else 0.0
+    for key, h in out.found.items():
+        if len(key) == 1:
+            gains[next(iter(key))] = h.log_weight - base.log_weight
+    kept = {f.member.variant.effect.mechanism: f for f in answer.findings if f.named}
+    rows = []
+    for effect in catalogue().values():
+        name = next((f"{a} over {c}" for a, c in effect.acts if f"{a} over {c}" in gains), None)
+        if effect.form or effect.id in out.hidden or name is None:
+            continue
+        rows.append(
             {
-                "id": c.effect.id,
-                "title": c.effect.title,
-                "family": c.effect.family,
-                "score": c.t,
-                "t": c.t,
-                "elpd_gain": float(gain),
-                "probability": float(p),
-                "size_kN": c.size_kN,
-                "reason": reason,
+                "id": effect.id,
+                "title": effect.title,
+                "family": effect.family,
+                "score": float(gains[name]),
+                "elpd_gain": float(gains[name]),
+                "probability": float(answer.inclusion.get(name, 0.0)),
+                "size_kN": kept[effect.id].size * out.scene.scale_kN if effect.id in kept else sizes.get(name, 0.0),
+                "kept": effect.id in kept,
+                "reason": _why(effect, name, kept, answer, gains[name]),
             }
         )
-    return out
+    return sorted(rows, key=lambda row: (not row["kept"], -row["score"]))
 
 
-def words(record: Mapping[str, Any]) -> list[str]:
-    """Plain sentences for a reader in a hurry, the verdict first."""
-    heads = {
-        "adequate": "The base law is adequate: nothing beyond noise was found.",
-        "named": "Something was left out of the base law, and it can be named.",
-        "family": "Something was left out of the base law; this recording cannot tell which of a family it is.",
-        "unknown": "Something was left out of the base law that the effects of the catalogue do not explain.",
-    }
-    words = [heads[record["verdict"]]]
-    for effect in record["effects"]:
-        part = "A part of it: " if effect["partial"] else ""
-        words.append(f"{part}{effect['statement']} Likely cause: {effect['cause']}")
-    gamma = record["shift"].get("gamma")
-    if gamma and record["effects"]:
-        before, after = gamma["before"]["mean"], gamma["after"]["mean"]
-        words.append(f"The speed coefficient gamma goes from {before:+.4f} to {after:+.4f} s/mm when it is modelled.")
-    if record["unknown"]:
-        words.append(record["unknown"]["words"])
-    if record["next_test"]:
-        words.append(f"Next test: {record['next_test']}")
-    return words
+def _why(effect: Effect, name: str, kept: Mapping[str, Finding], answer: Answer, gain: float) -> str:
+    """Why an effect is in the answer or not."""
+    if effect.id in kept:
+        return "kept"
+    taken = [f for f in answer.findings if f.member.of.id == name]
+    if taken:
+        return "not this: another form of the same dependence fits" if taken[0].named else "its curve is another one"
+    if gain <= 0.0:
+        return "not seen in the residual of the base law"
+    return "explained by what was kept" if answer.findings else "too small, or too improbable, to matter"
 
 
-def channels(evidence: Evidence, base: Refit, shown: Refit) -> xr.Dataset:
+def channels(scene: Scene, base: State, shown: State) -> xr.Dataset:
     """Measured and modelled force over all that a page draws."""
-    names = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "direction")
-    data = {name: ("sample", evidence.stack(name)) for name in names}
+    names = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
+    data: dict[str, Any] = {name: ("sample", scene.channel(name)) for name in names}
     data |= {
-        "run": ("sample", evidence.run.astype(np.float64)),
-        "block": ("sample", evidence.block.astype(np.float64)),
-        "weight": ("sample", evidence.weight),
-        "force_kN": ("sample", evidence.force_kN),
-        "before_kN": ("sample", base.force_kN),
-        "after_kN": ("sample", shown.force_kN),
+        "direction": ("sample", np.sign(scene.channel("direction"))),
+        "run": ("sample", run_of(scene).astype(np.float64)),
+        "block": ("sample", cycles_of(scene).astype(np.float64)),
+        "weight": ("sample", scene.used),
+        "force_kN": ("sample", scene.measured_kN),
+        "before_kN": ("sample", scene.measured_kN - base.residual),
+        "after_kN": ("sample", scene.measured_kN - shown.residual),
     }
     return xr.Dataset(data, attrs={"schema": SCHEMA})
+
+
+def draws_of(scene: Scene, state: State, seed: int, n: int = 2000) -> dict[str, FloatArray]:
+    """Draw from the Gaussian around the most probable parameters of a model, natural units."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+    root = np.linalg.cholesky(state.covariance + 1e-14 * np.eye(state.z.size))
+    z = state.z + rng.standard_normal((n, state.z.size)) @ root.T
+    whole = np.concatenate([z, np.zeros((n, len(state.model.names) - z.shape[1]))], axis=1)
+    theta = state.model.natural(whole)
+    return dict(zip(state.model.law_names, theta.T[: state.z.size], strict=True))
+
+
+def hypotheses(answer: Answer) -> list[dict[str, Any]]:
+    """List the sets of classes that hold all but 5 % of the probability."""
+    return [{"classes": sorted(key), "probability": p} for key, p in rivals_of(answer)]

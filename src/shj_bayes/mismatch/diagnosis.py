@@ -1,4 +1,4 @@
-"""The diagnosis: fit, locate, name, model, and what to show; the content of ``diagnosis.json`` and ``diagnosis.nc``."""
+"""The diagnosis: find what the force depends on, show the curve, name the physics, model it."""
 
 from __future__ import annotations
 
@@ -9,34 +9,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
-from shj_bayes.files import write_text
-from shj_bayes.inference.fit import first_look
-from shj_bayes.inference.posterior import make_posterior
+from shj_bayes._util.files import write_text
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.start import law_starts
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
-from shj_bayes.mismatch.alias import alias_table
-from shj_bayes.mismatch.evidence import evidence_of
-from shj_bayes.mismatch.locate import largest_region
-from shj_bayes.mismatch.refit import refit
+from shj_bayes.mismatch.alias import aliases_of
+from shj_bayes.mismatch.classes import classes
+from shj_bayes.mismatch.findings import answer_of
+from shj_bayes.mismatch.heldout import held_out
 from shj_bayes.mismatch.regions import regions_of
-from shj_bayes.mismatch.search import Setting, search
-from shj_bayes.mismatch.share import share
-from shj_bayes.mismatch.thresholds import LINE, REPEAT_P
-from shj_bayes.mismatch.unknown import describe_unknown
-from shj_bayes.mismatch.verdict import judge
+from shj_bayes.mismatch.scene import Metric, scene_of
+from shj_bayes.mismatch.schema import SCHEMA
+from shj_bayes.mismatch.search import search
+from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
 
 Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], dict[str, Any]]]
-N_QUICK = 4000
-N_COARSE = 2000  # starts are chosen on these
-N_FINE = 24_000  # the noise floor is looked for on these
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +81,7 @@ def diagnose(
     seed : int
         Same seed and recordings, same numbers.
     quick : bool
-        A first look: fewer samples, no sampling of the posterior, approximate intervals.
+        A first look: no sampling of the posterior, approximate intervals.
     sample : callable, optional
         ``sample(model, top)`` fits the model that was found, from the most probable law parameters, and gives the draws
         by parameter and the verdict on them; without it, and in a first look, a Gaussian stands for the posterior.
@@ -102,55 +94,57 @@ def diagnose(
     """
     begin = time.perf_counter()
     device = replace(device, speed="velocity" not in without)
-    effects = _catalogue(without, device.effects)
-    evidence = evidence_of(runs, N_QUICK) if quick else evidence_of(runs)
-    tell("comparing what the displacement history can tell apart")
-    aliases = alias_table(evidence, device.with_effects(()), tuple(catalogue().values()))
-    tell("fitting the base law")
-    base = refit(evidence, device, law_starts(make_posterior(runs, device)))
-    regions = regions_of(evidence)
-    coarse, fine = evidence_of(runs, N_COARSE), evidence_of(runs, N_FINE)
-    setting = Setting(evidence, coarse, fine, regions, effects, seed, tell)
-    result = search(setting, base)
-    last = result.steps[-1]
-    left, _ = largest_region(evidence, result.known, regions, last.alarm)
-    if last.line.p_value < LINE:
-        left = max(left, last.line.amplitude_kN)
-    if last.repeat.p_value < REPEAT_P:
-        left = max(left, last.repeat.size_kN)
-    noise = result.final.rmse_kN
-    judgement = judge(result, left, share(evidence, fine, base, base, result.known))
-    shown = result.final if result.found else base
-    before: Mapping[str, FloatArray] = first_look(runs, base.model, tops=[base.z], seed=seed)
-    if sample is None:
-        after = before if shown is base else first_look(runs, shown.model, tops=[shown.z], seed=seed)
-        draws: Mapping[str, FloatArray] = after
-        how: dict[str, Any] = {
-            "how": "Gaussian around the most probable parameters (first look)",
-            "verdict": "tentative",
-        }
+    effects_named(without)
+    hidden = frozenset({*(n for n in without if n != "velocity"), *(e.mechanism for e in device.effects)})
+    if "velocity" not in without:
+        hidden |= {"velocity"}
+    scene = scene_of(runs, device)
+    out = search(scene, classes(hidden), hidden, tell)
+    tell("weighing what was found")
+    answer = answer_of(out)
+    base, shown = out.found[frozenset()].state, answer.shown.state
+    # The base law alone has noise of its own: all that it leaves.
+    alone = find_noise(scene, base, np.zeros((base.residual.size, 0)), out.metric.setting)
+    law = settle(scene, Metric(scene, alone, base.slope), base.model, base.z)
+    before = content.draws_of(scene, law, seed)
+    if sample is None or quick:
+        draws: Mapping[str, FloatArray] = content.draws_of(scene, shown, seed) if answer.findings else before
+        how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": "tentative"}
     else:
         tell("sampling the posterior")
         draws, how = sample(shown.model, shown.z)
-    record = {
-        "schema": content.SCHEMA,
+    fine = scene.finer()
+    states = [settle(fine, Metric(fine, out.metric.setting, s), m, z) for m, z, s in (
+        (base.model, law.z, fine.residual_and_slope(base.model, law.z[None])[1][0]),
+        (shown.model, shown.z, fine.residual_and_slope(shown.model, shown.z[None])[1][0]),
+    )]  # fmt: skip
+    drawn = states if answer.findings else [states[0], states[0]]
+    metric = Metric(fine, out.metric.setting, drawn[1].slope)
+    held = [held_out(fine, metric, state) for state in drawn]
+    noise = float(np.sqrt(np.mean(drawn[1].residual[fine.used > 0] ** 2)))
+    record: dict[str, Any] = {
+        "schema": SCHEMA,
         "device": name,
-        "verdict": judgement.word,
-        "reason": judgement.reason,
-        "p_value": result.steps[0].p_value,
-        "effects": content.effects(evidence, result, judgement, draws),
-        "family": content.family(result, judgement),
-        "location": content.locations(evidence, base, regions, result, noise),
-        "unknown": describe_unknown(evidence, result, regions, seed=seed) if judgement.word == "unknown" else None,
-        "before": content.quality(evidence, base, noise),
-        "after": content.quality(evidence, shown, noise),
-        "heldout": content.heldout(evidence, result, shown),
+        "verdict": answer.verdict.value,
+        "reason": answer.reason.value,
+        "p_value": answer.p_value,
+        "coordinates": content.coordinates(out, answer),
+        "sets": content.hypotheses(answer),
+        "effects": content.effects(out, answer, draws),
+        "modelled": content.modelled(answer, draws),
+        "family": content.family(out, answer),
+        "location": content.locations(regions_of(scene, Metric(scene, out.metric.setting, law.slope), law)),
+        "unknown": content.unknown(out, answer),
+        "left_over_percent": 100 * answer.left_over,
+        "before": content.quality(fine, drawn[0], noise, held[0]),
+        "after": content.quality(fine, drawn[1], noise, held[1]),
+        "heldout": content.heldout(*held),
         "shift": content.shift(before, draws),
-        "aliases": [{"pair": list(a.pair), "correlation": a.correlation} for a in aliases],
-        "next_test": content.next_test(result, judgement),
-        "candidates": content.candidates(result),
-        "energy": content.energy(evidence, base, shown),
-        "fy_kN": base.capacity_kN,
+        "aliases": content.alias_rows(aliases_of(scene)),
+        "next_test": content.next_test(out, answer),
+        "candidates": content.candidates(out, answer),
+        "energy": content.energy(fine, *drawn),
+        "fy_kN": scene.scale_kN,
         "seed": seed,
         "quick": quick,
         "sampling": how,
@@ -164,16 +158,5 @@ def diagnose(
         "inputs": [{"name": r.recording.source.name, "sha256": r.recording.source.sha256} for r in runs],
         "versions": versions(),
     }
-    record["words"] = content.words(record)
     record["seconds"] = time.perf_counter() - begin
-    return Diagnosis(record, content.channels(evidence, base, shown))
-
-
-def _catalogue(without: Sequence[str], given: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Effects to try: all, less those taken out or given; ``velocity`` only where the base law runs without it."""
-    known = catalogue()
-    effects_named(without)
-    hidden = {*(name for name in without if name != "velocity"), *(effect.id for effect in given)}
-    if "velocity" not in without:
-        hidden.add("velocity")
-    return tuple(effect for effect in known.values() if effect.id not in hidden)
+    return Diagnosis(record, content.channels(fine, *drawn))

@@ -1,4 +1,4 @@
-"""Regions of a recording in which a misfit may sit, as columns that a residual can be compared with."""
+"""Where the base law fails: intervals of the coordinates in which its residual is more than noise."""
 
 from __future__ import annotations
 
@@ -7,16 +7,23 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
-from shj_bayes.mismatch.evidence import Evidence
+from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.mismatch.state import State
+from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.parameters import FloatArray
 
-MIN_SHARE = 0.01  # of the samples that a region must hold to be looked at
+MIN_SHARE = 0.01  # of the blocks that a region must hold to be looked at
+LISTED, EACH = 8, 2  # regions in a list for people; of one coordinate
+SURE = 0.05
+SIDES = ("both", "push", "pull")
+WHERE = (("position", 11), ("speed", 6), ("slip", 8), ("travel", 12), ("amplitude", 6))  # and in how many intervals
 
 
 @dataclass(frozen=True)
 class Region:
-    """One interval of one coordinate.
+    """One interval of one coordinate in which the base law fails.
 
     Parameters
     ----------
@@ -27,6 +34,14 @@ class Region:
     direction : {"push", "pull", "both"}
         Half-cycles it is about; ``both`` signs the residual with the direction of motion, so that friction too high
         in push and pull alike shows as one number.
+    runs : tuple of int
+        Runs in which it is seen.
+    size_kN : float
+        Mean residual there (direction-signed for ``both``).
+    share : float
+        Part of the residual's sum of squares that lies in the region.
+    p_value : float
+        Chance of such a mean if nothing were missing, times the number of regions that were looked at.
     """
 
     coordinate: str
@@ -34,80 +49,83 @@ class Region:
     low: float
     high: float
     direction: str
+    runs: tuple[int, ...]
+    size_kN: float
+    share: float
+    p_value: float
 
 
-@dataclass(frozen=True, eq=False)
-class Regions:
-    """All regions of a recording.
-
-    Parameters
-    ----------
-    regions : tuple of Region
-        In the order of the columns.
-    columns : array, shape (n, n_regions)
-        0 outside the region; inside +1 or, for ``both``, the direction of motion.
-    """
-
-    regions: tuple[Region, ...]
-    columns: FloatArray
-
-
-def regions_of(evidence: Evidence) -> Regions:
-    """Cut position, speed, slip since reversal, travel, amplitude block and run into intervals.
+def regions_of(scene: Scene, metric: Metric, base: State) -> list[Region]:
+    """List the regions in which the base law fails, the largest first, at most two for each coordinate.
 
     Parameters
     ----------
-    evidence : Evidence
+    scene : Scene
         The recordings.
+    metric : Metric
+        Noise and discrepancy.
+    base : State
+        The base law.
 
     Returns
     -------
-    Regions
+    list of Region
     """
-    position = evidence.stack("position_mm")
-    speed = evidence.stack("speed_mm_s")
-    slip = evidence.stack("slip_mm")
-    travel = evidence.stack("travel_m")
-    amplitude = evidence.stack("amplitude_mm")
-    sense = evidence.stack("direction")
-    half = evidence.histories[0].half_stroke_mm
-    peak = evidence.histories[0].peak_speed_mm_s
-    cuts = [
-        (
-            "position",
-            "mm",
-            position,
-            np.array([-1.01, -0.9, -0.7, -0.5, -0.3, -0.1, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01]) * half,
-        ),
-        ("speed", "mm/s", speed, np.array([0.0, 0.1, 0.25, 0.5, 0.75, 0.95, 1.5]) * peak),
-        ("slip since reversal", "mm", slip, np.array([0.0, 0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.5, 2.01]) * half),
-        ("travel", "m", travel, np.linspace(0.0, travel.max() * (1 + 1e-9), 13)),
-        ("amplitude", "mm", amplitude, _levels(amplitude)),
-        ("run", "1", evidence.run.astype(np.float64), np.arange(0.5, evidence.run.max() + 1)),
-    ]
-    regions, columns = [], []
-    for coordinate, unit, values, edges in cuts:
-        for low, high in pairwise(edges.tolist()):
-            inside = (values >= low) & (values < high) & (evidence.weight > 0)
-            for direction, column in _directed(inside, sense):
-                if np.count_nonzero(column) >= MIN_SHARE * values.size:
-                    regions.append(Region(coordinate, unit, float(low), float(high), direction))
-                    columns.append(column)
-    return Regions(tuple(regions), np.stack(columns, axis=1))
+    sense, run = scene.channel("direction"), run_of(scene)
+    cuts, columns = [], []
+    histories = [part.history for part in scene.posterior.averages]
+    for name, n in WHERE:
+        over = coordinate_named(name)
+        part = scene.blocks([over.share(h, scene.base)[:, None] for h in histories])[:, 0]
+        for low, high in pairwise(np.linspace(0.0, 1.0 + 1e-9, n + 1)):
+            inside = (part >= low) & (part < high) & (scene.used > 0)
+            edges = over.value_of(np.array([low, min(high, 1.0)]), histories[0])
+            cuts += [(over.id, over.unit, float(edges[0]), float(edges[1]), word, inside) for word in SIDES]
+            columns += [_side(word, inside, sense) for word in SIDES]
+    for number in range(1, len(histories) + 1):
+        inside = (run == number) & (scene.used > 0)
+        cuts += [("run", "1", number - 0.5, number + 0.5, word, inside) for word in SIDES]
+        columns += [_side(word, inside, sense) for word in SIDES]
+    table = np.stack(columns, axis=1)
+    large = np.count_nonzero(table, axis=0) >= MIN_SHARE * scene.used.sum()
+    table, cuts = table[:, large], [cut for cut, ok in zip(cuts, large, strict=True) if ok]
+    p_values = _p_values(metric, base, table)
+    whole = float(base.residual @ base.residual)
+    found = []
+    for cut, column, p in zip(cuts, table.T, p_values, strict=True):
+        own = np.flatnonzero(column)
+        squares = np.bincount(run[own], weights=base.residual[own] ** 2)
+        runs = tuple(int(i) for i in np.flatnonzero(squares >= 0.1 * squares.sum()) if i > 0)
+        mean = float(column[own] @ base.residual[own]) / own.size
+        share = float(squares.sum()) / max(whole, 1e-300)
+        found.append(Region(*cut[:5], runs, mean, share, min(1.0, float(p) * len(cuts))))
+    kept: list[Region] = []
+    for region in sorted(found, key=lambda r: -abs(r.size_kN)):
+        same = sum(k.coordinate == region.coordinate for k in kept)
+        if region.p_value <= SURE and abs(region.size_kN) > 0 and same < EACH and len(kept) < LISTED:
+            kept.append(region)
+    return kept
 
 
-def _directed(inside: NDArray[np.bool_], sense: FloatArray) -> list[tuple[str, FloatArray]]:
-    return [
-        ("both", inside * sense),
-        ("push", (inside & (sense > 0)).astype(np.float64)),
-        ("pull", (inside & (sense < 0)).astype(np.float64)),
-    ]
+def run_of(scene: Scene) -> NDArray[np.int64]:
+    """Give the number of the run of each block."""
+    return np.concatenate([np.full(part.n, part.history.run) for part in scene.posterior.averages])
 
 
-def _levels(values: FloatArray) -> FloatArray:
-    """Edges between clearly different levels (blocks of one amplitude), at most a dozen."""
-    ordered = np.sort(values)
-    top = float(ordered[-1])
-    jumps = np.flatnonzero(np.diff(ordered) > 0.06 * top)
-    middles = (ordered[jumps] + ordered[jumps + 1]) / 2
-    return np.concatenate([[0.0], middles[:11], [top * 1.001 + 1e-9]])
+def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray:
+    """Column of a region: signed with the motion, or 1 in one direction."""
+    if word == "both":
+        return np.asarray(inside * np.sign(sense))
+    return np.asarray(inside & (sense > 0 if word == "push" else sense < 0), dtype=np.float64)
+
+
+def _p_values(metric: Metric, base: State, table: FloatArray) -> FloatArray:
+    """Two-sided chance of each column's product with the residual, beside the parameters of the law."""
+    d = base.z.size
+    p = metric.products(np.column_stack([base.residual + base.jacobian @ base.z, base.jacobian, table]))
+    inner = np.eye(d) + p[1 : 1 + d, 1 : 1 + d]
+    cross = p[1 : 1 + d, 1 + d :]
+    solved = np.linalg.solve(inner, cross)
+    along = p[0, 1 + d :] - p[0, 1 : 1 + d] @ solved
+    variance = np.diag(p)[1 + d :] - np.sum(cross * solved, axis=0)
+    return np.asarray(2.0 * norm.sf(np.abs(along) / np.sqrt(np.maximum(variance, 1e-300))))

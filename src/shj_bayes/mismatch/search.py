@@ -1,325 +1,363 @@
-"""Find the effects that were left out, one after another, and re-test the earlier ones when a later one enters."""
+"""Which classes a device holds: sets of them are compared by their evidence, grown and shrunk until none is better."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
-from scipy import stats
 
-from shj_bayes.mismatch.calibrate import Alarm, Line, look, strongest_line
-from shj_bayes.mismatch.evidence import Evidence
-from shj_bayes.mismatch.name import Candidate, Ranking, ahead_beyond_chance, compare, rank, try_all
-from shj_bayes.mismatch.refit import Refit, View, extend_starts, refit
-from shj_bayes.mismatch.regions import Regions
-from shj_bayes.mismatch.repeats import Repeat, repeats
-from shj_bayes.mismatch.share import share
-from shj_bayes.mismatch.thresholds import (
-    ALIAS,
-    ALPHA,
-    GAIN_NATS,
-    GAIN_SE,
-    LARGE,
-    MAX_EFFECTS,
-    NOTABLE,
-    OF_REST,
-    PART,
-    PRACTICAL,
-    WORTH,
-)
-from shj_bayes.model.effects.effect import Effect
+from shj_bayes.inference.squares import start_values
+from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant, candidates, size_weights
+from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
+from shj_bayes.mismatch.screen import screen
+from shj_bayes.mismatch.state import State, find_noise, settle, visible
+from shj_bayes.model.curve import SIZES
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
-Tell = Callable[[str], None]
+MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
+PROMISING = 0.7 * MATTERS  # to first order; less is not followed
+DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
+BEAM = 2
+MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
+DEPTH = 4
+LARGEST = 70  # parameters of a model that is grown further
+WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
+RIVAL = 30.0  # nats; hypotheses that are worse are not followed
+ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """One round of the search.
+class Hypothesis:
+    """A set of classes with the model that holds them.
 
     Parameters
     ----------
-    before : Refit
-        Model at the start of the round.
-    alarm : Alarm
-        What the calibrated look found in it (regions first, then effects).
-    ranking : Ranking
-        Every further effect, fitted.
-    p_value : float
-        Of "nothing more is missing": four times the smallest of the look's, the line's, the repeat's and the held-out
-        gains' (Bonferroni over the four, and over the effects).
-    line : Line
-        Strongest line over time in the residual at the start of the round.
-    repeat : Repeat
-        What comes again in it from one half-cycle to the next; in the last round less what an effect below the
-        practical size takes up.
-    taken : str
-        Id of the effect that entered, empty when none did.
-    why : str
-        Reason in words.
+    members : tuple of Candidate
+        Classes, in the order of the effects of the model behind those that were given.
+    state : State
+        The model, fitted.
+    log_weight : float
+        Log of the evidence times the probability before the test.
+    metric : Metric or None
+        Noise and discrepancy under which it was weighed; None during a search.
     """
 
-    before: Refit
-    alarm: Alarm
-    ranking: Ranking
-    p_value: float
-    line: Line
-    repeat: Repeat
-    taken: str
-    why: str
+    members: tuple[Candidate, ...]
+    state: State
+    log_weight: float
+    metric: Metric | None = None
+
+    @property
+    def key(self) -> frozenset[str]:
+        """Ids of the classes."""
+        return frozenset(member.of.id for member in self.members)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Search:
-    """End of the search.
+    """A search for what a device holds.
 
     Parameters
     ----------
-    base, final : Refit
-        Model without effects, and with those that were found.
-    steps : tuple of Step
-        Rounds in order; the last one took nothing.
-    rankings : dict of str to Ranking
-        For each effect found, its rivals given the other effects.
-    known : Refit
-        The final model, with an effect below the practical size where one is left: what that takes up is known, not
-        worth a name, and not left over.
-    """
-
-    base: Refit
-    final: Refit
-    steps: tuple[Step, ...]
-    rankings: dict[str, Ranking]
-    known: Refit
-
-    @property
-    def new(self) -> tuple[Effect, ...]:
-        """Effects of the final model that were not given from the start."""
-        given = self.base.model.effects
-        return tuple(effect for effect in self.final.model.effects if effect not in given)
-
-    @property
-    def found(self) -> tuple[str, ...]:
-        """Their ids."""
-        return tuple(effect.id for effect in self.new)
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What stays the same during a search.
-
-    Parameters
-    ----------
-    evidence, coarse, fine : Evidence
-        The recordings, and the same with fewer samples (to choose starts) and with more (to find the noise floor).
-    regions : Regions
-        Where to look.
-    catalogue : tuple of Effect
-        What to try.
-    seed : int
-        Of the resampling.
+    scene : Scene
+        The recordings.
+    looked : list of Candidate
+        What to look for, with columns at the base law: they change little from model to model, and only choose what is
+        fitted.
+    metric : Metric
+        Noise and discrepancy, which are found beside all classes.
+    hidden : frozenset of str
+        Mechanisms whose formulas are not tried.
     tell : callable
         Gets one line for each step.
+    found : dict
+        Hypotheses by their key.
+    curves : dict
+        The same with curves only, no formulas.
+    screened : dict
+        What could be added to each, best first.
     """
 
-    evidence: Evidence
-    coarse: Evidence
-    fine: Evidence
-    regions: Regions
-    catalogue: tuple[Effect, ...]
-    seed: int
-    tell: Tell
+    scene: Scene
+    looked: list[Candidate]
+    metric: Metric
+    hidden: frozenset[str] = frozenset()
+    tell: Callable[[str], None] = lambda _: None
+    found: dict[frozenset[str], Hypothesis] = field(default_factory=dict)
+    curves: dict[frozenset[str], Hypothesis] = field(default_factory=dict)
+    screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
 
-    def rng(self, *key: int) -> np.random.Generator:
-        """Stream of random numbers that belongs to one place of the search."""
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+    @property
+    def best(self) -> Hypothesis:
+        """The most probable hypothesis."""
+        return max(self.found.values(), key=lambda h: h.log_weight)
+
+    def add(self, members: tuple[Candidate, ...], start: FloatArray) -> Hypothesis | None:
+        """Fit a hypothesis from a start, and keep it if it is better than what was known under its key."""
+        new = self.fitted(members, start)
+        key = frozenset(member.of.id for member in members)
+        for kept in (self.found, self.curves):
+            if new is None or (kept is self.curves and not all(_is_curve(m) for m in members)):
+                continue
+            if key not in kept or kept[key].log_weight < new.log_weight:
+                kept[key] = new
+        return self.found.get(key)
+
+    def fitted(self, members: tuple[Candidate, ...], start: FloatArray) -> Hypothesis | None:
+        """Fit a hypothesis from a start; None where there is no fit."""
+        try:
+            state = settle(self.scene, self.metric, self.model_of(members), start)
+        except np.linalg.LinAlgError:
+            return None
+        weight = state.evidence + len(members) * ODDS
+        weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
+        return Hypothesis(members, state, weight) if math.isfinite(weight) else None
+
+    def _about_size(self, state: State, place: int, member: Candidate) -> float:
+        """Log evidence that a class gains when its size and its smoothness are averaged over."""
+        extra = math.log(member.variant.weight)
+        curve = member.variant.curve
+        if curve is None:
+            return extra
+        own = self.columns_of(state, place)
+        p = state.products
+        gains = []
+        for size in SIZES:
+            v = np.ones(p.shape[0] - 1)
+            v[own] = (size / curve.size) ** 2
+            gains.append(_relative(p, v))
+        base = _relative(p, np.ones(p.shape[0] - 1))
+        logs = np.array(gains) - base + np.log(size_weights())
+        top = float(logs.max())
+        return extra + top + math.log(float(np.exp(logs - top).sum()))
+
+    def columns_of(self, state: State, place: int) -> list[int]:
+        """Positions of the parameters of a member in the vector of its model."""
+        effect = state.model.effects[len(self.scene.device.effects) + place]
+        return [i for i, name in enumerate(state.model.law_names) if name.startswith(f"{effect.id}.")]
+
+    def screen(self, h: Hypothesis) -> list[Candidate]:
+        """Candidates to add to a hypothesis, the best of each class, best first."""
+        if h.key not in self.screened:
+            rest = [c for c in self.looked if c.of.id not in h.key and not _same_place(c.of, h)]
+            self.screened[h.key] = screen(self.metric, h.state, rest)
+        return self.screened[h.key]
+
+    def grow(self, h: Hypothesis) -> None:
+        """Fit the promising larger hypotheses."""
+        if h.state.z.size > LARGEST:
+            return
+        listed = self.screen(h)
+        best = max((c.gain for c in listed), default=0.0)
+        tried: dict[tuple[str, bool], int] = {}
+        followed: set[str] = set()
+        for c in listed:
+            enough = c.gain + ODDS > -1.0 and c.gain > 0.5 * best - 20.0
+            motion = c.variant.curve is None and c.gain > 10.0
+            allowed = 2 if c.variant.curve is None else 1
+            kind = (c.of.id, c.variant.curve is None)
+            if not (enough or motion) or tried.get(kind, 0) >= allowed:
+                continue
+            if len(followed) >= MOST and c.of.id not in followed:
+                continue
+            if visible(self.scene, h.state.jacobian, c.change) < PROMISING:
+                continue
+            tried[kind] = tried.get(kind, 0) + 1
+            followed.add(c.of.id)
+            self.add((*h.members, c), _joined(h, c))
+
+    def refine(self, h: Hypothesis) -> None:
+        """Try the published formulas in the place of each curve: where one is better, it is what the class holds."""
+        for place in range(len(h.members)):
+            h = self.found[h.key]
+            if h.members[place].variant.curve is not None:
+                for form in self.forms(h, place):
+                    self.add(_with(h, place, form), form.start)
+
+    def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
+        """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
+        member, out = h.members[place], []
+        acts = (member.of.action, member.of.coordinate)
+        known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
+        keep = np.setdiff1d(np.arange(h.state.z.size), self.columns_of(h.state, place))
+        first = self.columns_of(h.state, place)[0]
+        for effect in known:
+            variant = Variant(None, effect, FORMS / max(len(known), 1))
+            form = replace(member, variant=variant)
+            model = self.model_of(_with(h, place, form))
+            values = start_values(effect)
+            if effect.parameters[0].law == "normal":  # a size of either sign
+                values[0] = sorted({*values[0], *(-value for value in values[0])})
+            tails = [np.array(tail) for tail in product(*values)]
+            starts = np.array([np.insert(h.state.z[keep], first, tail) for tail in tails])
+            with np.errstate(all="ignore"):
+                residual = self.scene.residual(model, starts)
+                heights = np.diag(self.metric.products(np.nan_to_num(residual.T, nan=1e6)))
+            best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else 2]
+            out += [replace(form, start=starts[i], model=model) for i in best]
+        return out
+
+    def model_of(self, members: tuple[Candidate, ...]) -> DeviceModel:
+        """Model that holds given classes."""
+        added = tuple(member.variant.effect for member in members)
+        return self.scene.device.with_effects((*self.scene.device.effects, *added))
+
+    def shrink(self, h: Hypothesis) -> None:
+        """Fit the hypotheses with one class less."""
+        for place in range(len(h.members)):
+            rest = tuple(m for i, m in enumerate(h.members) if i != place)
+            if frozenset(m.of.id for m in rest) in self.found:
+                continue
+            keep = np.setdiff1d(np.arange(h.state.z.size), self.columns_of(h.state, place))
+            self.add(rest, h.state.z[keep])
+
+    def finish(self) -> None:
+        """Give each hypothesis in contention the noise that is most probable under it, and weigh them anew.
+
+        The noise beside everything that could be added is the right one to search with, but what it leaves out as
+        physics may be slow noise after all.
+        """
+        best = self.best
+        self.shrink(best)
+        near = [h for h in self.found.values() if h.log_weight > best.log_weight - RIVAL]
+        less = [self.found[k] for m in best.members if (k := best.key - {m.of.id}) in self.found]
+        ranked = sorted({h.key: h for h in (*near, *less)}.values(), key=lambda h: -h.log_weight)[:MOST_FINAL]
+        ranked += [h for h in (self.found[frozenset()],) if h not in ranked]
+        search_metric, found = self.metric, {}
+        for h in ranked:
+            none = np.zeros((h.state.residual.size, 0))
+            self.metric = Metric(
+                self.scene, find_noise(self.scene, h.state, none, search_metric.setting), h.state.slope
+            )
+            new = self.fitted(h.members, h.state.z)
+            if new is not None:
+                found[h.key] = replace(new, metric=self.metric)
+        self.found = found
+        self.metric = self.best.metric or search_metric
+        self.screened = {}
+
+    def retune(self) -> None:
+        """Find the noise beside the best hypothesis and everything that could be added; fit the best anew."""
+        h = self.best
+        self.metric = noise_beside(self.scene, h.state, self.screen(h), self.metric.setting)
+        kept = [*self.found.values(), *self.curves.values()]
+        self.found, self.curves, self.screened = {}, {}, {}
+        for one in kept:
+            if one.log_weight > h.log_weight - RIVAL or not one.members or one.key == h.key:
+                self.add(one.members, one.state.z)
 
 
-def search(setting: Setting, base: Refit) -> Search:
-    """Add effects while the residual holds more than noise.
+def search(
+    scene: Scene,
+    classes: Sequence[Class],
+    hidden: frozenset[str] = frozenset(),
+    tell: Callable[[str], None] = lambda _: None,
+) -> Search:
+    """Find the most probable sets of classes.
 
     Parameters
     ----------
-    setting : Setting
-        Recordings and catalogue.
-    base : Refit
-        Base law, fitted.
+    scene : Scene
+        The recordings.
+    classes : sequence of Class
+        What to look for.
+    hidden : frozenset of str
+        Mechanisms whose formulas are not to be tried.
+    tell : callable
+        Gets one line for each step.
 
     Returns
     -------
     Search
     """
-    current, steps = base, []
-    for number in range(MAX_EFFECTS + 1):
-        setting.tell(f"looking for misfit beyond {', '.join(e.id for e in current.model.effects) or 'the base law'}")
-        alarm = look(setting.evidence, current, _directions(setting, current), setting.rng(1, number))
-        ranking = _rank(setting, base, current, _try_rest(setting, current), setting.rng(2, number))
-        line = strongest_line(setting.evidence, current)
-        again = repeats(setting.evidence, current.residual_kN, setting.rng(5, number))
-        looks = (alarm.p_value, line.p_value, again.p_value, _p_of_gains(setting, ranking, current))
-        p_value = min(1.0, len(looks) * min(looks))
-        best = ranking.candidates[0]
-        if p_value >= ALPHA / 2**number:
-            why = f"p = {p_value:.4f}: nothing more than noise explains"
-        elif number == MAX_EFFECTS:
-            why = f"no more than {MAX_EFFECTS} effects are looked for"
-        else:
-            why = _objection(setting, base, current, best, float(ranking.elpd_gain[0]))
-        known = current
-        if why and best.size_kN < PRACTICAL * current.capacity_kN and _beyond_chance(best, float(ranking.elpd_gain[0])):
-            known = best.fit
-            again = repeats(setting.evidence, known.residual_kN, setting.rng(6, number))
-        taken, reason = ("", why) if why else (best.effect.id, "best on held-out cycles")
-        steps.append(Step(current, alarm, ranking, p_value, line, again, taken, reason))
-        if why:
+    tell("fitting the base law")
+    start = NoiseSetting(tuple(_middle(scene)), 0.003 * scene.scale_kN)
+    slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
+    rough = settle(scene, Metric(scene, start, slope), scene.device, scene.z)
+    looked = candidates(scene, rough, tuple(classes))
+    metric = noise_beside(scene, rough, looked, None)
+    out = Search(scene, looked, metric, hidden, tell)
+    base = out.add((), scene.z)
+    assert base is not None
+    for depth in range(DEPTH):
+        tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
+        before = out.best
+        level = sorted((h for h in out.found.values() if len(h.members) == depth), key=lambda h: -h.log_weight)
+        for h in level[:BEAM]:
+            if h.log_weight > out.best.log_weight - 100.0 or h is level[0]:
+                out.grow(h)
+        if out.best.key == before.key:
             break
-        current = best.fit
-        if number > 0:
-            current = _revise(setting, current, base, number)
-    return Search(base, current, tuple(steps), _rivals(setting, steps[0].ranking, current, base.model.effects), known)
-
-
-def _p_of_gains(setting: Setting, ranking: Ranking, current: Refit) -> float:
-    """Chance of a held-out gain like the largest, over all effects of a size that matters.
-
-    Flipping whole cycles cannot show an effect that sits in a few of them, however large; its gain on held-out cycles
-    can. Under "nothing is missing" the mean gain of a cycle is below 0, so Student's t is on the safe side. A held-out
-    likelihood ratio is at most 1 on average when nothing is missing, so by Markov's inequality a gain of g nats has a
-    chance below exp(-g) (Wasserman, Ramdas, Balakrishnan 2020, universal inference); it sees what a t over a few
-    half-cycles cannot.
-    """
-    floor = PRACTICAL * current.capacity_kN
-    pairs = zip(ranking.candidates, ranking.elpd_gain, strict=True)
-    tails = [
-        min(float(stats.t.sf(c.t, setting.evidence.n_blocks - 1)), float(np.exp(-max(nats, 0.0))))
-        for c, nats in pairs
-        if c.size_kN >= floor
-    ]
-    return min(1.0, len(ranking.candidates) * min(tails, default=1.0))
-
-
-def _rank(
-    setting: Setting, base: Refit, current: Refit, tried: Sequence[Candidate], rng: np.random.Generator
-) -> Ranking:
-    """Rank effects that a model does not hold yet, those that may enter first."""
-
-    def admits(candidate: Candidate, nats: float) -> bool:
-        return not _objection(setting, base, current, candidate, nats) and not _poor_double(current, tried, candidate)
-
-    return rank(setting.evidence, tried, rng, admits)
-
-
-def _poor_double(current: Refit, tried: Sequence[Candidate], candidate: Candidate) -> bool:
-    """Whether an effect does what another one does, but worse beyond chance.
-
-    An offset of 0.9 % of Fy is too small to be named; it must not hand its place on to an asymmetry that fits worse
-    and is called 1.1 %.
-    """
-    own = candidate.fit.residual_kN - current.residual_kN
-    for other in tried:
-        if ahead_beyond_chance(other.gain - candidate.gain):
-            change = other.fit.residual_kN - current.residual_kN
-            if float(own @ change) > ALIAS * float(np.linalg.norm(own) * np.linalg.norm(change)):
-                return True
-    return False
-
-
-def _objection(setting: Setting, base: Refit, current: Refit, candidate: Candidate, nats: float) -> str:
-    """Why an effect must not enter; empty when it may.
-
-    It must gain more on held-out cycles than selection among all effects gives, and be worth a name.
-    """
-    name = candidate.effect.id
-    if not _beyond_chance(candidate, nats):
-        return f"the best effect ({name}) gains t = {candidate.t:.1f} on held-out cycles: not beyond chance"
-    if candidate.size_kN < PRACTICAL * current.capacity_kN:
-        return f"the best effect ({name}) is {candidate.size_kN:.2g} kN, below {100 * PRACTICAL:.0f} % of Fy"
-    part = share(setting.evidence, setting.fine, base, current, candidate.fit)
-    fall = float(np.sqrt(max(current.rmse_kN**2 - candidate.fit.rmse_kN**2, 0.0)))
-    large = candidate.size_kN >= LARGE * current.capacity_kN and part >= PART
-    of_rest = share(setting.evidence, setting.fine, current, current, candidate.fit)
-    clear = candidate.t >= GAIN_SE and (large or of_rest >= OF_REST)
-    if part < WORTH and fall < NOTABLE * current.capacity_kN and not clear:
-        return f"the best effect ({name}) would take up {100 * part:.1f} % of the misfit of the base law, {fall:.2g} kN"
-    return ""
-
-
-def _beyond_chance(candidate: Candidate, nats: float) -> bool:
-    """Whether the held-out gain of an effect, `nats` in all, is beyond what selection among all effects gives.
-
-    By its t over blocks; or by its size, as the t is blind to an effect that sits in three of fourteen half-cycles. One
-    that sits in a single block is no evidence: a block that the smaller model happens to predict badly without it would
-    then decide (67 of 72 nats for stick-slip in the last half-cycle of a steel damper).
-    """
-    return nats > 0.0 and (candidate.t >= GAIN_SE or nats * candidate.without_best >= GAIN_NATS)
-
-
-def _revise(setting: Setting, current: Refit, base: Refit, number: int) -> Refit:
-    """Exchange or drop effects that entered earlier, when another one is better now."""
-    given = base.model.effects
-    for k, effect in enumerate(current.model.effects[:-1]):
-        if effect in given:
-            continue
-        without, tried = _in_place_of(setting, current, effect)
-        ranking = _rank(setting, base, without, tried, setting.rng(3, number, k))
-        if _objection(setting, base, without, ranking.candidates[0], float(ranking.elpd_gain[0])):
-            return _revise(setting, without, base, number) if len(without.model.effects) > len(given) + 1 else without
-        current = ranking.candidates[0].fit
-    return current
-
-
-def _in_place_of(setting: Setting, current: Refit, effect: Effect) -> tuple[Refit, list[Candidate]]:
-    """Fit a model without one of its effects, and every effect in its place.
-
-    The effect itself stands as it is fitted now where its own starts do not lead there again: a change of clamping
-    that was found beside one effect is not given up because it is not found beside two.
-    """
-    without = _fit_with(setting, current, [other for other in current.model.effects if other is not effect])
-    tried = _try_rest(setting, without)
-    own = compare(setting.evidence, without.held_out_squares(setting.evidence), current, effect)
-    return without, [own if c.effect is effect and c.gain.sum() < own.gain.sum() else c for c in tried]
-
-
-def _rivals(setting: Setting, first: Ranking, final: Refit, given: Sequence[Effect]) -> dict[str, Ranking]:
-    """For each effect of the final model, how every other one would do in its place.
-
-    In the place of the only effect stands the base law, and `first` holds every effect tried beside that already.
-    """
-    out = {}
-    new = [effect for effect in final.model.effects if effect not in given]
-    alone = len(new) == 1
-    for position, effect in enumerate(new):
-        tried = first.candidates if alone else _in_place_of(setting, final, effect)[1]
-        out[effect.id] = rank(setting.evidence, tried, setting.rng(4, position))
+        height = out.best.log_weight
+        for h in sorted((h for h in out.found.values() if len(h.members) == depth + 1), key=lambda h: -h.log_weight):
+            if h.log_weight > height - RIVAL:
+                out.refine(h)
+        out.shrink(out.best)
+        out.retune()
+    for place in range(len(out.best.members)):  # what else could stand in the place of each
+        h = out.best
+        if place < len(h.members) and len(h.members) > 1:
+            less = out.found.get(h.key - {h.members[place].of.id})
+            if less is None:
+                out.shrink(h)
+                less = out.found.get(h.key - {h.members[place].of.id})
+            if less is not None:
+                out.grow(less)
+    out.finish()
     return out
 
 
-def _try_rest(setting: Setting, current: Refit) -> list[Candidate]:
-    """Fit a model with each effect that it does not hold yet."""
-    own = {effect.id for effect in current.model.effects}
-    rest = [effect for effect in setting.catalogue if effect.id not in own]
-    return try_all(setting.evidence, current, rest, coarse=setting.coarse)
-
-
-def _fit_with(setting: Setting, current: Refit, effects: Sequence[Effect]) -> Refit:
-    """Fit the base law with some of the current effects, from the current parameters."""
-    model = current.model.with_effects(effects)
-    values = dict(zip(current.model.law_names, current.z, strict=True))
-    start = np.array([values[name] for name in model.law_names])
-    return refit(setting.evidence, model, [start], sigma_kN=current.rmse_kN)
-
-
-def _directions(setting: Setting, current: Refit) -> FloatArray:
-    """Regions, and the change each further effect would make from its start values."""
-    columns = [setting.regions.columns]
-    own = {e.id for e in current.model.effects}
-    for effect in setting.catalogue:
-        if effect.id in own:
+def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start: NoiseSetting | None) -> Metric:
+    """Noise beside everything that smooth functions of any coordinate can take up."""
+    columns, seen = [], set()
+    for c in looked:
+        curve = c.variant.curve
+        smooth = curve is None or curve.length == max(0.15, min(v.curve.length for v in c.of.variants if v.curve))
+        if c.of.id in seen or not smooth:
             continue
-        model = current.model.with_effects((*current.model.effects, effect))
-        # All starts, not the promising ones: those were chosen by looking at the residual that is being tested.
-        for start in extend_starts(current, model, effect):
-            change = View(setting.evidence, model).force(start) - current.force_kN
-            columns.append((change * setting.evidence.weight)[:, None])
-    return np.concatenate(columns, axis=1)
+        seen.add(c.of.id)
+        columns.append(WIDE * c.columns)
+    wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
+    return Metric(scene, find_noise(scene, state, wide, start), state.slope)
+
+
+def _relative(p: FloatArray, variances: FloatArray) -> float:
+    """Log evidence but for what does not hang on the prior variances."""
+    root = np.sqrt(variances)
+    g, b = p[1:, 1:] * np.outer(root, root), p[0, 1:] * root
+    inner = np.eye(root.size) + g
+    return float(0.5 * b @ np.linalg.solve(inner, b) - 0.5 * np.linalg.slogdet(inner)[1])
+
+
+def _joined(h: Hypothesis, c: Candidate) -> FloatArray:
+    """Start of a hypothesis with one more class: the parameters of the smaller one, and where the class begins."""
+    return np.concatenate([h.state.z, c.start[-len(c.variant.effect.parameters) :]])
+
+
+def _with(h: Hypothesis, place: int, member: Candidate) -> tuple[Candidate, ...]:
+    """Members of a hypothesis with another one in a place."""
+    return (*h.members[:place], member, *h.members[place + 1 :])
+
+
+def _is_curve(member: Candidate) -> bool:
+    """Whether a class has no formula here: it is a curve, or it acts on the motion."""
+    return member.variant.curve is not None or not any(v.curve is not None for v in member.of.variants)
+
+
+def _same_place(one: Class, h: Hypothesis) -> bool:
+    """Whether a class is the even part, or the whole, of one that is in a hypothesis."""
+    pair = {"capacity over position", "capacity over distance"}
+    return one.id in pair and bool(pair & h.key)
+
+
+def _middle(scene: Scene) -> list[float]:
+    """Noise parameters to begin with: the size of the residual, shared between the parts."""
+    size = float(np.std(scene.residual(scene.device, scene.z[None])[0]))
+    rough = {"sigma": size, "sigma_white": size, "sigma_slow": size, "tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
+    laws = scene.device.laws_of_parameters[scene.device.n_law :]
+    return [float(np.clip(law.to_free(np.asarray(rough[law.name])), -7.0, 7.0)) for law in laws]

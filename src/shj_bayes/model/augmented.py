@@ -53,6 +53,8 @@ def force_with_effects(
     clamping = np.maximum(np.broadcast_to(total.clamping, moved.time_s.shape), LEAST)
     if np.ndim(total.clamping):
         limit_rise(clamping, moved.travel_m, moved.motion.start, 1000.0 * base.K / base.Fy)
+    if start_force_kN:  # as it was read: the state of the device is without what is added to it
+        start_force_kN -= float(np.ravel(total.added_kN)[0])
     share, gap, stiffness = total.second_surface
     smooth = 1.0 if variant == "continuous" else total.smooth_reversal
     first, second = (1.0 - share, 0.0, 1.0 - share, smooth), (share, gap, stiffness * share, smooth)

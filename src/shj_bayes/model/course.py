@@ -40,6 +40,7 @@ def course_of(
         In s, mm, mm/s, m, mm/s^2.
     """
     step = np.diff(time)
+    step = np.where(step > 0.0, step, np.inf)  # two points of one moment have nothing between them
     mean, before, after = np.diff(displacement) / step, velocity[:-1], velocity[1:]
     second, third = (3 * mean - 2 * before - after) / step, (before + after - 2 * mean) / step**2
     rows = [time[:-1], displacement[:-1], before, second, third]

@@ -9,8 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import ModelError
 from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, Effect
 from shj_bayes.model.history import History
@@ -19,7 +21,6 @@ from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.noise.noise import Noise
 from shj_bayes.model.parameters import SHAREABLE, FloatArray, Parameter, describe, run_name
 from shj_bayes.model.priors import Prior, Priors
-from shj_bayes.suggest import did_you_mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +199,28 @@ def meaning_of(name: str) -> Parameter:
     owner, dot, own = name.partition(".")
     if not dot:
         return describe(name)
-    effect = catalogue().get(owner)
-    prior = next((prior for prior in effect.parameters if prior.name == own), None) if effect else None
-    if effect is None or prior is None:
+    effect = effect_named(owner)
+    prior = next((prior for prior in effect.parameters if prior.name == own), None)
+    if prior is None:
         raise ModelError(f"'{name}' is not a parameter of an effect of the catalogue")
     return Parameter(name, prior.unit, f"{effect.title.lower()}: {own.replace('_', ' ')}")
+
+
+def effect_named(word: str) -> Effect:
+    """Effect of an id: of the catalogue, or a curve.
+
+    Raises
+    ------
+    ModelError
+        If there is no such effect, with those that there are.
+    """
+    known = catalogue()
+    if word in known:
+        return known[word]
+    curve = curve_named(word)
+    if curve is None:
+        raise ModelError(f"'{word}' is not an effect; known are {', '.join(known)}{did_you_mean(word, known)}")
+    return curve.effect()
 
 
 def effects_named(words: Sequence[str]) -> tuple[Effect, ...]:
@@ -213,8 +231,6 @@ def effects_named(words: Sequence[str]) -> tuple[Effect, ...]:
     ModelError
         If there is no such effect, with those that there are.
     """
-    known = catalogue()
-    for word in words:
-        if word not in known:
-            raise ModelError(f"'{word}' is not an effect; known are {', '.join(known)}{did_you_mean(word, known)}")
-    return tuple(effect for effect in known.values() if effect.id in words)
+    order = list(catalogue())
+    found = {word: effect_named(word) for word in words}
+    return tuple(found[w] for w in sorted(found, key=lambda w: order.index(w) if w in order else len(order)))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.errors import ModelError
 from shj_bayes.model.course import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
 from shj_bayes.model.parameters import FloatArray
@@ -53,6 +53,8 @@ class History:
         Number of runs of the device.
     begun_s, tested_s : float
         Testing time before this run began, and of all runs together, s.
+    tested_m : float
+        Distance moved in all runs together, m.
     near_turns : tuple of arrays, or None
         Samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and
         where those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
@@ -73,6 +75,7 @@ class History:
     n_runs: int
     begun_s: float
     tested_s: float
+    tested_m: float
     near_turns: Way | None = None
 
     def __post_init__(self) -> None:
@@ -205,6 +208,7 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
         middle = 0.0
     peak = max(float(np.percentile(m.speed_mm_s, 95)) for m in motions)
     tested = float(sum(time[-1] - time[0] for time in times_s))
+    travelled = float(sum(m.travel_mm[-1] for m in motions)) / 1000
     out = []
     before, begun = 0.0, 0.0
     for run, (time, motion) in enumerate(zip(times_s, motions, strict=True), start=1):
@@ -232,6 +236,7 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
                 n_runs=len(motions),
                 begun_s=begun,
                 tested_s=tested,
+                tested_m=travelled,
             )
         )
         begun += float(time[-1] - time[0])

@@ -212,16 +212,6 @@ def held_at(e, sense, capacity, beta, knee):  # type: ignore[no-untyped-def]
     return e if e * sense < 0.0 else saturate(e, capacity, 1.0 / capacity, beta, knee)
 
 
-@njit(error_model="numpy", fastmath={"contract"})
-def fill_branch(out, x, origin, reset, stiffness, capacity, beta, knee, sense):  # type: ignore[no-untyped-def]
-    """Rate-free force along one half-cycle, or a part of it."""
-    per_capacity = 1.0 / capacity
-    for i in range(out.size):
-        e = stiffness * (x[i] - origin) + reset
-        held = saturate(e, capacity, per_capacity, beta, knee)
-        out[i] = e if e * sense < 0.0 else held
-
-
 @njit(error_model="numpy")
 def elastic_below(beta):  # type: ignore[no-untyped-def]
     """|e|/Fy below which Eq. (1) is e, and above whose inverse it is Fy, to double precision."""

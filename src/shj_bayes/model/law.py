@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import ModelError
 from shj_bayes.model import kernel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
-from shj_bayes.suggest import did_you_mean
 
 VARIANTS = {"published": kernel.PUBLISHED, "continuous": kernel.CONTINUOUS}
 OLD_NAMES = {"seed": "published"}  # in results and scripts of earlier versions

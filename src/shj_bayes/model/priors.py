@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 from scipy.special import ndtr, ndtri
 
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.files import read_toml
+from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import PriorError, shown
-from shj_bayes.files import read_toml
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.parameters import BASE, FloatArray, base_and_run, describe
-from shj_bayes.resources import shipped
-from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/priors/1"
 LAWS = {
@@ -30,6 +29,7 @@ LAWS = {
 }
 # Where the law and the noise exist (above 0 for all others); a prior with mass beyond stops a fit half-way.
 ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf), "phi": (-1.0, 1.0)}
+FROM_EARLIER = "Posterior of "  # begins the source of a law that an earlier test gave
 MIN_NUMBER = 1e-30  # of what is not 0; the inverse of a smaller one overflows, and 1e-320 has four digits left
 MAX_NUMBER = 1e30  # squares and ratios of two such numbers still fit into a double
 FREE_EDGE = 8.0  # normal quantile at which the upper end of a law is still told from 1 in double precision
@@ -87,7 +87,9 @@ class Prior:
 
     @property
     def distribution(self) -> Any:
-        """The law as a frozen scipy distribution (for quantiles, draws and checks)."""
+        """The law as a frozen scipy distribution, for whoever wants to go further with it."""
+        from scipy import stats  # noqa: PLC0415  half a second that a fit need not wait for
+
         if self.law == "normal":
             return stats.norm(self.a, self.b)
         if self.law == "lognormal":
@@ -115,6 +117,26 @@ class Prior:
         low, high = self._bounds()
         inner = low + (high - low) * ndtr(np.clip(z, -FREE_EDGE, FREE_EDGE))
         return np.asarray(np.exp(inner) if self.law == "loguniform" else inner)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Least and largest value that the law allows."""
+        if self.law == "normal":
+            return -np.inf, np.inf
+        return (0.0, np.inf) if self.law == "lognormal" else (self.a, self.b)
+
+    def quantile(self, probability: FloatArray | float) -> FloatArray:
+        """Value below which the parameter lies with a probability."""
+        return self.from_free(ndtri(np.asarray(probability, dtype=np.float64)))
+
+    def log_density(self, value: FloatArray) -> FloatArray:
+        """Log density of the parameter in its own unit, within its support."""
+        if self.law == "uniform":
+            return np.full(np.shape(value), -np.log(self.b - self.a))
+        if self.law == "loguniform":
+            return np.asarray(-np.log(np.log(self.b / self.a)) - np.log(value))
+        scale = self.b * value if self.law == "lognormal" else np.full(np.shape(value), self.b)
+        return np.asarray(self.log_density_free(self.to_free(value)) - np.log(scale))
 
     def log_density_free(self, z: FloatArray) -> FloatArray:
         """Log density of the unbounded parameter (the Jacobian is in it)."""
@@ -234,7 +256,7 @@ def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
         prior = Prior(name, unit, law, numbers[0], numbers[1], str(entry["source"]))
     except PriorError as error:
         raise PriorError(f"{file}: {error}") from error
-    low, high = prior.distribution.support()
+    low, high = prior.support
     least, most = ALLOWED.get(name, (0.0, np.inf))
     if low < least or high > most:
         raise PriorError(

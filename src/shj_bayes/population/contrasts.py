@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.quantities import FloatArray
@@ -107,8 +107,8 @@ def two_way_anova(values: FloatArray) -> Anova:
     f_rows, f_columns = rows / residual, columns / residual
     return Anova(
         f_rows,
-        float(stats.f.sf(f_rows, degrees[0], degrees[2])),
+        float(fdtrc(degrees[0], degrees[2], f_rows)),
         f_columns,
-        float(stats.f.sf(f_columns, degrees[1], degrees[2])),
+        float(fdtrc(degrees[1], degrees[2], f_columns)),
         degrees,
     )

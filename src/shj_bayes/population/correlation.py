@@ -11,7 +11,6 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
-from scipy import stats
 
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.quantities import FloatArray
@@ -72,6 +71,8 @@ def correlation_draws(result: PopulationResult, n_draws: int, prior: str = "defa
     if k == 1:
         return np.ones((n_draws, 1, 1))
     seed = np.random.SeedSequence([result.seed, zlib.crc32(b"correlation"), zlib.crc32(prior.encode())])
+    from scipy import stats  # noqa: PLC0415  half a second that other summaries need not wait for
+
     law = stats.invwishart(df=k + 1 + degrees, scale=np.eye(k) + products)
     drawn = np.asarray(law.rvs(size=n_draws, random_state=np.random.default_rng(seed))).reshape(n_draws, k, k)
     scale = np.sqrt(np.einsum("nii->ni", drawn))

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PopulationError, ShjError
-from shj_bayes.files import damage_told
-from shj_bayes.inference.store import read_group, read_record
+from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.model.law import variant_named
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
@@ -71,11 +71,11 @@ def tested_by_fit(folder: Path) -> RangeTested | None:
         From the complete half-cycles (the first and last of each run may be cut short).
     """
     try:
-        record = read_record(folder)
+        variant = variant_named(str(read_record(folder)["model"]["variant"]))
         data = read_group(folder, "constant_data")
         x, speed = data["displacement_mm"], data["speed_mm_s"]
         half, run = data["half_cycle_of_sample"], data["run"]
-    except (ShjError, KeyError):
+    except (ShjError, KeyError, TypeError):
         return None
     amplitudes, peaks = [], []
     for r in np.unique(run):
@@ -87,5 +87,4 @@ def tested_by_fit(folder: Path) -> RangeTested | None:
         return None
     # A recording on noisy displacement has half-cycles of different size; 2 % at either end is not a range.
     low, high = np.quantile(amplitudes, (0.02, 0.98)), np.quantile(peaks, (0.1, 0.9))
-    variant = variant_named(str(record.get("model", {}).get("variant", "published")))
     return RangeTested(float(low[0]), float(low[1]), float(high[0]), float(high[1]), variant, folder.name)

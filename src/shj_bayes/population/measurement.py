@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.quantities import FloatArray, Quantity
 
@@ -44,8 +44,7 @@ class Likelihood:
 
     def __post_init__(self) -> None:
         """Freeze the arrays; pieces must adjoin."""
-        for name in ("first", "second", "weight"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "first", "second", "weight")
         if self.pieces and not np.array_equal(self.first[1:], self.second[:-1]):
             raise PopulationError("the pieces of a likelihood must adjoin, each starting where the one before ends")
 
@@ -214,14 +213,14 @@ class PosteriorDraws:
 
     def __post_init__(self) -> None:
         """Refuse too few draws or a prior that does not belong to them."""
-        object.__setattr__(self, "values", frozen(self.values))
+        freeze(self, "values")
         if self.values.ndim != 1 or self.values.size < 4 * N_COMPONENTS:
             raise PopulationError(
                 f"posterior draws must be one column of at least {4 * N_COMPONENTS}; got shape {self.values.shape}. "
                 "Run the fit of that device longer"
             )
         if not callable(self.log_prior):
-            object.__setattr__(self, "log_prior", frozen(self.log_prior))
+            freeze(self, "log_prior")
             if np.shape(self.log_prior) != self.values.shape:
                 raise PopulationError(
                     f"log prior has shape {np.shape(self.log_prior)}, the draws {self.values.shape}; "

@@ -8,13 +8,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import Tags
 from shj_bayes.population.priors import PopulationPrior
 from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.tested import RangeTested
-from shj_bayes.suggest import did_you_mean
 
 SCHEMA = "shj-bayes/population/1"
 ANY_SET = "(any set)"
@@ -88,8 +88,7 @@ class QuantityPosterior:
 
     def __post_init__(self) -> None:
         """Freeze the arrays and check that they belong together."""
-        for name in ("mu", "tau", "hyper"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze(self, "mu", "tau", "hyper")
         n = len(self.n_devices)
         if self.mu.shape != self.tau.shape or self.mu.shape[1] != n or self.hyper.shape != (self.mu.shape[0], 4):
             raise PopulationError(

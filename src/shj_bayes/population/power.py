@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import stats
-from scipy.special import chdtri, ndtr
+from scipy.special import chdtri, ndtr, stdtrit
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.quantities import FloatArray
@@ -72,7 +71,7 @@ def assurance(shift: float, sds: FloatArray, n_a: int, n_b: int, level: float = 
     if min(n_a, n_b) < 1 or nu < 1:
         return 0.0
     away = np.abs(shift) / (sds * math.sqrt(1.0 / n_a + 1.0 / n_b))
-    limit = float(stats.t.isf(level / 2.0, nu)) * np.sqrt(chdtri(nu, _SHARE) / nu)
+    limit = -float(stdtrit(nu, level / 2.0)) * np.sqrt(chdtri(nu, _SHARE) / nu)
     found = ndtr(away[:, None] - limit) + ndtr(-away[:, None] - limit)
     return float(np.mean(found @ _WEIGHT))
 

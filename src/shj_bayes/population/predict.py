@@ -18,7 +18,7 @@ import pandas as pd
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.priors import ASSUMED
-from shj_bayes.population.quantities import LATER_RUNS, QUANTITIES, FloatArray
+from shj_bayes.population.quantities import LATER_RUNS, QUANTITIES, FloatArray, quantity
 
 LEVELS = (0.05, 0.5, 0.95)
 SECOND_RUN = "Fy_second"
@@ -95,7 +95,7 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
     tied = np.linalg.cholesky(correlation_draws(result, levels[0].size, prior))
     together = np.einsum("nij,jn->in", tied, np.array(apart))
     draws: dict[str, FloatArray] = {
-        q: QUANTITIES[q].natural(levels[i] + spreads[i] * together[i]) for i, q in enumerate(result.posteriors)
+        q: quantity(q).natural(levels[i] + spreads[i] * together[i]) for i, q in enumerate(result.posteriors)
     }
     draws |= {force: draws["Fy"] * draws[q] for force, q in RUN_FORCES.items() if "Fy" in draws and q in draws}
     n = 0 if index is None else len(result.sets[index].devices)

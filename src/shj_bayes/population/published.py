@@ -6,10 +6,10 @@ import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags
 from shj_bayes.population.measurement import Rounded
-from shj_bayes.resources import shipped
 
 DEVICE_TABLES = (3, 4, 5, 6, 7)
 

@@ -83,6 +83,32 @@ QUANTITIES: dict[str, Quantity] = {q.name: q for q in _OF_ALL_RUNS} | {
 (bedding-in), log Fy of the second run then stays a plain sum, and a ratio rounded to 1 stays finite."""
 
 
+LEAST, MOST = "least", "most"
+LOWEST, HIGHEST = "lowest", "highest"
+THIRD_CYCLE = "third"
+_OF_A_TEST = (
+    Quantity(LEAST, "kN", True, "smallest plateau force of the first run"),
+    Quantity(MOST, "kN", True, "largest force of the first run"),
+    Quantity("plateau", "kN", True, "mean plateau force of the first run"),
+    Quantity(THIRD_CYCLE, "kN", True, "force of the third cycle of the first run"),
+    Quantity("energy", "kJ", True, "energy of a cycle of the largest amplitude, first run"),
+)
+_OF_ALL_TESTS = (
+    Quantity(LOWEST, "kN", True, "smallest plateau force of all runs"),
+    Quantity(HIGHEST, "kN", True, "largest force of all runs"),
+)
+DESIGN: dict[str, Quantity] = {q.name: q for q in (*_OF_ALL_TESTS, *_OF_A_TEST)} | {
+    name: replace(
+        q, name=name, meaning=q.meaning.replace("the first run", f"run {run}").replace("first run", f"run {run}")
+    )
+    for run in (2, *LATER_RUNS)
+    for q in _OF_A_TEST
+    if q.name != THIRD_CYCLE
+    for name in (f"{q.name}_{run}",)
+}
+"""Read off the force of a test, real or virtual; their logarithms are pooled."""
+
+
 def quantity(name: str) -> Quantity:
     """Look up a pooled quantity by its name.
 
@@ -91,9 +117,9 @@ def quantity(name: str) -> Quantity:
     PopulationError
         If there is no such quantity.
     """
-    if name not in QUANTITIES:
+    if name not in QUANTITIES and name not in DESIGN:
         hint = "; dep is never pooled, give gamma = 1/dep" if name == "dep" else ""
         raise PopulationError(
             f"{name!r} is not a pooled quantity; these are: {', '.join(q.name for q in _OF_ALL_RUNS)}{hint}"
         )
-    return QUANTITIES[name]
+    return QUANTITIES[name] if name in QUANTITIES else DESIGN[name]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from shj_bayes._util.files import check_seal, damage_told, file_digest, read_json, replacing, sealed, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.files import check_seal, damage_told, file_digest, read_json, replacing, sealed, write_text
 from shj_bayes.population.correlation import correlation_table
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
@@ -239,7 +239,7 @@ def _from_document(document: dict[str, Any], arrays: dict[str, FloatArray]) -> P
                 tuple(s["devices"]),
                 Tags(**s["tags"]),
                 {k: tuple(number(x, np.nan) for x in v) for k, v in s["points"].items()},
-                {k: tuple(number(x, np.nan) for x in v) for k, v in s.get("errors", {}).items()},
+                {k: tuple(number(x, np.nan) for x in v) for k, v in s["errors"].items()},
             )
             for s in document["sets"]
             if s["name"] != ANY_SET
@@ -249,5 +249,5 @@ def _from_document(document: dict[str, Any], arrays: dict[str, FloatArray]) -> P
         priors={k: PopulationPrior(**v) for k, v in document["priors"].items()},
         importance_draws={r["quantity"]: number(r["importance_draws"], np.inf) for r in document["quantities"]},
         seed=int(document["seed"]),
-        tested=RangeTested(**document["tested"]) if document.get("tested") else None,
+        tested=RangeTested(**document["tested"]) if document["tested"] else None,
     )

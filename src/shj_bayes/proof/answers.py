@@ -242,10 +242,13 @@ def _hidden(pair: str) -> Judge:
 
     def judge(answer: Answer, file: Path, answers: Mapping[str, Answer]) -> list[Judged]:
         unknown = answer["verdict"] == "unknown"
-        places = [where["coordinate"] for where in answer["location"]]
+        places = [where["coordinate"] for where in [*answer.get("coordinates", []), *answer["location"]]]
         out = [
             Judged(unknown, f"without slack in the catalogue the answer is {answer['verdict']}"),
-            Judged("slip since reversal" in places, f"located over {', '.join(dict.fromkeys(places)) or 'nothing'}"),
+            Judged(
+                bool({"slip", "slip since reversal"} & set(places)),
+                f"located over {', '.join(dict.fromkeys(places)) or 'nothing'}",
+            ),
         ]
         full = answers.get(pair)
         if full and "error" not in full:

@@ -38,7 +38,7 @@ def diagnose_blind(
     columns, units : str or None
         As for `shj_bayes.recording.reader.read`.
     model : {"published", "continuous"}
-        Reversal rule; the simulated devices have no jump.
+        Reversal rule.
     priors : str
         Prior family.
     without : sequence of str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -10,13 +11,17 @@ import numpy as np
 
 from shj_bayes.errors import ModelError
 from shj_bayes.proof.device import Device, Nuisance
-from shj_bayes.proof.noise import NOISES
+from shj_bayes.proof.noise import MEMORIES_S, NOISES
 from shj_bayes.proof.protocols import PEAK_SPEED_MM_S
+from shj_bayes.proof.simulators.rig import RULES
 from shj_bayes.proof.simulators.simulator import Simulator, simulators_by_id
 
 # Shares of the trials; at least half hold nothing (issue 4).
 NOTHING, OUTSIDE, TWO = 0.50, 0.15, 0.15
-RATE_HZ = 10.0
+# Sampling rate in Hz, and the share of the trials that are recorded at it; the fast one costs the most time.
+RATES = {5.0: 0.40, 20.0: 0.45, 200.0: 0.15}
+KINDS = ("nothing", "one", "two", "outside")
+DEVELOPMENT = 1_000_000_007  # apart from the streams of every proof, whatever its number of trials
 LARGEST_SPEED_FACTOR = 0.35  # of Fy by speed alone: the published rows reach a third at 10 mm/s
 SMALL = 0.01  # of Fy: nuisances make less force than that
 # Physics that cannot be put into one rig (one spring, one second contact) or that only names the same thing twice.
@@ -60,6 +65,10 @@ class Key:
         Imperfections of the test.
     protocol : {"paper", "improved"}
         Displacement regime.
+    rate_Hz : float
+        Sampling rate of the recording, Hz.
+    reversal : {"published", "continuous"}
+        What the device does at a reversal: jump as Eq. (1) does, or unload from the force it has.
     entropy : int
         Where the noise of this trial starts from.
     """
@@ -70,6 +79,8 @@ class Key:
     device: Device
     nuisance: Nuisance
     protocol: str
+    rate_Hz: float
+    reversal: str
     entropy: int
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,7 +90,7 @@ class Key:
     @classmethod
     def from_dict(cls, plain: dict[str, Any]) -> Key:
         """Rebuild a key from what was sealed."""
-        values = dict(plain)
+        values: dict[str, Any] = {"rate_Hz": 10.0, "reversal": "continuous"} | plain  # where a key does not state them
         values["effects"] = tuple(Concealed(**one) for one in plain["effects"])
         values["device"], values["nuisance"] = Device(**plain["device"]), Nuisance(**plain["nuisance"])
         return cls(**values)
@@ -94,8 +105,8 @@ def draw_keys(seed: int, n: int) -> list[Key]:
     """Draw the keys of all trials from one seed.
 
     The kinds are dealt like cards, so that their shares are as stated whatever the seed; the effects are dealt within
-    their kind for the same reason. Trial i draws the rest from its own stream: more trials leave the first ones alike
-    in their streams, but not in what is dealt.
+    their kind for the same reason, and the forms within their effect. Trial i draws the rest from its own stream: more
+    trials leave the first ones alike in their streams, but not in what is dealt.
 
     Parameters
     ----------
@@ -114,20 +125,61 @@ def draw_keys(seed: int, n: int) -> list[Key]:
     deal, *streams = root.spawn(n + 1)
     dealer = np.random.default_rng(deal)
     kinds = _kinds(n, dealer)
-    inside = [one for one in simulators_by_id().values() if one.inside]
-    outside = [one for one in simulators_by_id().values() if not one.inside]
-    decks = {"one": _Deck(inside, dealer), "two": _Deck([s for s in inside if s.id not in ALONE], dealer)}
-    decks["outside"] = _Deck(outside, dealer)
-    keys = []
-    for number, (kind, stream) in enumerate(zip(kinds, streams, strict=True), start=1):
-        chosen = [] if kind == "nothing" else [decks[kind].next()]
-        if kind == "two":
-            chosen.append(decks["two"].next_unlike(chosen[0]))
-        keys.append(_draw(number, kind, chosen, stream))
-    return keys
+    hand = _Hand(dealer)
+    return [
+        _draw(number, kind, hand.next(kind), np.random.default_rng(stream))
+        for number, (kind, stream) in enumerate(zip(kinds, streams, strict=True), start=1)
+    ]
 
 
-def stated_key(name: str, size: float, *, seed: int, protocol: str = "paper", **device: float) -> Key:
+def development_keys(
+    seed: int, n: int, kind: str, *, effect: str | None = None, rate_Hz: float | None = None
+) -> list[Key]:
+    """Draw keys of one kind for development, from streams that no proof uses; trial i is the same whatever `n` is.
+
+    Parameters
+    ----------
+    seed : int
+        Of development.
+    n : int
+        Number of trials.
+    kind : {"nothing", "one", "two", "outside"}
+        What the trials are for.
+    effect : str, optional
+        Effect of the catalogue (its forms in turn), or one simulator, that each trial holds.
+    rate_Hz : float, optional
+        In place of the drawn sampling rate.
+
+    Returns
+    -------
+    list of Key
+    """
+    if kind not in KINDS:
+        raise ModelError(f"trials of kind '{kind}' are not known; choose one of {', '.join(KINDS)}")
+    known = simulators_by_id().values()
+    forms = [one for one in known if one.effect == effect] or [one for one in known if one.id == effect]
+    if effect is not None and not forms:
+        raise ModelError(f"no simulator is '{effect}'; choose one of {', '.join(simulators_by_id())}")
+
+    def stream(*place: int) -> np.random.SeedSequence:
+        return np.random.SeedSequence(seed, spawn_key=(DEVELOPMENT, *place))
+
+    place = KINDS.index(kind)
+    hand = _Hand(np.random.default_rng(stream(place, 0)), forms)
+    keys = [_draw(i, kind, hand.next(kind), np.random.default_rng(stream(place, i))) for i in range(1, n + 1)]
+    return keys if rate_Hz is None else [replace(key, rate_Hz=rate_Hz) for key in keys]
+
+
+def stated_key(
+    name: str,
+    size: float,
+    *,
+    seed: int,
+    protocol: str = "paper",
+    rate_Hz: float = 20.0,
+    reversal: str = "continuous",
+    **device: float,
+) -> Key:
     """Make the key of a trial with one stated effect, for development, tests and worked stories.
 
     Parameters
@@ -140,6 +192,10 @@ def stated_key(name: str, size: float, *, seed: int, protocol: str = "paper", **
         Of everything else.
     protocol : {"paper", "improved"}
         Displacement regime.
+    rate_Hz : float
+        Sampling rate, Hz.
+    reversal : {"published", "continuous"}
+        Reversal rule of the device.
     **device : float
         Parameters of the device that are stated too.
 
@@ -152,27 +208,50 @@ def stated_key(name: str, size: float, *, seed: int, protocol: str = "paper", **
     drawn = replace(_device(rng, PEAK_SPEED_MM_S[protocol]), **device)
     effects = (Concealed(one.id, size, one.draw(rng)),)
     kind = "one" if one.inside else "outside"
-    return Key(1, kind, effects, drawn, _nuisance(rng, drawn, protocol), protocol, int(rng.integers(2**62)))
+    nuisance = _nuisance(rng, drawn, protocol)
+    return Key(1, kind, effects, drawn, nuisance, protocol, rate_Hz, reversal, int(rng.integers(2**62)))
 
 
 class _Deck:
-    """Simulators dealt in shuffled rounds."""
+    """Cards dealt in shuffled rounds."""
 
-    def __init__(self, cards: list[Simulator], rng: np.random.Generator) -> None:
-        self._cards, self._rng = cards, rng
-        self._left: list[Simulator] = []
+    def __init__(self, cards: Iterable[str], rng: np.random.Generator) -> None:
+        self._cards, self._rng = sorted(cards), rng
+        self._left: list[str] = []
 
-    def next(self) -> Simulator:
+    def next(self) -> str:
         if not self._left:
             self._left = [self._cards[i] for i in self._rng.permutation(len(self._cards))]
         return self._left.pop()
 
-    def next_unlike(self, other: Simulator) -> Simulator:
-        held = []
-        while (card := self.next()).id == other.id:
-            held.append(card)
-        self._left += held
-        return card
+
+class _Hand:
+    """Decks of effects for each kind of trial, and of the forms of each effect; `first` replaces the first effect."""
+
+    def __init__(self, rng: np.random.Generator, first: Sequence[Simulator] = ()) -> None:
+        known = simulators_by_id()
+        effects: dict[str, list[str]] = {}
+        for one in known.values():
+            effects.setdefault(one.effect, []).append(one.id)
+        inside = {one.effect for one in known.values() if one.inside}
+        cards = {"one": inside, "two": inside - set(ALONE), "outside": set(effects) - inside}
+        self._decks = {kind: _Deck(own, rng) for kind, own in cards.items()}
+        self._forms = {effect: _Deck(own, rng) for effect, own in effects.items()}
+        self._first = _Deck([one.id for one in first], rng) if first else None
+
+    def next(self, kind: str) -> list[Simulator]:
+        if kind == "nothing":
+            return []
+        chosen = [simulators_by_id()[self._first.next()] if self._first else self._one(kind)]
+        while kind == "two" and len(chosen) < 2:
+            other = self._one(kind)
+            # Two changes over one coordinate are one change, to whoever has only the recording.
+            if not set(other.coordinates) & set(chosen[0].coordinates):
+                chosen.append(other)
+        return chosen
+
+    def _one(self, kind: str) -> Simulator:
+        return simulators_by_id()[self._forms[self._decks[kind].next()].next()]
 
 
 def _kinds(n: int, rng: np.random.Generator) -> list[str]:
@@ -186,21 +265,24 @@ def _kinds(n: int, rng: np.random.Generator) -> list[str]:
     return [kinds[i] for i in rng.permutation(n)]
 
 
-def _draw(number: int, kind: str, chosen: list[Simulator], stream: np.random.SeedSequence) -> Key:
-    """Device, sizes, nuisances and protocol of one trial."""
-    rng = np.random.default_rng(stream)
-    allowed = [p for p in ("paper", "improved") if all(p in one.protocols for one in chosen)]
+def _draw(number: int, kind: str, chosen: list[Simulator], rng: np.random.Generator) -> Key:
+    """Device, sizes, nuisances, protocol, rate and reversal rule of one trial."""
+    allowed = [p for p in PEAK_SPEED_MM_S if all(p in one.protocols for one in chosen)]
     protocol = allowed[int(rng.integers(len(allowed)))]
     device = _device(rng, PEAK_SPEED_MM_S[protocol])
     effects = tuple(
         Concealed(
             one.id,
-            float(np.exp(rng.uniform(*np.log(one.sizes)))) * (rng.choice([-1.0, 1.0]) if one.signed else 1.0),
+            float(np.exp(rng.uniform(*np.log(one.sizes))) * (rng.choice([-1.0, 1.0]) if one.signed else 1.0)),
             one.draw(rng),
         )
         for one in chosen
     )
-    return Key(number, kind, effects, device, _nuisance(rng, device, protocol), protocol, int(rng.integers(2**62)))
+    nuisance = _nuisance(rng, device, protocol)
+    rate = float(rng.choice(list(RATES), p=list(RATES.values())))
+    rules = [rule for rule in RULES if all(rule in one.rules for one in chosen)]
+    rule = rules[int(rng.integers(len(rules)))]
+    return Key(number, kind, effects, device, nuisance, protocol, rate, rule, int(rng.integers(2**62)))
 
 
 def _device(rng: np.random.Generator, peak_speed: float) -> Device:
@@ -216,15 +298,20 @@ def _device(rng: np.random.Generator, peak_speed: float) -> Device:
 
 
 def _nuisance(rng: np.random.Generator, device: Device, protocol: str) -> Nuisance:
-    """Each below 1 % of Fy in the force it makes."""
+    """Each below 1 % of Fy in the force it makes; rounded forces are rounded to more than their noise."""
+    noise, noise_kN = (
+        NOISES[int(rng.integers(len(NOISES)))],
+        float(np.exp(rng.uniform(*np.log([0.004, 0.015])))) * device.Fy,
+    )
     late = min(0.003, SMALL * device.Fy / (device.K * PEAK_SPEED_MM_S[protocol]))
     return Nuisance(
         frame_kN_mm=float(rng.uniform(20.0, 80.0)) * device.K,
         lag_s=float(rng.uniform(0.0, late)),
         offset_kN=float(rng.uniform(-0.003, 0.003)) * device.Fy,
-        force_step_kN=float(rng.choice([0.005, 0.02, 0.05])),
+        force_step_kN=2.0 * noise_kN if noise == "rounded" else float(rng.choice([0.005, 0.02, 0.05])),
         displacement_step_mm=float(rng.choice([0.001, 0.005, 0.01])),
-        noise=NOISES[int(rng.integers(len(NOISES)))],
-        noise_kN=float(np.exp(rng.uniform(*np.log([0.004, 0.015])))) * device.Fy,
+        noise=noise,
+        noise_kN=noise_kN,
         displacement_noise_mm=float(rng.uniform(0.005, 0.02)),
+        noise_memory_s=float(rng.choice(MEMORIES_S)),
     )

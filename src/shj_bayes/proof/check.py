@@ -9,8 +9,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from shj_bayes._util.files import read_json
 from shj_bayes.errors import ProofError
-from shj_bayes.files import read_json
 from shj_bayes.proof import seal
 from shj_bayes.proof.cases import Key, draw_keys
 from shj_bayes.proof.run import SCORE, TRANSCRIPT, names, score_rows, write_recordings

@@ -50,6 +50,8 @@ class Nuisance:
         Its standard deviation, kN.
     displacement_noise_mm : float
         Standard deviation of the displacement noise, mm.
+    noise_memory_s : float
+        Memory of the slow part of the force noise, s, for the kind that has one to be drawn.
     """
 
     frame_kN_mm: float
@@ -60,3 +62,4 @@ class Nuisance:
     noise: str
     noise_kN: float
     displacement_noise_mm: float
+    noise_memory_s: float = 0.0

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import shj_bayes
-from shj_bayes.resources import shipped
+from shj_bayes._util.shipped import shipped
 
 FORBIDDEN = (
     "shj_bayes.proof.cases",

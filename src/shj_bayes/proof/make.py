@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.cases import RATE_HZ, Concealed, Key
+from shj_bayes.proof.cases import Concealed, Key
 from shj_bayes.proof.device import Device
 from shj_bayes.proof.noise import force_noise
 from shj_bayes.proof.protocols import PEAK_SPEED_MM_S, Course, course
@@ -17,7 +17,7 @@ from shj_bayes.proof.simulators.rig import Acts, Drive, drives, join, rate_free
 from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.recording.recording import Recording, Source
 
-FINE, FAST = 10, 100  # fine steps between two samples: quasi-static, and with a mass
+FINE_HZ, FAST_HZ = 100.0, 1000.0  # steps a second, or one for each sample if that is more: quasi-static, with a mass
 STROKE_MM = 95.0
 N_RUNS = 2
 EARTHQUAKE_SPEED = 0.9  # of the protocol's peak speed: the law is not asked beyond what was tested
@@ -63,13 +63,14 @@ def make(key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None
     """
     chosen = key.effects if effects is None else effects
     known = simulators_by_id()
-    fine = FAST if any(known[one.id].fast for one in key.effects) else FINE
+    stepped = FAST_HZ if any(known[one.id].fast for one in key.effects) else FINE_HZ
+    fine = max(1, round(stepped / key.rate_Hz))
     noise, shake = (np.random.SeedSequence(key.entropy, spawn_key=(i,)) for i in range(2))
-    courses = [course(key.protocol, RATE_HZ, fine)] * N_RUNS
+    courses = [course(key.protocol, key.rate_Hz, fine)] * N_RUNS
     if heldout:
         speed = EARTHQUAKE_SPEED * PEAK_SPEED_MM_S[key.protocol]
-        courses.append(course("earthquake", RATE_HZ, fine, np.random.default_rng(shake), speed))
-    rigs = drives(courses, key.device, STROKE_MM, float(courses[0].time_s[-1]), key.nuisance.frame_kN_mm)
+        courses.append(course("earthquake", key.rate_Hz, fine, np.random.default_rng(shake), speed))
+    rigs = drives(courses, key.device, STROKE_MM, float(courses[0].time_s[-1]), key.nuisance.frame_kN_mm, key.reversal)
     parts = [known[one.id].act(rigs, one.size, one.shape, key.device) for one in chosen]
     out = []
     for run, (drive, stream) in enumerate(zip(rigs, noise.spawn(N_RUNS + 1), strict=False)):
@@ -81,7 +82,7 @@ def make(key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None
 def _at_the_cell(drive: Drive, key: Key, acts: Acts) -> FloatArray:
     """Force channel on the fine grid, without noise, kN."""
     device: Device = key.device
-    force = rate_free(drive, device, acts, key.nuisance.frame_kN_mm)
+    force = rate_free(drive, device, acts, key.nuisance.frame_kN_mm, key.reversal)
     force = force * (1.0 + (device.gamma + acts.speed_per_mm_s) * drive.speed) + acts.added_kN
     if acts.filter_s > 0:
         force = two_poles(force, drive.dt, acts.filter_s)
@@ -95,7 +96,7 @@ def _record(path: Course, force: FloatArray, key: Key, rng: np.random.Generator,
     every = slice(None, None, path.every)
     time, x, clean = path.time_s[every], path.x_mm[every], force[every]
     n = key.nuisance
-    noise = force_noise(n.noise, np.abs(path.v_mm_s[every]), n.noise_kN, rng)
+    noise = force_noise(n.noise, np.abs(path.v_mm_s[every]), path.dt_s * path.every, n.noise_kN, n.noise_memory_s, rng)
     measured = np.round((clean + noise) / n.force_step_kN) * n.force_step_kN
     wobble = n.displacement_noise_mm * rng.standard_normal(x.size)
     moved = np.round((x + wobble) / n.displacement_step_mm) * n.displacement_step_mm

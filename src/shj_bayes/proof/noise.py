@@ -1,4 +1,4 @@
-"""Force noise of a trial: the kinds that real load cells show, one standard deviation for all."""
+"""Force noise of a trial: the kinds that real load cells show, stated in seconds, one standard deviation for all."""
 
 from __future__ import annotations
 
@@ -6,24 +6,30 @@ import numpy as np
 from scipy.signal import lfilter
 
 from shj_bayes.errors import ModelError
-from shj_bayes.model.noise.catalogue import noise_model
-from shj_bayes.model.noise.filter import simulate
 from shj_bayes.model.parameters import FloatArray
 
-NOISES = ("white", "ar1", "strong ar1", "heavy tails", "more at low speed", "slow drift")
+NOISES = ("white", "ar1", "white and slow", "more at low speed", "slow drift", "rounded")
+MEMORIES_S = (1.0, 3.0, 30.0)  # of the slow part of "white and slow"
+SHORT_S, LONG_S = 0.3, 150.0  # memory of an amplifier's filter, and of a load cell in the draught
 
 
-def force_noise(kind: str, speed_mm_s: FloatArray, sd_kN: float, rng: np.random.Generator) -> FloatArray:
-    """Draw the force noise of one run.
+def force_noise(
+    kind: str, speed_mm_s: FloatArray, dt_s: float, sd_kN: float, memory_s: float, rng: np.random.Generator
+) -> FloatArray:
+    """Draw the force noise of one run; it means the same at any sampling rate.
 
     Parameters
     ----------
     kind : str
-        One of `NOISES`.
+        One of `NOISES`; what "rounded" is rounded to is a property of the recorder.
     speed_mm_s : array, shape (n,)
         Speed at each sample, mm/s.
+    dt_s : float
+        Sampling interval, s.
     sd_kN : float
         Standard deviation of the whole, kN.
+    memory_s : float
+        Memory of the slow part of "white and slow", s.
     rng : numpy.random.Generator
         Source of chance.
 
@@ -32,30 +38,28 @@ def force_noise(kind: str, speed_mm_s: FloatArray, sd_kN: float, rng: np.random.
     array, shape (n,)
         Noise, kN.
     """
-    step = np.arange(speed_mm_s.size, dtype=np.float64)  # in samples: AR(1) knows no seconds
-
-    def draw(phi: float, sd: float = 1.0) -> FloatArray:
-        return simulate(noise_model("ar1"), {"sigma": sd, "phi": phi}, step, step == 0.0, rng)
-
-    if kind == "white":
-        series = draw(0.0)
+    n = speed_mm_s.size
+    white = rng.standard_normal(n)
+    if kind in ("white", "rounded"):
+        series = white
     elif kind == "ar1":
-        series = draw(0.8)
-    elif kind == "strong ar1":
-        series = draw(0.95)
-    elif kind == "heavy tails":
-        series = _heavy(0.7, 4.0, step.size, rng)
+        series = slow(n, dt_s, SHORT_S, rng)
+    elif kind == "white and slow":
+        series = 0.8 * white + 0.6 * slow(n, dt_s, memory_s, rng)
     elif kind == "more at low speed":
-        series = draw(0.7)
+        series = 0.8 * white + 0.6 * slow(n, dt_s, SHORT_S, rng)
         series = series * np.where(speed_mm_s < 0.4 * np.percentile(speed_mm_s, 95), 2.0, 1.0)
+        series = series / np.sqrt(np.mean(series**2))
     elif kind == "slow drift":
-        series = draw(0.7)
-        series = series + draw(0.998, 0.5)
+        series = 0.9 * white + 0.44 * slow(n, dt_s, LONG_S, rng)
     else:
         raise ModelError(f"noise '{kind}' is not known; choose one of {', '.join(NOISES)}")
-    return np.asarray(sd_kN * series / series.std())
+    return np.asarray(sd_kN * series)
 
 
-def _heavy(phi: float, nu: float, n: int, rng: np.random.Generator) -> FloatArray:
-    """AR(1) series whose innovations follow Student's t."""
-    return np.asarray(lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], rng.standard_t(nu, n)))
+def slow(n: int, dt_s: float, memory_s: float, rng: np.random.Generator) -> FloatArray:
+    """Draw an Ornstein-Uhlenbeck process of unit variance at even times: its correlation falls by e in `memory_s`."""
+    keep = np.exp(-dt_s / memory_s)
+    draw = rng.standard_normal(n)
+    draw[0] /= np.sqrt(1.0 - keep**2)
+    return np.asarray(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], draw))

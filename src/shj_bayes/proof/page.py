@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 
 import shj_bayes
-from shj_bayes.files import write_text
+from shj_bayes._util.files import write_text
 from shj_bayes.proof import pictures
 from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.report.page import TABLES, policy, script
@@ -24,11 +24,14 @@ COLUMNS = (
     "truth",
     "sizes",
     "protocol",
+    "rate_Hz",
+    "reversal",
     "noise",
     "noise_share",
     "visible_share",
     "evidence",
     "detectable",
+    "coordinate_right",
     "verdict",
     "p_value",
     "found",
@@ -67,6 +70,7 @@ def render(folder: Path, score: Mapping[str, Any]) -> Path:
                 pictures.heldout(score["trials"]),
                 pictures.before_after(score["trials"]),
                 pictures.confusion(score["confusion"]["by_effect"], "effect"),
+                pictures.reliability(score["reliability"]),
             ],
             wrong=[row for row in score["trials"] if row["outcome"] in ("wrong", "sibling", "false alarm", "failed")],
         )

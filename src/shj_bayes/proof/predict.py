@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.device import effect_named
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import FloatArray, run_name
@@ -50,11 +50,11 @@ def predict(
         peak_speed_mm_s=scales.peak_speed_mm_s,
         n_runs=scales.n_runs,
         tested_s=scales.tested_s,
+        tested_m=scales.tested_m,
     )
     values = {name: float(row[when]["mean"]) for name, row in record["shift"].items()}
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
     base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])
-    found = record["effects"] if when == "after" else []
-    own = {e["id"]: {name: float(p["mean"]) for name, p in e["parameters"].items()} for e in found}
-    effects = [catalogue()[name] for name in own]
+    own = record["modelled"] if when == "after" else {}
+    effects = [effect_named(name) for name in own]
     return np.asarray(force_with_effects(history, base, effects, own, variant=record["model"]["variant"]))

@@ -16,6 +16,7 @@ PEAK_SPEED_MM_S = {
     "improved": 42.0,
 }  # fastest that each protocol moves; bounds gamma and the earthquake
 EASE_S = 0.3  # a controller eases from one block into the next
+REST_S = 2.0  # recorded before the first block
 # half stroke mm, peak speed mm/s, cycles, seconds of rest at the first positive end of the stroke
 IMPROVED: tuple[tuple[float, float, int, float], ...] = (
     (6.0, 10.0, 3, 0.0),
@@ -98,7 +99,7 @@ def course(
 
 def _blocks(table: list[tuple[float, float, int, float]], dt: float) -> FloatArray:
     """Blocks one after another, eased where the speed changes from one to the next."""
-    parts = [_sine(*block, dt) for block in table]
+    parts = [np.zeros(round(REST_S / dt)), *(_sine(*block, dt) for block in table)]
     x = np.concatenate(parts)
     smooth = gaussian_filter1d(x, EASE_S / dt, mode="nearest")
     ends = np.concatenate([[0.0], np.cumsum([part.size for part in parts])]) * dt

@@ -9,14 +9,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import shj_bayes
-from shj_bayes.alone import alone_in
+from shj_bayes._util.files import write_text
+from shj_bayes._util.lock import alone_in
 from shj_bayes.errors import ProofError
-from shj_bayes.files import write_text
 from shj_bayes.proof.answers import CASES, Case, Judged
 from shj_bayes.proof.page import environment, head
 from shj_bayes.proof.pool import in_parallel
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.writer import write_csv
+from shj_bayes.report.diagnosis_words import sentences
 
 RECORD, PAGE = "recordings.json", "recordings.html"
 SCHEMA = "shj-bayes/proof-recordings/1"
@@ -121,6 +122,6 @@ def _row(case: Case, answer: dict[str, Any], folder: Path, answers: dict[str, di
     return row | {
         "verdict": answer["verdict"],
         "found": [effect["id"] for effect in answer["effects"]],
-        "words": answer["words"],
+        "words": sentences(answer),
         "judged": [vars(one) for one in case.judge(answer, folder / case.file, answers)],
     }

@@ -11,12 +11,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from shj_bayes.alone import alone_in
+from shj_bayes._util.child_processes import Workers, program
+from shj_bayes._util.files import read_json, write_text
+from shj_bayes._util.lock import alone_in
 from shj_bayes.errors import ProofError
-from shj_bayes.files import read_json, write_text
 from shj_bayes.inference.store import versions
-from shj_bayes.model.priors import read_priors
-from shj_bayes.processes import Workers, program
 from shj_bayes.proof import seal
 from shj_bayes.proof.cases import Key, draw_keys
 from shj_bayes.proof.make import make
@@ -83,7 +82,7 @@ def prove(folder: Path, *, n: int, seed: int, workers: int = 2, quick: bool = Tr
         secret = seal.write_secret(folder, seed, n)
         keys = draw_keys(seed, n)
         _commit(folder, keys, secret["nonces"], progress)
-        _diagnose(folder, n, workers, quick, progress)
+        _diagnose(folder, keys, workers, quick, progress)
         _transcribe(folder, n)
         keys = seal.open_seal(folder)
     else:
@@ -144,7 +143,7 @@ def score_rows(folder: Path, keys: list[Key], workers: int, progress: bool) -> l
 
 
 def _score_one(job: tuple[dict[str, Any], dict[str, Any]]) -> dict[str, Any]:
-    return score_trial(Key.from_dict(job[0]), job[1], read_priors("afc"))
+    return score_trial(Key.from_dict(job[0]), job[1])
 
 
 def write_recordings(key: Key, folder: Path) -> list[Path]:
@@ -190,16 +189,30 @@ def _commit(folder: Path, keys: list[Key], nonces: list[str], progress: bool) ->
     ) if progress else None
 
 
-def _diagnose(folder: Path, n: int, workers: int, quick: bool, progress: bool) -> None:
-    """Diagnose what has no diagnosis yet; each is written whole or not at all."""
+def _diagnose(folder: Path, keys: list[Key], workers: int, quick: bool, progress: bool) -> None:
+    """Diagnose what has no diagnosis yet; each is written whole or not at all.
+
+    Of a key only the reversal rule is told, as ``--model``.
+    """
+    rules = dict(zip(names(len(keys)), (key.reversal for key in keys), strict=True))
     target = folder / "diagnoses"
     target.mkdir(exist_ok=True)
-    open_ = [name for name in names(n) if not (target / f"{name}.json").exists()]
+    open_ = [name for name in rules if not (target / f"{name}.json").exists()]
     tasks = [
-        {"name": name, "recordings": sorted((folder / "recordings" / name).iterdir()), "quick": quick} for name in open_
+        {
+            "name": name,
+            "recordings": sorted((folder / "recordings" / name).iterdir()),
+            "quick": quick,
+            "model": rules[name],
+        }
+        for name in open_
     ]
     with tqdm(
-        total=n, initial=n - len(open_), desc="diagnosing", disable=None if progress else True, unit="trial"
+        total=len(rules),
+        initial=len(rules) - len(open_),
+        desc="diagnosing",
+        disable=None if progress else True,
+        unit="trial",
     ) as bar:
 
         def done(task: Any, answer: dict[str, Any]) -> None:

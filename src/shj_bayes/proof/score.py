@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy import optimize, stats
 
-from shj_bayes.mismatch.evidence import Evidence
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Priors
 from shj_bayes.proof.cases import Key
 from shj_bayes.proof.make import make
 from shj_bayes.proof.predict import predict
@@ -20,11 +18,12 @@ from shj_bayes.proof.truth import Truth, effect_truths, kept_base, truth_of
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
 
+LIKELY = 0.5  # a coordinate that is more likely there than not is claimed
 SHORT_LIST = 4  # ids for each concealed effect; a longer list holds the truth as a telephone book does
 Z90 = 1.6449  # half width of a 90 % interval of a normal law, in standard deviations
 
 
-def score_trial(key: Key, record: Mapping[str, Any], priors: Priors) -> dict[str, Any]:
+def score_trial(key: Key, record: Mapping[str, Any]) -> dict[str, Any]:
     """Hold one diagnosis against its key.
 
     Parameters
@@ -33,8 +32,6 @@ def score_trial(key: Key, record: Mapping[str, Any], priors: Priors) -> dict[str
         What was concealed.
     record : mapping
         Content of ``diagnosis.json``, or ``{"error": ...}``.
-    priors : Priors
-        Of the base parameters.
 
     Returns
     -------
@@ -42,13 +39,16 @@ def score_trial(key: Key, record: Mapping[str, Any], priors: Priors) -> dict[str
         One row of the table of trials.
     """
     made = make(key, heldout=True)
-    truth = truth_of(key, priors, made[:2])
+    truth = truth_of(key, made[:2])
     row: dict[str, Any] = {
         "number": key.number,
         "kind": key.kind,
         "truth": [one.id for one in key.effects],
+        "effects": [simulators_by_id()[one.id].effect for one in key.effects],
         "sizes": [one.size for one in key.effects],
         "protocol": key.protocol,
+        "rate_Hz": key.rate_Hz,
+        "reversal": key.reversal,
         "noise": key.nuisance.noise,
         "noise_share": key.nuisance.noise_kN / key.device.Fy,
         "visible_share": truth.visible_share,
@@ -61,13 +61,19 @@ def score_trial(key: Key, record: Mapping[str, Any], priors: Priors) -> dict[str
         return row | {"verdict": "failed", "outcome": "failed", "found": [], "why": record["error"]}
     row |= {
         "verdict": record["verdict"],
-        "p_value": record["p_value"],
+        "p_value": record.get("p_value"),
         "found": [effect["id"] for effect in record["effects"]],
         "family": [member["id"] for member in record["family"]],
         "seconds": record["seconds"],
     }
     row["outcome"] = outcome(key, record, truth.required)
-    row["located"] = located(record, truth) if key.effects else None
+    row["coordinate_right"] = coordinate_right(key, record, truth.required)
+    row["coordinates"] = [
+        {name: entry[name] for name in ("action", "coordinate", "probability")}
+        for entry in record.get("coordinates", [])
+    ]
+    row["stated"] = stated(key, record)
+    row["family_holds"] = family_holds(key, record, truth.required)
     row["coverage"] = coverage(key, record, truth)
     row["heldout"] = heldout(key, record, made)
     return row
@@ -78,69 +84,100 @@ def outcome(key: Key, record: Mapping[str, Any], required: set[str] | None = Non
 
     Of two effects, one that could not be told from the noise beside the other need not be named, but may (`required`;
     all by default).
+    Any form of an effect is right under its name, and so are the names that a simulator ``holds``.
     ``right family`` is the verdict "family" whose short list holds everything that is concealed, ``vague`` the same
     with a long list; ``part`` is one of two effects rightly named and nothing wrong beside it; ``sibling`` is a wrong
-    name from the right family.
+    name from the right family. ``unknown`` is right where a simulator says so and the coordinate is right.
     """
-    wanted = {one.id for one in key.effects}
+    wanted = {one.id: simulators_by_id()[one.id] for one in key.effects}
+    needed = (set(wanted) & required if required else set()) or set(wanted)
     verdict = record["verdict"]
     if not wanted:
         return "quiet" if verdict == "adequate" else "false alarm"
     if verdict == "adequate":
         return "missed"
-    if verdict == "unknown" or key.kind == "outside":
-        return "unknown" if verdict == "unknown" else "wrong"
-    return _of_names(wanted, (wanted & required if required else set()) or wanted, record)
+    if verdict == "unknown":
+        open_ = all(wanted[name].may_be_unknown for name in needed)
+        return "right" if open_ and coordinate_right(key, record, required) else "unknown"
+    return _of_names({name: one.names for name, one in wanted.items()}, needed, record)
 
 
-def _of_names(wanted: set[str], required: set[str], record: Mapping[str, Any]) -> str:
-    """Judge the names given under the verdicts ``named`` and ``family``."""
-    held = {other: one for one in wanted for other in simulators_by_id()[one].holds if other not in wanted}
-    found = {held.get(effect["id"], effect["id"]) for effect in record["effects"]}
-    listed = found | {member["id"] for member in record["family"]}
-    listed |= {rival for effect in record["effects"] for rival in effect["rivals"]}
-    if record["verdict"] == "named" and required <= found <= wanted:
+def _of_names(wanted: Mapping[str, frozenset[str]], needed: set[str], record: Mapping[str, Any]) -> str:
+    """Judge the names given under the verdicts ``named`` and ``family``; `wanted` has the right names by simulator."""
+
+    def meant(names: Iterable[str]) -> set[str]:
+        """List the simulators that names stand for, and the names that stand for none."""
+        names = set(names)
+        hit = {one for one, right in wanted.items() if right & names}
+        return hit | {name for name in names if not any(name in right for right in wanted.values())}
+
+    found = meant(effect["id"] for effect in record["effects"])
+    members = {member["id"] for member in record["family"]}
+    rivals = {rival for effect in record["effects"] for rival in effect["rivals"]}
+    listed = meant({effect["id"] for effect in record["effects"]} | members | rivals)
+    if record["verdict"] == "named" and needed <= found <= set(wanted):
         return "right"
-    if record["verdict"] == "family" and required <= listed and len(required) <= len(found) <= len(wanted):
-        backed = all(held.get(e["id"], e["id"]) in wanted or wanted & set(e["rivals"]) for e in record["effects"])
+    if record["verdict"] == "family" and needed <= listed and len(needed) <= len(found) <= len(wanted):
+        backed = all(meant([e["id"], *e["rivals"]]) & set(wanted) for e in record["effects"])
         if backed or len(found) == 1:
             return "right family" if len(listed) <= SHORT_LIST * len(found) else "vague"
-    if found and found < wanted:
+    if found and found < set(wanted):
         return "part"
-    alike = sorted(catalogue()[name].family for name in found) == sorted(catalogue()[name].family for name in wanted)
-    return "sibling" if alike else "wrong"
+    known = catalogue()
+    families = sorted(known[name].family for right in wanted.values() for name in sorted(right)[:1])
+    named = sorted(known[effect["id"]].family for effect in record["effects"])
+    return "sibling" if named and named == families else "wrong"
 
 
-def located(record: Mapping[str, Any], truth: Truth) -> dict[str, Any] | None:
-    """Whether the region named first holds more of the true misfit than its share of the samples."""
-    if not record["location"]:
+def coordinate_right(key: Key, record: Mapping[str, Any], required: set[str] | None = None) -> bool | None:
+    """Whether the coordinates that lead the answer are those of what is concealed.
+
+    As many lead as effects must be found, and beside them every one that is more likely there than not. Each must be
+    true of something that is concealed, and what must be found has one among them.
+
+    Returns
+    -------
+    bool or None
+        None where nothing is concealed, or the answer states no coordinates.
+    """
+    if not key.effects or "coordinates" not in record:
         return None
-    where = record["location"][0]
-    inside = _inside(truth.scene, where)
-    if not inside.any():
-        return {"overlaps": False, "lift": 0.0}
-    square = truth.residual_kN**2
-    own = truth.scene.weight > 0
-    lift = float(square[inside & own].mean() / max(float(square[own].mean()), 1e-300))
-    return {"overlaps": lift >= 1.0, "lift": lift, "coordinate": where["coordinate"], "interval": where["interval"]}
+    wanted = {one.id: set(simulators_by_id()[one.id].coordinates) for one in key.effects}
+    needed = (set(wanted) & required if required else set()) or set(wanted)
+    ranked = sorted(record["coordinates"], key=lambda entry: -float(entry["probability"]))
+    lead = [entry for i, entry in enumerate(ranked) if i < len(needed) or float(entry["probability"]) >= LIKELY]
+    pairs = {(entry["action"], entry["coordinate"]) for entry in lead}
+    return all(wanted[name] & pairs for name in needed) and pairs <= set.union(*wanted.values())
 
 
-def _inside(scene: Evidence, where: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Find the samples of a named region."""
-    names = {
-        "position": "position_mm",
-        "speed": "speed_mm_s",
-        "slip since reversal": "slip_mm",
-        "travel": "travel_m",
-        "amplitude": "amplitude_mm",
-    }
-    name = where["coordinate"]
-    values = scene.run.astype(np.float64) if name == "run" else scene.stack(names[name])
-    low, high = where["interval"]
-    inside = (values >= low) & (values < high)
-    if where["direction"] != "both":
-        inside &= scene.stack("direction") * (1.0 if where["direction"] == "push" else -1.0) > 0
-    return np.asarray(inside)
+def stated(key: Key, record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """List every probability that an answer states, and whether it came true: of coordinates, and of names.
+
+    A name's probability is that of an effect found; in a family each member has its own.
+    """
+    concealed = [simulators_by_id()[one.id] for one in key.effects]
+    pairs = {pair for one in concealed for pair in one.coordinates}
+    right = {name for one in concealed for name in one.names}
+    out = [
+        {
+            "of": "coordinate",
+            "probability": entry["probability"],
+            "true": (entry["action"], entry["coordinate"]) in pairs,
+        }
+        for entry in record.get("coordinates", [])
+    ]
+    names = {one["id"]: one.get("probability") for one in [*record["effects"], *record["family"]]}
+    out += [{"of": "name", "probability": p, "true": name in right} for name, p in names.items()]
+    return [one for one in out if one["probability"] is not None]
+
+
+def family_holds(key: Key, record: Mapping[str, Any], required: set[str]) -> bool | None:
+    """Whether the set of a verdict ``family`` holds all that must be found; None under another verdict."""
+    if record["verdict"] != "family" or not required:
+        return None
+    listed = {one["id"] for one in [*record["effects"], *record["family"]]}
+    listed |= {rival for effect in record["effects"] for rival in effect["rivals"]}
+    return all(listed & simulators_by_id()[name].names for name in required)
 
 
 def coverage(key: Key, record: Mapping[str, Any], truth: Truth) -> dict[str, Any]:
@@ -165,7 +202,9 @@ def coverage(key: Key, record: Mapping[str, Any], truth: Truth) -> dict[str, Any
     truths = effect_truths(key)
     for effect in record["effects"]:
         for name, true in truths.get(effect["id"], {}).items():
-            row = effect["parameters"][name]
+            row = effect["parameters"].get(name)
+            if row is None:  # the form that was matched has other parameters
+                continue
             out[f"{effect['id']}.{name}"] = {
                 "truth": true,
                 "before": None,

@@ -25,6 +25,7 @@ _NUMERIC_CLASSES = {
     "logical",
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 }
+_V5_ORDERS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version and order of the bytes, at byte 124 of a v5 MAT file
 _COMPRESSED = 15  # type of a compressed element of a v5 MAT file
 
 
@@ -94,7 +95,13 @@ def _from_mat(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any] | None, st
     """Variables of a MAT file up to v7; only the numeric classes are loaded at all."""
     from scipy.io import loadmat, whosmat  # noqa: PLC0415
 
-    _refuse_bomb(path)
+    with path.open("rb") as stream:
+        head = stream.read(128)
+    order = _V5_ORDERS.get(head[124:])
+    if order is not None:
+        _refuse_bomb(path, order)
+    elif 0 not in head[:4]:  # as in version 4, which has no compression: it begins with a small integer
+        raise RecordingError(f"{path.name} is not a MAT file although its ending says so; export it again")
     with _sizes_told(path):
         listing = whosmat(path)
     wanted = [name for name, _, kind in listing if kind in _NUMERIC_CLASSES]
@@ -114,25 +121,20 @@ def _sizes_told(path: Path) -> Iterator[None]:
     try:
         yield
     except (ValueError, OSError, TypeError, IndexError, struct.error, zlib.error) as error:
-        if str(error).startswith("Unknown mat file type"):
-            raise
         raise RecordingError(
             f"{path.name}: the MAT file is damaged, its elements do not have the sizes that they claim "
             f"({str(error)[:100]}); check that it is complete, or save it again"
         ) from error
 
 
-def _refuse_bomb(path: Path) -> None:
+def _refuse_bomb(path: Path, order: str) -> None:
     """Unpack the compressed elements of a v5 MAT file in pieces, counting, before scipy unpacks them whole.
 
     An element that claims to be longer than the file would hide those behind it.
     """
-    length = path.stat().st_size
+    length, total = path.stat().st_size, 0
     with path.open("rb") as stream:
-        order = {b"IM": "<", b"MI": ">"}.get(stream.read(128)[126:128])
-        if order is None:  # version 4 has no compression
-            return
-        total = 0
+        stream.seek(128)
         while len(tag := stream.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
             if size > length - stream.tell():

@@ -3,17 +3,58 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
+from shj_bayes.errors import RecordingError, plain_text
+from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of
+from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording, Severity
+from shj_bayes.recording.runs import Runs, settle
 
 SCHEMA = "shj-bayes/check/1"
 _SAME_AMPLITUDE = 0.05  # reversals within this share of one another belong to one block
 _MAX_BLOCKS = 10  # an earthquake has no blocks; its list would only be long
+
+
+def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple[dict[str, Any], str]]:
+    """Read and check one file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    runs : int, "split", "one" or None
+        Number of runs that the file holds; ``"split"`` parts it where runs are found, ``"one"`` never does.
+    **reading
+        ``columns``, ``units``, ``rate_Hz`` as for `shj_bayes.recording.reader.read`.
+
+    Returns
+    -------
+    list of (dict, str)
+        For each run in the file facts for machines (``usable`` says whether it may be fitted) and text for people. A
+        file that cannot be read at all gives its reason in both.
+    """
+    try:
+        recordings = settle([read(path, **reading)], runs)
+    except RecordingError as error:
+        name = plain_text(path.name)
+        reason = str(error).removeprefix(f"{name}: ")
+        return [({"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}")]
+    return [_checked(recording) for recording in recordings]
+
+
+def _checked(recording: Recording) -> tuple[dict[str, Any], str]:
+    """Facts and text of one run."""
+    try:
+        motion = motion_of(recording)
+    except RecordingError:
+        motion = None
+    return to_dict(recording, motion), describe(recording, motion)
 
 
 def blocks_of(motion: Motion) -> list[dict[str, float]]:

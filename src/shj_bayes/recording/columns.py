@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.formula import Value, evaluate
-from shj_bayes.recording.limits import MIN_SAMPLES, RATE_AGREES
-from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.limits import MAX_EXTRA_NAME, MAX_EXTRAS, MIN_SAMPLES, RATE_AGREES
+from shj_bayes.recording.recording import Extra, Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
 from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units, role_of
 
+TENSION = "tension"  # of the bolts: the force over it is a coefficient of friction
 # Headers that mean the channel and nothing else; a header that merely contains one of the words is a weaker claim.
 _EXACT: dict[Role, set[str]] = {
     "time": {"time", "t", "elapsed time", "running time", "test time", "total time", "timestamp", "zeit", "temps"},
@@ -47,6 +49,8 @@ class Channels:
         Roles whose column the user named, and roles whose unit nobody stated.
     run_rows : tuple of int
         Rows at which a run column says that a further run begins.
+    extras : tuple of Extra
+        Further channels that were asked for, at all rows.
     """
 
     time_s: FloatArray
@@ -58,6 +62,7 @@ class Channels:
     named: frozenset[str] = frozenset()
     assumed: frozenset[str] = frozenset()
     run_rows: tuple[int, ...] = ()
+    extras: tuple[Extra, ...] = ()
 
 
 def choose(
@@ -128,11 +133,13 @@ def choose(
         used[role] = unit
         scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
+    others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
+    extras = tuple(_extra(name, value, n, table) for name, value in others.items())
     run, run_rows = _run_column(table, values)
     if run is not None:
         message = f"column {run.header or run.name!r} numbers {len(run_rows) + 1} runs"
         findings.append(Finding("run-column", "assumed", message))
-    _note_ignored(table, values, run, findings)
+    _note_ignored(table, [*values.values(), *others.values()], run, findings)
     assumed = frozenset(role for role in ROLES if role not in given and not _stated(values.get(role)))
     return Channels(
         arrays["time"],
@@ -144,35 +151,51 @@ def choose(
         frozenset(asked),
         assumed,
         run_rows,
+        extras,
     )
 
 
-def parse_columns(option: str | None) -> dict[Role, str]:
+def _extra(name: str, value: Value, n: int, table: Table) -> Extra:
+    """Take a further channel; a force, such as a bolt tension, in kN, anything else in the unit of its header."""
+    if value.values.size != n or not value.values.ndim:
+        raise RecordingError(f"{table.name}: {name} has {value.values.size} rows, the force {n}; choose another column")
+    unit = (value.columns[0].unit if value.plain else None) or ""
+    if role_of(unit) == "force" or (name == TENSION and not unit):
+        return Extra(name, "kN", value.values * (factor(unit, "force") if unit else 1.0))
+    return Extra(name, unit, np.array(value.values, dtype=np.float64))
+
+
+def parse_columns(option: str | None) -> dict[str, str]:
     """Read the ``--columns`` option.
 
     Parameters
     ----------
     option : str or None
-        ``time=...,displacement=...,force=...``; commas inside a name are allowed.
+        ``time=...,displacement=...,force=...``, and any further channel by a name of your own, such as
+        ``tension=...,temperature=...``; commas inside a name are allowed.
 
     Returns
     -------
     dict
-        Role to column name, number or formula.
+        Role or name of the channel to column name, number or formula.
     """
-    found: dict[Role, str] = {}
+    found: dict[str, str] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", option or ""):
         if not part.strip():
             continue
         match = _OPTION.match(part)
-        role = next((r for r in ROLES if match and match["role"].lower() == r), None)
-        if match is None or role is None or not match["what"].strip():
+        role = match["role"].lower() if match else ""
+        if match is None or not match["what"].strip() or len(role) > MAX_EXTRA_NAME:
             raise RecordingError(f"--columns: cannot read {part.strip()!r}; write {_HOW}")
+        if role not in ROLES and (meant := did_you_mean(role, ROLES)):
+            raise RecordingError(f"--columns: {role!r} is no channel of the law{meant} Write {_HOW}")
         if role in found:
             raise RecordingError(
                 f"--columns names {role} twice: {found[role]!r} and {match['what'].strip()!r}; name it once"
             )
         found[role] = match["what"].strip()
+    if len(found) > len(ROLES) + MAX_EXTRAS:
+        raise RecordingError(f"--columns names {len(found)} channels; allowed are 3 and {MAX_EXTRAS} more")
     return found
 
 
@@ -220,7 +243,7 @@ def _words(name: str) -> str:
     return " ".join(re.split(r"[\s_\-./]+", name.strip().lower())).strip()
 
 
-def _no(table: Table, role: Role, asked: dict[Role, str]) -> Value:
+def _no(table: Table, role: Role, asked: dict[str, str]) -> Value:
     """Refuse a file in which a channel cannot be found; say what would name all that are missing at once."""
     if role == "time" and "wf_increment" in table.scalars:
         return Value(np.asarray(table.scalars["wf_increment"]))
@@ -246,7 +269,7 @@ def _by_unit(table: Table, role: Role) -> int:
     return places[0] if len(places) == 1 else 0
 
 
-def check_rate(rate_Hz: float, asked: dict[Role, str]) -> None:
+def check_rate(rate_Hz: float, asked: dict[str, str]) -> None:
     """Refuse a sampling rate that is none, or that is given beside a time column.
 
     Parameters
@@ -393,9 +416,9 @@ def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None,
     return None, ()
 
 
-def _note_ignored(table: Table, values: dict[Role, Value], run: Column | None, findings: list[Finding]) -> None:
+def _note_ignored(table: Table, values: Sequence[Value], run: Column | None, findings: list[Finding]) -> None:
     """List the columns that were not used."""
-    used = {id(column) for value in values.values() for column in value.columns} | {id(run)}
+    used = {id(column) for value in values for column in value.columns} | {id(run)}
     rest = [c.header or c.name for c in table.columns if id(c) not in used]
     if rest:
         more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""

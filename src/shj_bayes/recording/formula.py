@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.recording import FloatArray
 from shj_bayes.recording.tables import Column, Table
-from shj_bayes.suggest import did_you_mean
 
 _TOKEN = re.compile(
     r"""\s*(?:

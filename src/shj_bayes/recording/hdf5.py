@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.child_processes import PYTHON, end_with_input, tether
 from shj_bayes.errors import RecordingError
-from shj_bayes.processes import PYTHON, end_with_input, tether
 from shj_bayes.recording.limits import HDF5_SECONDS, MAX_BYTES, MAX_COLUMNS
 
 _CHILD = "import sys; from shj_bayes.recording.hdf5 import child; child(sys.argv[1])"

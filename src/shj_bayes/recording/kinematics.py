@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 
 from shj_bayes.errors import RecordingError
@@ -38,6 +40,22 @@ def motion_of(recording: Recording) -> Motion:
     RecordingError
         If the displacement does not move beyond its own noise.
     """
+    # The checks ask first and the fit asks again, of a recording that differs in its findings alone.
+    key = (id(recording.time_s), id(recording.displacement_mm))
+    if key in _FOUND:
+        return _FOUND[key]
+    motion = _motion(recording)
+    _FOUND[key] = motion
+    for array in (recording.time_s, recording.displacement_mm):  # frozen, so a motion holds as long as both are there
+        weakref.finalize(array, _FOUND.pop, key, None)
+    return motion
+
+
+_FOUND: dict[tuple[int, int], Motion] = {}
+
+
+def _motion(recording: Recording) -> Motion:
+    """Find the motion of a recording that was not asked about before."""
     time, raw = recording.time_s, recording.displacement_mm
     count = resolution_of(raw)
     noise = noise_of(raw, count)

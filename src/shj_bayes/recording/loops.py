@@ -83,10 +83,26 @@ def dissipation(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
     mean = 0.5 * (force_kN[1:] + force_kN[:-1])
     centre = 0.5 * (np.percentile(force_kN, 2) + np.percentile(force_kN, 98))
     half = 0.5 * (np.percentile(force_kN, 98) - np.percentile(force_kN, 2))
-    # Travel of a noisy signal grows with the sampling rate: sum it over steps of a thousandth of the record.
-    stride = max(1, displacement_mm.size // 1000)
-    travel = float(np.sum(np.abs(np.diff(displacement_mm[::stride]))))
+    travel = float(np.sum(np.abs(changes(displacement_mm))))
     return float(np.sum((mean - centre) * step) / (half * travel)) if half > 0 and travel > 0 else 0.0
+
+
+def changes(values: FloatArray) -> FloatArray:
+    """Take the change over each thousandth of a record; from sample to sample it would be mostly noise.
+
+    Parameters
+    ----------
+    values : array, shape (n_samples,)
+
+    Returns
+    -------
+    array
+    """
+    return np.diff(values[:: max(1, values.size // 1000)])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def burstiness(values: FloatArray) -> float:
@@ -100,10 +116,9 @@ def burstiness(values: FloatArray) -> float:
     -------
     float
     """
-    stride = max(1, values.size // 1000)
-    change = np.abs(np.diff(values[::stride]))
-    mean = float(np.mean(change))
-    return float(np.sqrt(np.mean(change**2))) / mean if mean > 0 else 0.0
+    change = changes(values)
+    mean = float(np.mean(np.abs(change)))
+    return _rms(change) / mean if mean > 0 else 0.0
 
 
 def roughness(values: FloatArray) -> float:
@@ -118,11 +133,11 @@ def roughness(values: FloatArray) -> float:
     float
         Below 0.4 for a driven displacement, 1.7 for white noise.
     """
-    change = np.diff(values[:: max(1, values.size // 1000)])
+    change = changes(values)
     if change.size < 2:
         return 0.0
-    size = float(np.sqrt(np.mean(change**2)))
-    return float(np.sqrt(np.mean(np.diff(change) ** 2))) / size if size > 0 else 0.0
+    size = _rms(change)
+    return _rms(np.diff(change)) / size if size > 0 else 0.0
 
 
 def half_cycles(values: FloatArray) -> int:
@@ -349,8 +364,12 @@ def _unloading(recording: Recording, motion: Motion) -> list[tuple[int, FloatArr
 def _misfit(pieces: list[tuple[int, FloatArray, FloatArray]], time_s: FloatArray, motion: Motion, lag: float) -> float:
     """Share of the drops that is not proportional to the travel a lag earlier, with one stiffness per reversal."""
     wrong = total = 0.0
+    last = motion.n_half - 1
     for k, times, drop in pieces:
-        travel = motion.direction[k] * (np.interp(times - lag, time_s, motion.displacement_mm) - motion.turning_mm[k])
+        # The lags are shorter than a half-cycle; np.interp takes its time over a whole long recording.
+        near = slice(int(motion.start[k - 1]), int(motion.start[min(k + 1, last) + 1]))
+        place = np.interp(times - lag, time_s[near], motion.displacement_mm[near])
+        travel = motion.direction[k] * (place - motion.turning_mm[k])
         travel = np.maximum(travel, 0.0)
         slope = float(travel @ drop) / max(float(travel @ travel), 1e-300)
         wrong += float(np.sum((drop - slope * travel) ** 2))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.frozen_arrays import freeze, frozen
 from shj_bayes.errors import RecordingError
 
 FloatArray = NDArray[np.float64]
@@ -50,14 +50,8 @@ class Motion:
 
     def __post_init__(self) -> None:
         """Copy, check and freeze the arrays."""
-        for name, kind in (
-            ("displacement_mm", np.float64),
-            ("speed_mm_s", np.float64),
-            ("start", np.int64),
-            ("turning_mm", np.float64),
-            ("direction", np.int64),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), kind))
+        freeze(self, "displacement_mm", "speed_mm_s", "turning_mm")
+        freeze(self, "start", "direction", kind=np.int64)
         n = self.displacement_mm.size
         unsure = frozen(np.zeros(n) if self.unsure is None else self.unsure, np.bool_)
         if unsure.shape != (n,):

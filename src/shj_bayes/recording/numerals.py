@@ -6,10 +6,9 @@ import io
 import re
 from collections.abc import Iterable, Iterator
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.dialect import GROUPED, LOOK, PLAIN, Dialect, numeric_width
@@ -17,13 +16,13 @@ from shj_bayes.recording.limits import BLOCK_ROWS, MAX_CELL, MAX_ROWS, MAX_SPECI
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 from shj_bayes.recording.tables import as_floats
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "#n/a"}
-_GROUP_SIGNS = re.compile("['\u2019 \u00a0\u202f]")
 _SUSPECT = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")  # 1.234: one and a bit, or a thousand and some?
 _MIN_SUSPECT = 3  # fewer such cells beside whole numbers are chance
 _N_LOOKED = 4000  # rows in which they are looked for
-# pandas 3 reads every digit by itself and warns when asked to; pandas 2 has to be asked.
-_EXACT: dict[str, Any] = {} if int(pd.__version__.split(".")[0]) >= 3 else {"float_precision": "round_trip"}
 
 
 class _Column:
@@ -40,6 +39,11 @@ class _Column:
         """Whether so much of it was words that the rest need not be looked at."""
         return self.n_words > MAX_WORDS and 2 * self.n_words > self.n_rows
 
+    def take(self, values: FloatArray) -> None:
+        """Take a block of numbers."""
+        self.pieces.append(values)
+        self.n_rows += values.size
+
     def skip(self, n_rows: int) -> None:
         """Take a block of words without looking at it."""
         self.pieces.append(np.full(n_rows, np.nan))
@@ -48,6 +52,8 @@ class _Column:
 
     def add(self, raw: pd.Series[Any]) -> None:
         """Take the next block as pandas read it."""
+        import pandas as pd  # noqa: PLC0415
+
         if raw.dtype == object or pd.api.types.is_string_dtype(raw.dtype):
             cells = raw.astype("string").str.strip().str.strip('"').str.strip()
             values, wrong = self._from_text(cells)
@@ -58,11 +64,12 @@ class _Column:
             row = int(np.flatnonzero(wrong)[0])
             self.first = self.first if self.n_words else (str(cells.iloc[row]), self.n_rows + row + 1)
             self.n_words += int(np.count_nonzero(wrong))
-        self.pieces.append(as_floats(values))
-        self.n_rows += values.size
+        self.take(as_floats(values))
 
     def _from_text(self, cells: pd.Series[Any]) -> tuple[FloatArray, BoolArray]:
         """Numbers of a block in which some cells are not plain numbers, and which cells hold none."""
+        import pandas as pd  # noqa: PLC0415
+
         plain = cells
         if self.decimal == ",":
             # A point in a file of decimal commas groups thousands, unless the whole column is written with points.
@@ -156,6 +163,15 @@ def numbers(
 
 def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
     """Read one block; the number of rows that came of it."""
+    plain = _plain(lines, dialect)
+    if plain is not None:
+        for column, values in zip(columns, plain, strict=True):
+            column.take(values)
+        return len(lines)
+    import pandas as pd  # noqa: PLC0415  its import takes as long as reading an ordinary recording
+
+    # pandas 3 reads every digit by itself and warns when asked to; pandas 2 has to be asked.
+    exact: dict[str, Any] = {} if int(pd.__version__.split(".")[0]) >= 3 else {"float_precision": "round_trip"}
     # A quote that is never closed would join all that follows into one cell.
     lines = [line.replace('"', "") if '"' in line and line.count('"') % 2 else line for line in lines]
     read = [i for i, column in enumerate(columns) if not column.is_text]
@@ -167,7 +183,7 @@ def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
         usecols=read,
         index_col=False,
         decimal=dialect.decimal,
-        **_EXACT,
+        **exact,
         skipinitialspace=True,
         on_bad_lines="skip",
         low_memory=False,
@@ -178,6 +194,25 @@ def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
         else:
             column.skip(len(frame))
     return len(frame)
+
+
+def _plain(lines: list[str], dialect: Dialect) -> list[FloatArray] | None:
+    """Columns of a block of which every cell is a plain number; None where one is not."""
+    if dialect.decimal == "," and dialect.separator != ",":
+        if any("." in line for line in lines):
+            return None
+        lines = [line.replace(",", ".") for line in lines]
+    try:
+        # comments=None: numpy's own would cut a row short at a sign that it takes for a comment
+        table = np.loadtxt(
+            lines, delimiter=None if dialect.separator == " " else dialect.separator, comments=None, ndmin=2
+        )
+    except (ValueError, OverflowError):  # words, empty cells, rows of another length
+        return None
+    # Empty lines are passed over; what is no finite number is told apart by the slower reader.
+    if table.shape != (len(lines), dialect.width) or not np.isfinite(table).all():
+        return None
+    return [np.ascontiguousarray(column) for column in table.T]
 
 
 def _refuse_slow(columns: list[_Column], labels: list[str], file: str) -> None:

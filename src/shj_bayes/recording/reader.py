@@ -11,8 +11,8 @@ from shj_bayes.recording.clock import follow_on, restarts
 from shj_bayes.recording.columns import Channels, choose
 from shj_bayes.recording.plausible import plausibility_findings
 from shj_bayes.recording.quality import inspect, repair
-from shj_bayes.recording.recording import Finding, FloatArray, Recording, RunStart, Source
-from shj_bayes.recording.tables import read_table
+from shj_bayes.recording.recording import Extra, Finding, FloatArray, Recording, RunStart, Source
+from shj_bayes.recording.tables import Table, read_table
 
 
 def read(
@@ -30,7 +30,8 @@ def read(
         CSV, TSV, TXT (also .gz), XLSX, JSON, MAT, HDF5 or TDMS.
     columns : str or None
         ``time=...,displacement=...,force=...``; each a column name, a 1-based number, or a formula. Roles that are
-        not named are looked for in the header. ``time`` may be a single number: the sampling interval.
+        not named are looked for in the header. ``time`` may be a single number: the sampling interval. Further
+        channels have names of your own, such as ``tension=...,temperature=...``.
     units : str or None
         ``mm,kN,s`` in any order, or ``time=ms,...``; needed where the header does not say.
     rate_Hz : float or None
@@ -47,7 +48,11 @@ def read(
     RecordingError
         If the file cannot be read, or a channel is missing, ambiguous or not convertible.
     """
-    table = read_table(path)
+    return recording_of(read_table(path), columns, units, rate_Hz)
+
+
+def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: float | None) -> Recording:
+    """Make a recording of a table and check it; arguments as for `read`."""
     channels = choose(table, columns, units, rate_Hz)
     clock_s, begins, told = _placed_runs(channels)
     time_s, displacement_mm, force_kN, used, findings = repair(
@@ -65,8 +70,18 @@ def read(
         source=Source(table.name, table.sha256, table.format, channels.columns, channels.units),
         findings=(*table.findings, *channels.findings, *told, *findings),
         run_starts=tuple(RunStart(at, shift) for at, shift in samples.items() if 0 < at < time_s.size),
+        extras=tuple(_at_samples(extra, clock_s, time_s) for extra in channels.extras),
     )
     return replace(recording, findings=(*recording.findings, *inspect(recording)))
+
+
+def _at_samples(extra: Extra, clock_s: FloatArray, time_s: FloatArray) -> Extra:
+    """Further channel at the samples that were kept, of which some may have been filled in."""
+    known = np.flatnonzero(np.isfinite(clock_s) & np.isfinite(extra.values))
+    if known.size == 0:
+        return replace(extra, values=np.full(time_s.size, np.nan))
+    order = known[np.argsort(clock_s[known], kind="stable")]
+    return replace(extra, values=np.interp(time_s, clock_s[order], extra.values[order]))
 
 
 def _placed_runs(channels: Channels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.errors import RecordingError, plain_text
 
 FloatArray = NDArray[np.float64]
@@ -93,6 +93,29 @@ class RunStart:
 
 
 @dataclass(frozen=True, eq=False)
+class Extra:
+    """A further channel that was asked for: bolt tension, temperature ...
+
+    Parameters
+    ----------
+    name, unit : str
+        As given with ``--columns`` and as the header says; a force, which ``tension`` is, in kN.
+    values : array, shape (n_samples,)
+        At the samples of the recording; NaN where there is no number near.
+    """
+
+    name: str
+    unit: str
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        """Names are text from outside; the values stay as they are."""
+        object.__setattr__(self, "name", plain_text(self.name))
+        object.__setattr__(self, "unit", plain_text(self.unit))
+        object.__setattr__(self, "values", frozen(self.values))
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One test run of one device, or several that `shj_bayes.recording.runs.split` parts.
 
@@ -108,6 +131,8 @@ class Recording:
         What was found, assumed and repaired on the way in.
     run_starts : tuple of RunStart
         Further runs, where the file itself tells them apart (time that begins again, a run column).
+    extras : tuple of Extra
+        Further channels that were asked for.
     """
 
     time_s: FloatArray
@@ -117,6 +142,7 @@ class Recording:
     source: Source = field(default_factory=lambda: Source("in memory"))
     findings: tuple[Finding, ...] = ()
     run_starts: tuple[RunStart, ...] = ()
+    extras: tuple[Extra, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy, check and freeze the arrays."""
@@ -137,6 +163,9 @@ class Recording:
         if used.shape != (n,):
             raise RecordingError(f"used has shape {used.shape}; it needs shape ({n},)")
         object.__setattr__(self, "used", used)
+        for extra in self.extras:
+            if extra.values.shape != (n,):
+                raise RecordingError(f"{extra.name} has shape {extra.values.shape}; all channels need shape ({n},)")
         edges = [0, *(start.sample for start in self.run_starts), n]
         if any(b <= a for a, b in pairwise(edges)):
             raise RecordingError(f"run_starts at samples {edges[1:-1]}; they need to increase from 1 to {n - 1}")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
+from shj_bayes.recording.polynomial import hermite
 from shj_bayes.recording.recording import FloatArray
 
 NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans: a sine within 0.71 rad of its peak
@@ -195,7 +195,7 @@ def _between_samples(
     if near.stop - near.start < 2:
         return float(time_s[index]), float(smoothed[index])
     fine = np.linspace(time_s[near.start], time_s[near.stop - 1], 201)
-    curve = CubicHermiteSpline(time_s[near], smoothed[near], velocity[near])(fine)
+    curve, _ = hermite(time_s[near], smoothed[near], velocity[near], fine)
     best = int(np.argmax(curve) if peak else np.argmin(curve))
     return float(fine[best]), float(curve[best])
 

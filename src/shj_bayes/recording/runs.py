@@ -224,6 +224,7 @@ def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
             used[a:b],
             replace(recording.source, name=f"{recording.source.name} run {number}"),
             (*kept, said),
+            extras=tuple(replace(extra, values=extra.values[a:b]) for extra in recording.extras),
         )
         own = (*clock_findings(part.time_s, part.displacement_mm), *inspect(part))
         parts.append(replace(part, findings=(*part.findings, *own)))

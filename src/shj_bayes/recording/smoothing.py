@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
-from scipy.ndimage import minimum_filter1d
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from shj_bayes.recording.limits import BIAS_RANGE, BIAS_SHARE, GAP_STEPS, KINK_Z, LOCAL_SD, SHORTEST_SHARE
-from shj_bayes.recording.recording import FloatArray
+from shj_bayes.recording.polynomial import filtered, hermite, weights
+from shj_bayes.recording.recording import BoolArray, FloatArray
 from shj_bayes.recording.reversals import hysteresis
 
 NARROWEST = 3.5  # windows below the one that suits every half-cycle, by this factor, for what changes within one
@@ -137,7 +135,7 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, t
     position, velocity, error = _narrowed(
         time_s, values, noise, of_sample, stops, (max(allowed, 2.0 * count), narrowest, step)
     )
-    kernel = savgol_coeffs(2 * half + 1, _CUBIC)
+    kernel = weights(2 * half + 1, _CUBIC)
     return Smooth(
         values=position,
         velocity=velocity,
@@ -179,11 +177,18 @@ def _narrowed(
     for width in ladder[1:]:
         x, v, sd = _curve(time_s, values, noise, (width, step), stops)
         agrees &= (low <= x) & (x <= high)
-        near = minimum_filter1d(agrees.astype(np.uint8), 2 * (round(width / step) // 2) + 1).astype(bool)
-        mine = (width <= of_sample * 1.01) & near
+        mine = (width <= of_sample * 1.01) & _all_within(agrees, round(width / step) // 2)
         position[mine], velocity[mine], error[mine] = x[mine], v[mine], sd[1]
         low, high = np.maximum(low, x - allowed - LOCAL_SD * sd[0]), np.minimum(high, x + allowed + LOCAL_SD * sd[0])
     return position, velocity, error
+
+
+def _all_within(true: BoolArray, reach: int) -> BoolArray:
+    """Whether all samples within so many of each one are true."""
+    false = np.concatenate([[0], np.cumsum(~true)])
+    index = np.arange(true.size)
+    last = np.minimum(index + reach + 1, true.size)
+    return np.asarray(false[last] == false[np.maximum(index - reach, 0)])
 
 
 def _curve(
@@ -196,7 +201,7 @@ def _curve(
     inner = np.rint((stops - grid.time[0]) / grid.step).astype(np.int64)
     breaks = np.unique(np.clip(np.concatenate([[0], inner, [grid.time.size - 1]]), 0, grid.time.size - 1))
     position, velocity = _by_segment(time_s, grid, half, breaks)
-    kernels = [savgol_coeffs(2 * half + 1, _degree(2 * half + 1), deriv=k, delta=grid.step) for k in (0, 1)]
+    kernels = [weights(2 * half + 1, _degree(2 * half + 1), k, grid.step) for k in (0, 1)]
     sd_position, sd_velocity = (float(grid.noise * np.sqrt(np.sum(kernel**2))) for kernel in kernels)
     return position, velocity, (sd_position, sd_velocity)
 
@@ -303,8 +308,8 @@ def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tupl
     change, expected = np.full(edges.size - 1, np.nan), np.zeros(edges.size - 1)
     if m_narrow == m_wide or grid.time.size <= 2 * m_wide + 1:
         return change, expected
-    kernel = savgol_coeffs(2 * m_wide + 1, _CUBIC)
-    kernel[m_wide - m_narrow : m_wide + m_narrow + 1] -= savgol_coeffs(2 * m_narrow + 1, _CUBIC)
+    kernel = weights(2 * m_wide + 1, _CUBIC).copy()
+    kernel[m_wide - m_narrow : m_wide + m_narrow + 1] -= weights(2 * m_narrow + 1, _CUBIC)
     moved = np.abs(np.convolve(grid.values, kernel, mode="same"))
     noise = grid.noise * float(np.sqrt(np.sum(kernel**2)))
     margin = max(1.5 * widths[1], 2 * grid.step)
@@ -374,8 +379,7 @@ def _by_segment(time_s: FloatArray, grid: Grid, half: int, breaks: np.ndarray) -
         ):
             position[rows], velocity[rows] = x, v
             continue
-        curve = CubicHermiteSpline(grid.time[lo : hi + 1], x, v)
-        position[rows], velocity[rows] = curve(time_s[rows]), curve(time_s[rows], 1)
+        position[rows], velocity[rows] = hermite(grid.time[lo : hi + 1], x, v, time_s[rows])
     return position, velocity
 
 
@@ -412,10 +416,7 @@ def local_polynomial(values: FloatArray, half: int, step: float) -> tuple[FloatA
     if window <= _CUBIC + 1:
         slope = float(values[-1] - values[0]) / ((n - 1) * step)
         return values, np.full(n, slope)
-    degree = _degree(window)
-    position = savgol_filter(values, window, degree, mode="interp")
-    velocity = savgol_filter(values, window, degree, deriv=1, delta=step, mode="interp")
-    return position, velocity
+    return filtered(values, window, _degree(window), step)
 
 
 def bandwidth(half: int, step: float) -> float:
@@ -434,7 +435,7 @@ def bandwidth(half: int, step: float) -> float:
         Hz.
     """
     window = 2 * half + 1
-    kernel = savgol_coeffs(window, _degree(window), deriv=1, delta=step, use="dot")
+    kernel = weights(window, _degree(window), 1, step)
     offsets = np.arange(-half, half + 1) * step
     frequency = np.linspace(1e-3, 0.5, 2000) / step
     omega = 2 * np.pi * frequency

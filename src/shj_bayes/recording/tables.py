@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from shj_bayes._util.files import need_files
 from shj_bayes.errors import RecordingError, plain_text
-from shj_bayes.files import need_files
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS, MAX_VALUE
 from shj_bayes.recording.recording import Finding, FloatArray
 

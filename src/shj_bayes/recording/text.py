@@ -16,7 +16,8 @@ from typing import IO
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.dialect import LOOK, find_dialect, header_of
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE
+from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_EMPTY, MAX_LINE
+from shj_bayes.recording.numerals import numbers
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Column, Table
 
@@ -60,8 +61,6 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
     -------
     Table
     """
-    from shj_bayes.recording.numerals import numbers  # noqa: PLC0415  imports pandas, which takes a while
-
     comments: list[str] = []
     stream = _rows(lines, comments, name)
     head = list(islice(stream, 2 * LOOK))
@@ -69,6 +68,8 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
     names, units, headers = header_of(head[: dialect.first], dialect)
     if not any(names) and comments:  # numpy and gnuplot write the header as a comment
         names, units, headers = header_of([line.lstrip("#% ") for line in comments], dialect)
+    if len(names) > MAX_COLUMNS:
+        raise RecordingError(f"{name}: {len(names)} columns; allowed are {MAX_COLUMNS}; export fewer")
     values, findings = numbers(chain(head[dialect.first :], stream), dialect, names, name)
     if any("simulated" in line.lower() for line in comments):
         findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
@@ -82,6 +83,10 @@ def _rows(lines: Iterable[str], comments: list[str], name: str) -> Iterator[str]
     """Lines that may be rows; the first comments go into a list."""
     surplus = 0
     for line in lines:
+        if line[:1].isdigit() or line[:1] == "-":  # most of them
+            surplus -= 1
+            yield line
+            continue
         text = line.lstrip()
         if text and not text.startswith(("#", "%")):
             surplus -= 1
@@ -186,12 +191,17 @@ def _opened(path: Path) -> io.BufferedReader:
 
 def _lines(text: io.TextIOWrapper, name: str) -> Iterator[str]:
     """Lines without their ends, each of a bounded length."""
-    number = 0
-    while line := text.readline(MAX_LINE + 1):
-        number += 1
-        if len(line) > MAX_LINE:
+    number, held = 0, ""
+    while piece := text.read(CHUNK_BYTES):
+        *whole, held = (held + piece).split("\n")
+        longest = max(map(len, (*whole, held)))
+        if longest > MAX_LINE:
+            at = number + 1 + next(i for i, line in enumerate((*whole, held)) if len(line) == longest)
             raise RecordingError(
-                f"{name}: line {number} has more than {MAX_LINE} characters; a row of a recording has some dozens; "
+                f"{name}: line {at} has more than {MAX_LINE} characters; a row of a recording has some dozens; "
                 f"export it as a table with one row for each sample"
             )
-        yield line.rstrip("\r\n")
+        number += len(whole)
+        yield from whole
+    if held:
+        yield held

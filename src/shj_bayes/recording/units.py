@@ -21,6 +21,9 @@ _EXAMPLES: dict[Role, tuple[str, ...]] = {
     "displacement": ("mm", "cm", "m", "um", "in", "ft"),
     "force": ("N", "kN", "MN", "lbf", "kip", "kgf", "tonf"),
 }
+_TONNE = "metric_ton * standard_gravity"
+_KILOPOND_KN = 9.80665e-3
+_POUND_KN = 0.45359237 * _KILOPOND_KN
 # What laboratories write -> what pint understands. lb on a force channel is a pound-force.
 _ALIASES = {
     '"': "inch",
@@ -52,8 +55,8 @@ _ALIASES = {
     "\u00b5s": "us",
     "\u03bcs": "us",
     "kgf": "kgf",
-    "tonf": "metric_ton * standard_gravity",
-    "tf": "metric_ton * standard_gravity",
+    "tonf": _TONNE,
+    "tf": _TONNE,
     "kp": "kgf",
 }
 # Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
@@ -70,6 +73,36 @@ _ANY_CASE = {
 }
 
 
+# Of what pint knows the units that recordings carry: importing it and its list takes longer than reading a recording.
+_USUAL: dict[str, tuple[Role, float]] = {
+    **{name: ("time", factor) for name, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0))},
+    **dict.fromkeys(("hour", "hours"), ("time", 3600.0)),
+    **dict.fromkeys(("second", "seconds"), ("time", 1.0)),
+    **{name: ("displacement", factor) for name, factor in (("mm", 1.0), ("cm", 10.0), ("m", 1e3), ("um", 1e-3))},
+    **{name: ("displacement", factor) for name, factor in (("inch", 25.4), ("ft", 304.8))},
+    **{name: ("force", factor) for name, factor in (("N", 1e-3), ("kN", 1.0), ("MN", 1e3), ("mN", 1e-6))},
+    **{name: ("force", factor) for name, factor in (("lbf", _POUND_KN), ("kip", 1e3 * _POUND_KN))},
+    **{name: ("force", factor) for name, factor in (("kgf", _KILOPOND_KN), (_TONNE, 1e3 * _KILOPOND_KN))},
+}
+
+
+# Units of channels that nobody needs, so that pint is not asked about every one of them.
+_OTHERS = {"V", "mV", "bar", "MPa", "degC", "C", "%", "mm/s", "m/s", "in/s"}
+
+
+def _known(text: str) -> tuple[Role, float] | None:
+    """Channel of a unit as laboratories write it, and its factor to the tool's unit; None when it is none of them."""
+    # The likeliest first: pint's Ms is a million seconds, and stays so although MS is forgiven for ms.
+    for name in (_ALIASES.get(text, text), _ALIASES.get(text.lower(), text), _ANY_CASE.get(text.lower(), text)):
+        if name in _USUAL:
+            return _USUAL[name]
+        unit = None if name in _OTHERS else _parse(name)
+        role = None if unit is None else role_of_dimension(unit)
+        if unit is not None and role is not None:
+            return role, float(_registry().Quantity(1.0, unit).to(TARGET[role]).magnitude)
+    return None
+
+
 @cache
 def _registry() -> pint.UnitRegistry[float]:
     """Make the one unit registry, on first use: importing pint takes longer than printing a help page."""
@@ -80,21 +113,12 @@ def _registry() -> pint.UnitRegistry[float]:
 
 @cache
 def _parse(text: str) -> pint.Unit | None:
-    """Pint unit of a laboratory's spelling, None when there is none."""
-    if not re.fullmatch(r"""[\w."'*/ ^\u00b5\u03bc%-]{1,24}""", text):
+    """Give the unit that pint reads in a text, None when there is none."""
+    if not re.fullmatch(r"""[\w."'*/ ^\u00b5\u03bc%-]{1,40}""", text):
         return None
-    registry = _registry()
-    candidates = [_ALIASES.get(text, text), _ALIASES.get(text.lower(), text), _ANY_CASE.get(text.lower(), text)]
-    for name in candidates:
-        try:
-            unit = registry.Unit(name)
-        except Exception:  # pint raises tokenizer, attribute and value errors for bad spellings
-            continue
-        if role_of_dimension(unit) is not None:
-            return unit
     try:
-        return registry.Unit(candidates[0])
-    except Exception:
+        return _registry().Unit(text)
+    except Exception:  # pint raises tokenizer, attribute and value errors for bad spellings
         return None
 
 
@@ -119,8 +143,8 @@ def role_of(text: str) -> Role | None:
     {"time", "displacement", "force"} or None
         None when it is not a unit of one of them.
     """
-    unit = _parse(text.strip())
-    return None if unit is None else role_of_dimension(unit)
+    known = _known(text.strip())
+    return None if known is None else known[0]
 
 
 def factor(text: str, role: Role) -> float:
@@ -143,10 +167,12 @@ def factor(text: str, role: Role) -> float:
         If it is not a unit of that channel.
     """
     text = text.strip()
-    unit = _parse(text)
-    if unit is None or role_of_dimension(unit) != role:
-        raise RecordingError(_refusal(text, role, known=unit is not None))
-    return float(_registry().Quantity(1.0, unit).to(TARGET[role]).magnitude)
+    known = _known(text)
+    if known is None or known[0] != role:
+        raise RecordingError(
+            _refusal(text, role, known=known is not None or _parse(_ALIASES.get(text, text)) is not None)
+        )
+    return known[1]
 
 
 def _refusal(text: str, role: Role, known: bool) -> str:

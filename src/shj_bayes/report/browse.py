@@ -8,8 +8,8 @@ import webbrowser
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from shj_bayes._util.child_processes import program
 from shj_bayes.errors import ReportError
-from shj_bayes.processes import program
 
 PAGES = ("report", "diagnosis", "margins")  # in the order in which they are looked for
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError
-from shj_bayes.files import read_json
 from shj_bayes.population.paper_claims import Claim
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.results import load_population
@@ -127,7 +127,7 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
         }
     residual = read_residual(folder / place)
     if residual:
-        row["structured"], row["residual"] = residual[0], words.in_a_cell(*residual)
+        row["structured"], row["residual"] = residual.structured, residual.cell
     return row
 
 

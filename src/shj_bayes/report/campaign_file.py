@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from shj_bayes._util.files import check_seal, read_json
 from shj_bayes.errors import ReportError, shown
-from shj_bayes.files import check_seal, read_json
 
 WORDS = ("name", "folder", "status", "reason", "verdict")  # of a device; all are texts
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.errors import ReportError
-from shj_bayes.inference.store import read_posterior, read_record
+from shj_bayes.inference.record import read_record
+from shj_bayes.inference.store import EXTRA, read_posterior
 from shj_bayes.model.parameters import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -34,6 +35,8 @@ class RunData:
         Index of the half-cycle of each sample.
     law_kN, predicted_kN : array, shape (m, n)
         Posterior draws of the force without noise, and as it would be measured.
+    extras : mapping of str to array, shape (n,)
+        Further channels by name.
     """
 
     number: int
@@ -45,6 +48,7 @@ class RunData:
     half_cycle: IntArray = field(repr=False)
     law_kN: FloatArray = field(repr=False)
     predicted_kN: FloatArray = field(repr=False)
+    extras: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
 
     @property
     def reversals(self) -> IntArray:
@@ -152,6 +156,7 @@ def read_device(folder: Path) -> DeviceData:
                 constant["half_cycle_of_sample"][mine],
                 law[:, mine],
                 predicted[:, mine],
+                {name[len(EXTRA) :]: values[mine] for name, values in constant.items() if name.startswith(EXTRA)},
             )
         )
     return DeviceData(record, draws, prior, tuple(runs))

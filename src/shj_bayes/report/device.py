@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.files import damage_told
 from shj_bayes.errors import ReportError
-from shj_bayes.files import damage_told
 from shj_bayes.model.device import meaning_of
+from shj_bayes.model.law import variant_named
 from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
+from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import LOOPS, write_page
 from shj_bayes.report.residual_file import write_residual
+from shj_bayes.report.residuals import Structure
 from shj_bayes.report.viewer import device_viewer, thinning_words
 
 
@@ -46,7 +50,7 @@ def render_device(folder: Path) -> Path:
         viewer = device_viewer(device, numbers)
         moving = {"pictures": draw(device, numbers), "viewer": viewer, "thinning": thinning_words(viewer)}
         filled = content(device, numbers) | moving
-        write_residual(folder, numbers.structure)
+        write_residual(folder, numbers.structure, force_unit(device.record))
         return write_page(folder, "device.html", filled, LOOPS)
 
 
@@ -56,7 +60,10 @@ NO_SPEED = {"name": "gamma", "unit": "s/mm"} | dict.fromkeys(("mean", "sd", "q05
 
 def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
-    record = device.record
+    record, unit = device.record, force_unit(device.record)
+    remarks = record.get("remarks", [])
+    units = {row["name"]: unit.of(row["unit"]) for row in record["parameters"]}
+    unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
     gamma = next((row for row in record["parameters"] if row["name"] in ("gamma", "velocity.size")), NO_SPEED)
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
     peak = max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
@@ -64,18 +71,18 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
         "name": device.name,
         "simulated": any(is_simulated(entry) for entry in record["inputs"]),
         "verdict": record["verdict"],
-        "verdict_words": words.VERDICTS.get(record["verdict"], "The verdict of this fit is not known to this version."),
+        "badges": badges(record, numbers.structure, unit),
         "reasons": record["reasons"],
-        "headline": words.residual_headline(numbers.structure),
-        "structured": numbers.structure.structured,
-        "details": words.residual_details(numbers.structure),
-        "cards": cards(device, peak, numbers.one_speed is not None),
-        "rows": [parameter_row(row) for row in record["parameters"]],
+        "remarks": [words.remark(r, *units[r["parameter"]]) for r in remarks],
+        "doubtful": numbers.structure.grade in ("fair", "poor"),
+        "details": words.residual_details(numbers.structure, unit.name, unit.factor),
+        "cards": cards(device, peak, numbers.one_speed is not None, unknown),
+        "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
         "alias": words.alias_words(numbers.one_speed),
         "dep": words.dep_words(gamma),
         "speed": words.speed_words(gamma, peak),
         "peak_speed": words.short(peak),
-        "runs": [run_row(run, entry) for run, entry in zip(device.runs, record["inputs"], strict=True)],
+        "runs": [run_row(run, entry, unit) for run, entry in zip(device.runs, record["inputs"], strict=True)],
         "findings": [
             {"run": i, "what": words.SEVERITIES.get(f["severity"], f["severity"]), "message": f["message"]}
             for i, entry in enumerate(record["inputs"], start=1)
@@ -87,10 +94,11 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
             for d in numbers.losses
         ],
         "freed": freed_words(device),
-        "before": before_words(numbers),
-        "priors": [prior_row(device, law) for law in record["prior_laws"]],
+        "before": before_words(numbers, unit),
+        "force_unit": unit.name,
+        "priors": [prior_row(device, law, unit) for law in record["prior_laws"]],
         "made": _day(str(record["created"])),
-        "model": record["model"],
+        "model": record["model"] | {"variant": variant_named(record["model"]["variant"])},
         "sampling": record["sampling"],
         "record": record,
     }
@@ -117,12 +125,29 @@ def freed_words(device: DeviceData) -> list[str]:
     return out
 
 
-def cards(device: DeviceData, peak_mm_s: float, one_speed: bool) -> list[dict[str, str]]:
-    """Give the numbers that matter, for the first screen."""
+def badges(record: Mapping[str, Any], found: Structure, unit: ForceUnit) -> list[dict[str, str]]:
+    """Two verdicts, since neither says anything of the other: of the calculation, and of the model."""
+    word = str(record.get("convergence", record["verdict"]))
+    name, colour, sentence = words.CONVERGENCE.get(word, (word, "unusable", ""))
+    grade, shade = words.FIT[found.grade]
+    headline = words.residual_headline(found, unit.name, unit.factor)
+    return [
+        {"what": "Convergence", "name": name, "colour": colour, "words": sentence},
+        {"what": "Model", "name": f"{grade}: {words.fit_words(found)}", "colour": shade, "words": headline},
+    ]
+
+
+def cards(device: DeviceData, peak_mm_s: float, one_speed: bool, unknown: Collection[str]) -> list[dict[str, str]]:
+    """Give the numbers that matter, for the first screen; of what the data do not determine, no number."""
     out = []
-    for name in ("K", "Fy", "ratio", "gamma"):
-        row = next((r for r in device.record["parameters"] if r["name"] == name), None)
+    rows = {row["name"]: row for row in map(force_unit(device.record).row, device.record["parameters"])}
+    for name in ("K", "Fy", "beta", "gamma", "ratio"):
+        row = rows.get(name)
         if row is None:
+            continue
+        card = {"name": name, "meaning": meaning_of(name).meaning, "unit": "" if row["unit"] == "1" else row["unit"]}
+        if name in unknown:
+            out.append(card | {"value": "not determined", "exact": "", "unit": "", "interval": "", "note": ""})
             continue
         note = ""
         if name == "gamma":
@@ -135,21 +160,12 @@ def cards(device: DeviceData, peak_mm_s: float, one_speed: bool) -> list[dict[st
                 f"The second run lost {low:.1f} to {high:.1f} % of the sliding force, after {metres:.3g} m of travel "
                 f"in the first: {low / metres:.2g} to {high / metres:.2g} % per metre."
             )
-        out.append(
-            {
-                "name": name,
-                "meaning": meaning_of(name).meaning,
-                "value": words.rounded(row["q50"], row["sd"]),
-                "exact": repr(row["q50"]),
-                "unit": "" if row["unit"] == "1" else row["unit"],
-                "interval": words.interval(row),
-                "note": note,
-            }
-        )
+        shown = {"value": words.rounded(row["q50"], row["sd"]), "exact": repr(row["q50"])}
+        out.append(card | shown | {"interval": words.interval(row), "note": note})
     return out
 
 
-def parameter_row(row: dict[str, Any]) -> dict[str, Any]:
+def parameter_row(row: dict[str, Any], unknown: bool) -> dict[str, Any]:
     """One row of the parameter table: shown and exact."""
     base = row["name"].partition("_")[0]
     keys = ("mean", "sd", "q05", "q50", "q95")
@@ -159,27 +175,29 @@ def parameter_row(row: dict[str, Any]) -> dict[str, Any]:
         "meaning": meaning_of(row["name"]).meaning,
         "dep": words.dep_words(row) if base == "gamma" else "",
         "numbers": [{"exact": repr(row[k]), "text": words.rounded(row[k], row["sd"] or 0.0)} for k in keys],
-        "ess": f"{row['ess_bulk'] or 0:.0f}",
+        "unknown": unknown,
+        "ess": f"{min(row['ess_bulk'] or 0, row['ess_tail'] or 0):.0f}",
         "rhat": f"{row['rhat']:.3f}" if row["rhat"] is not None else "not known",
     }
 
 
-def prior_row(device: DeviceData, law: dict[str, Any]) -> dict[str, str]:
+def prior_row(device: DeviceData, law: dict[str, Any], unit: ForceUnit) -> dict[str, str]:
     """One parameter before and after the test."""
-    low, middle, high = np.quantile(device.prior[law["name"]], (0.05, 0.5, 0.95))
+    shown, factor = unit.of(law["unit"])
+    low, middle, high = factor * np.quantile(device.prior[law["name"]], (0.05, 0.5, 0.95))
     coarse = (high - low) / 10  # the middle of some draws: no more digits than their range makes meaningful
     return {
         "name": law["name"],
-        "unit": "" if law["unit"] == "1" else law["unit"],
+        "unit": "" if shown == "1" else shown,
         "before": f"{words.short(low)} to {words.short(high)}",
         "middle": words.rounded(middle, coarse).replace("-0.000", "0.000"),
-        "after": words.interval(device.parameter(law["name"])),
+        "after": words.interval(unit.row(device.parameter(law["name"]))),
         "law": f"{law['law']} ({law['a']:g}, {law['b']:g})",
         "source": law["source"],
     }
 
 
-def run_row(run: RunData, entry: dict[str, Any]) -> dict[str, Any]:
+def run_row(run: RunData, entry: dict[str, Any], unit: ForceUnit) -> dict[str, Any]:
     """Describe one recording, for the table of what was tested."""
     x, used = run.displacement_mm, int(np.count_nonzero(run.used))
     roles = [f"{role}: {column} [{entry['units'].get(role, '?')}]" for role, column in entry["columns"].items()]
@@ -193,7 +211,7 @@ def run_row(run: RunData, entry: dict[str, Any]) -> dict[str, Any]:
         "duration": f"{entry['duration_s']:.5g}",
         "half_cycles": entry["n_half_cycles"],
         "stroke": f"{x.min():.1f} to {x.max():.1f}",
-        "force": f"{run.force_kN.min():.3g} to {run.force_kN.max():.3g}",
+        "force": f"{unit.factor * run.force_kN.min():.3g} to {unit.factor * run.force_kN.max():.3g}",
         "columns": "; ".join(roles) or "made in memory",
         "method": entry["motion_method"],
         "noise": words.short(entry["displacement_noise_mm"]),
@@ -217,22 +235,22 @@ def energy_words(numbers: Numbers) -> str:
     )
 
 
-def before_words(numbers: Numbers) -> str:
+def before_words(numbers: Numbers, unit: ForceUnit) -> str:
     """Say what the priors allow, beside what was found."""
-    b = numbers.before
+    b, k = numbers.before, unit.factor
     text = (
         f"One cycle of {words.short(b.amplitude_mm)} mm at a peak speed of {words.short(b.peak_speed_mm_s)} mm/s. "
-        f"Before the test, the largest force was held to lie between {words.short(b.prior_range_kN[0])} and "
-        f"{words.short(b.prior_range_kN[1])} kN (nine in ten); after it, between {b.posterior_range_kN[0]:.4g} and "
-        f"{b.posterior_range_kN[1]:.4g} kN."
+        f"Before the test, the largest force was held to lie between {words.short(k * b.prior_range_kN[0])} and "
+        f"{words.short(k * b.prior_range_kN[1])} {unit.name} (90 %); after it, between "
+        f"{k * b.posterior_range_kN[0]:.4g} and {k * b.posterior_range_kN[1]:.4g} {unit.name}."
     )
     if b.paper_range_kN:
         n = b.paper_kN.shape[0]
         text += (
-            f" The published devices of Tables 3 to 7 would reach {words.short(b.paper_range_kN[0])} to "
-            f"{words.short(b.paper_range_kN[1])} kN: {'all' if b.paper_inside == n else b.paper_inside} of their {n} "
-            "loops lie within the central 98 % of what the priors allow, so the priors leave room for devices of "
-            "this kind."
+            f" The published devices of Tables 3 to 7 would reach {words.short(k * b.paper_range_kN[0])} to "
+            f"{words.short(k * b.paper_range_kN[1])} {unit.name}: "
+            f"{'all' if b.paper_inside == n else b.paper_inside} of their {n} loops lie within the central "
+            "98 % of what the priors allow, so the priors leave room for devices of this kind."
         )
     return text
 

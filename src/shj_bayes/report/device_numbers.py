@@ -19,6 +19,7 @@ class Numbers:
 
     bands: tuple[n.Band, ...]
     energies: tuple[n.CycleEnergy, ...]
+    shapes: tuple[n.CycleShape, ...]
     losses: tuple[n.Degradation, ...]
     structure: Structure
     profiles: tuple[tuple[StrokeProfile, StrokeProfile], ...]
@@ -34,9 +35,12 @@ def numbers_of(device: DeviceData) -> Numbers:
     amplitude = max((float(e.amplitude_mm.max()) for e in energies if e.amplitude_mm.size), default=whole)
     speed = max((float(np.median(e.peak_speed_mm_s)) for e in energies if e.peak_speed_mm_s.size), default=0.0)
     speed = speed or float(np.quantile(first.speed_mm_s, 0.98))
+    bands = tuple(n.force_band(run) for run in device.runs)
+    measured = zip(device.runs, energies, bands, strict=True)
     return Numbers(
-        tuple(n.force_band(run) for run in device.runs),
+        bands,
         energies,
+        tuple(n.cycle_shape(run, energy, band.median) for run, energy, band in measured),
         n.degradation(device),
         structure(device),
         tuple(stroke_profiles(run) for run in device.runs),

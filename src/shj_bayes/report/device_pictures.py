@@ -6,26 +6,32 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior
+from shj_bayes.recording.columns import TENSION
 from shj_bayes.report import numbers as n
 from shj_bayes.report import words
-from shj_bayes.report.binned import residual
 from shj_bayes.report.data import DeviceData, RunData
 from shj_bayes.report.device_numbers import Numbers
 from shj_bayes.report.figures import loops, posterior, residuals
+from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import Picture
 
 
 def draw(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     """All pictures of a device page by place."""
+    unit = force_unit(device.record)
     return {
-        "hero": _hero(device, numbers),
-        "loops": _loops(device, numbers),
-        "residuals": _residuals(device, numbers),
-        "corner": _corner(device),
-        "energy": _energy(numbers),
-        "degradation": _degradation(numbers),
-        "prior": _prior(numbers),
-        "chains": _chains(device),
+        "hero": _hero(device, numbers, unit),
+        "time": _over_time(device, numbers, unit),
+        "loops": _loops(device, numbers, unit),
+        "residuals": [*_residuals(numbers, unit), _over_speed(device, numbers, unit)],
+        "cycles": _cycles(numbers, unit),
+        "channels": _channels(device),
+        "densities": _densities(device, unit),
+        "corner": _corner(device, unit),
+        "prior": _prior(numbers, unit),
+        "traces": _traces(device, unit),
     }
 
 
@@ -37,28 +43,47 @@ def _cycle_parts(device: DeviceData, numbers: Numbers, share: float) -> list[Any
     return parts
 
 
-def _hero(device: DeviceData, numbers: Numbers) -> Picture:
+def _hero(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> Picture:
     runs = (
         "the first and the second run" if len(device.runs) == 2 else "each run" if len(device.runs) > 2 else "the run"
     )
-    width = max(band.law_width_kN for band in numbers.bands)
+    width = unit.factor * max(band.law_width_kN for band in numbers.bands)
     return Picture(
-        loops.cycle(_cycle_parts(device, numbers, 1.0)),
+        loops.cycle(_cycle_parts(device, numbers, 1.0), unit),
         f"Force over displacement for one large cycle of {runs}: measured points, the model's line and a band around "
         "it.",
         f"One cycle of the largest stroke of {runs}. Points are measured; the coloured line is the model after the "
-        f"fit, known to within about {words.short(width)} kN if the model is right. Nine in ten measured points "
-        f"should lie in the pale band. {words.band_words(numbers.structure)}",
+        f"fit, known to within about {words.short(width)} {unit.name} if the model is right. Nine in ten measured "
+        f"points should lie in the pale band. {words.band_words(numbers.structure)}",
     )
 
 
-def _loops(device: DeviceData, numbers: Numbers) -> list[Picture]:
+def _over_time(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> list[Picture]:
+    out = []
+    for run, band in zip(device.runs, numbers.bands, strict=True):
+        noise = run.predicted_kN - run.law_kN
+        low, high = (float(v) for v in np.quantile(noise[:: max(1, noise.shape[0] // 20)], (0.05, 0.95)))
+        out.append(
+            Picture(
+                loops.over_time(run.time_s, run.force_kN, band.median, (low, high), unit),
+                f"Force over time in run {run.number}, measured and modelled, and below it the residual, measured "
+                "minus model, with the band of the fitted noise.",
+                "Noise fills the band evenly from start to end. Waves in step with the cycles, or a drift, are not "
+                "noise.",
+                f"Force over time, run {run.number}",
+                wide=True,
+            )
+        )
+    return out
+
+
+def _loops(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> list[Picture]:
     out = []
     for run, band in zip(device.runs, numbers.bands, strict=True):
         inside = np.mean((run.force_kN >= band.force_low) & (run.force_kN <= band.force_high))
         out.append(
             Picture(
-                loops.all_cycles(run.displacement_mm, run.force_kN, band, run.starts),
+                loops.all_cycles(run.displacement_mm, run.force_kN, band, run.starts, unit),
                 f"All loops of run {run.number}: force over displacement, measured, with the model and its 90 % band.",
                 f"All cycles of run {run.number}. {100 * inside:.0f} % of the measured points lie in the band made "
                 "for 90 %. Where the measured line shows beside the model's, the model does not follow the force.",
@@ -69,7 +94,7 @@ def _loops(device: DeviceData, numbers: Numbers) -> list[Picture]:
     if small[0][1].size < device.runs[0].time_s.size and _smaller(device.runs[0]):
         out.append(
             Picture(
-                loops.cycle(small, wide=alone),
+                loops.cycle(small, unit, wide=alone),
                 "Force over displacement for one cycle of the smallest stroke, measured and modelled.",
                 "The smallest cycles show the stiffness and how sharply sliding begins.",
                 "One small cycle",
@@ -85,44 +110,125 @@ def _smaller(run: RunData) -> bool:
     return float(np.ptp(small)) < 0.8 * float(np.ptp(large))
 
 
-def _residuals(device: DeviceData, numbers: Numbers) -> list[Picture]:
+def _residuals(numbers: Numbers, unit: ForceUnit) -> list[Picture]:
+    return [
+        Picture(
+            residuals.over_stroke(profiles, unit),
+            f"Mean residual over displacement in run {profiles[0].run}, for both loading directions, with the band "
+            "that noise alone would give.",
+            "Averaged over all cycles, noise should leave the points inside their pale bands. A shape outside "
+            "the bands is force that the model does not have.",
+            f"Residuals along the stroke, run {profiles[0].run}",
+        )
+        for profiles in numbers.profiles
+    ]
+
+
+def _over_speed(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> Picture:
+    parts = [
+        (f"run {run.number}", run.direction * run.speed_mm_s, run.force_kN, band.median)
+        for run, band in zip(device.runs, numbers.bands, strict=True)
+    ]
+    return Picture(
+        loops.over_speed(parts, unit),
+        "Force over velocity, measured and modelled, every sample.",
+        "A level plateau does not depend on speed; the curves from one plateau to the other are the reversals.",
+        "Force over velocity",
+    )
+
+
+def _cycles(numbers: Numbers, unit: ForceUnit) -> list[Picture]:
+    shown = [e for e in numbers.energies if e.measured_J.size]
+    if not shown:
+        return []
+    shapes = [shape for shape in numbers.shapes if shape.push_kN.size]
+    return [
+        Picture(
+            loops.envelope(shapes, unit),
+            "Largest force and plateau of every cycle, push and pull.",
+            "Open marks are the largest force of the cycle, filled ones the plateau: the median over the middle half "
+            "of the stroke. Pull is drawn upwards, so that a gap between the two directions is asymmetry.",
+            "Envelope and plateau",
+        ),
+        Picture(
+            loops.energy(shown),
+            "Energy dissipated in each cycle, measured and predicted with a 90 % band.",
+            "Circles are measured, dashes predicted. The energy of a cycle is the area of its loop.",
+            "Energy",
+        ),
+        Picture(
+            loops.damping(shapes),
+            "Equivalent viscous damping of each cycle, measured and modelled.",
+            "Energy over that of an elastic cycle of the same largest force and displacement, times 4 pi; a rectangle "
+            "has 64 %.",
+            "Equivalent damping",
+        ),
+    ]
+
+
+def _channels(device: DeviceData) -> list[Picture]:
+    """Further channels of each run, and the force over the bolt tension where one is given."""
     out = []
-    for run, profiles in zip(device.runs, numbers.profiles, strict=True):
-        left = residual(run)
-        noise = run.predicted_kN - run.law_kN
-        low, high = (float(v) for v in np.quantile(noise[:: max(1, noise.shape[0] // 20)], (0.05, 0.95)))
-        out += [
-            Picture(
-                residuals.over_stroke(profiles),
-                f"Mean of measured minus model force over displacement in run {run.number}, for both directions, "
-                "with the band that noise alone would give.",
-                "Averaged over all cycles, noise should leave the points inside their pale bands. A shape outside "
-                "the bands is force that the model does not have.",
-                f"Left over along the stroke, run {run.number}",
-            ),
-            Picture(
-                residuals.over_displacement(run.displacement_mm, left, run.direction),
-                f"Measured minus model force of every sample over displacement in run {run.number}, coloured by "
-                "direction.",
-                "Every sample. Noise is a level cloud of even height in which the two colours mix.",
-                f"Left over, every sample, run {run.number}",
-            ),
-            Picture(
-                residuals.over_time(run.time_s, left, (low, high)),
-                f"Measured minus model force over time in run {run.number}, with the band of the fitted noise.",
-                "Noise fills the band evenly from start to end. Waves in step with the cycles, or a drift, are not "
-                "noise.",
-                f"Left over along time, run {run.number}",
-                wide=True,
-            ),
+    for run, entry in zip(device.runs, device.record["inputs"], strict=True):
+        units = entry.get("extras", {})
+        shown = [
+            (f"{name} ({units[name]})" if units.get(name) else name, values)
+            for name, values in run.extras.items()
+            if np.isfinite(values).any()
         ]
+        tension = run.extras.get(TENSION)
+        if tension is not None and units.get(TENSION) == "kN":
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.abs(run.force_kN) / tension
+            shown.append(("mu = F/N", np.where(tension > 0, ratio, np.nan)))
+        if shown:
+            names = ", ".join(title for title, _ in shown)
+            out.append(
+                Picture(
+                    loops.channels(run.time_s, shown),
+                    f"Further channels of run {run.number} over time: {names}.",
+                    "As recorded; the model does not use them."
+                    + (" mu is the absolute force over the tension named." if len(shown) > len(run.extras) else ""),
+                    f"Further channels, run {run.number}",
+                    wide=True,
+                )
+            )
     return out
 
 
-def _corner(device: DeviceData) -> Picture:
-    units = {row["name"]: row["unit"] for row in device.record["parameters"]}
+def _shown(device: DeviceData, unit: ForceUnit) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    """Draws and units of the parameters as they are shown."""
+    units = {row["name"]: unit.of(row["unit"]) for row in device.record["parameters"]}
+    draws = {name: values * units[name][1] for name, values in device.draws.items()}
+    return draws, {name: shown for name, (shown, _) in units.items()}
+
+
+def _densities(device: DeviceData, unit: ForceUnit) -> Picture:
+    draws, units = _shown(device, unit)
+    parts = {}
+    for row in device.record["prior_laws"]:
+        factor = unit.of(row["unit"])[1]
+        law = Prior(row["name"], row["unit"], row["law"], row["a"], row["b"], row["source"])
+        values = draws[row["name"]].ravel()
+        low, high = np.quantile(values, (0.001, 0.999))
+        room = 0.5 * (high - low) or 1e-6 * abs(high) or 1e-6
+        least, most = (factor * edge for edge in law.support)
+        places = np.linspace(max(low - room, least + 1e-6 * room), min(high + room, most - 1e-6 * room), 160)
+        parts[row["name"]] = (values, places, np.exp(law.log_density(places / factor)) / factor)
     return Picture(
-        posterior.corner({name: draws.ravel() for name, draws in device.draws.items()}, units),
+        posterior.densities(parts, units),
+        "Posterior of each parameter as a histogram, with the density of its prior as a broken line.",
+        "Blue is the posterior, broken the prior. Where the two look alike the recording says little; where blue lies "
+        "in the tail of the broken line, prior and data contradict each other.",
+        "Prior and posterior",
+        wide=True,
+    )
+
+
+def _corner(device: DeviceData, unit: ForceUnit) -> Picture:
+    draws, units = _shown(device, unit)
+    return Picture(
+        posterior.corner({name: values.ravel() for name, values in draws.items()}, units),
         "Corner plot: how likely the values of each parameter are, and of each pair together.",
         "On the diagonal, how likely each value is; below it, each pair together (lines hold 50 and 90 %). A slanted "
         "ellipse means that the test fixes a combination of the two better than either alone. Under gamma stands "
@@ -131,67 +237,22 @@ def _corner(device: DeviceData) -> Picture:
     )
 
 
-def _energy(numbers: Numbers) -> list[Picture]:
-    shown = [e for e in numbers.energies if e.measured_J.size]
-    if not shown:
-        return []
-    return [
-        Picture(
-            loops.energy(shown),
-            "Energy dissipated in each cycle, measured and predicted with a 90 % band.",
-            "Circles are measured, dashes predicted. The energy of a cycle is the area of its loop.",
-            "Energy of each cycle",
-            wide=True,
-        ),
-        Picture(
-            loops.energy_error(shown),
-            "Predicted minus measured energy of each cycle in per cent.",
-            "The same as a difference. A trend over the cycles means that the device changed while it was tested, "
-            "which the model does not know.",
-            "How far the prediction is off",
-            wide=True,
-        ),
-    ]
-
-
-def _degradation(numbers: Numbers) -> list[Picture]:
-    if not numbers.losses:
-        return []
-    return [
-        Picture(
-            loops.degradation(numbers.losses),
-            "How likely each loss of sliding force from the first to a later run is.",
-            "The full line is the middle, the broken lines hold 90 %.",
-        )
-    ]
-
-
-def _prior(numbers: Numbers) -> Picture:
+def _prior(numbers: Numbers, unit: ForceUnit) -> Picture:
     b = numbers.before
     return Picture(
-        loops.prior(b.displacement_mm, b.prior_kN, b.paper_kN, b.posterior_kN),
-        "Loops that were held possible before the test in grey, loops of published devices in green where they "
-        "apply, and the loops of this device after the test in blue.",
+        loops.prior(b.displacement_mm, b.prior_kN, b.paper_kN, b.posterior_kN, unit),
+        "Prior predictive check: loops that were held possible before the test in grey, loops of published devices in "
+        "green where they apply, and the loops of this device after the test in blue.",
         "Grey is what the priors allowed. Blue is what the test left of it: narrow where the test says much.",
         wide=True,
     )
 
 
-def _chains(device: DeviceData) -> list[Picture]:
-    units = {row["name"]: row["unit"] for row in device.record["parameters"]}
-    walkers = int(device.record["sampling"]["n_walkers"])
-    effective = {row["name"]: float(row["ess_bulk"] or 1.0) for row in device.record["parameters"]}
-    return [
-        Picture(
-            posterior.traces({name: n.steps_of(d, walkers) for name, d in device.draws.items()}, units),
-            "Path of each independent search for every parameter.",
-            "Each colour is one independent search. All should wander over the same range, without a trend.",
-            "Traces",
-        ),
-        Picture(
-            posterior.ranks({name: n.rank_shares(d, effective[name]) for name, d in device.draws.items()}),
-            "For each search, how its values rank among those of all searches.",
-            "If the searches agree, every line stays near 1, inside the grey band.",
-            "Ranks",
-        ),
-    ]
+def _traces(device: DeviceData, unit: ForceUnit) -> Picture:
+    return Picture(
+        posterior.traces(*_shown(device, unit)),
+        "Trace of every parameter: where the walkers of each independent ensemble were, step by step.",
+        "Each colour is one independent ensemble, each dot a walker. All colours should cover the same range from left "
+        "to right, without a trend.",
+        wide=True,
+    )

@@ -70,6 +70,8 @@ def content(data: DiagnosisData) -> dict[str, Any]:
         "changed": data.channels.changed,
         "quick": bool(record.get("quick")),
         "cards": say.cards(data),
+        "coordinates": say.coordinates(data),
+        "limits": say.limits_words(data),
         "effects": say.effects(data),
         "family": say.family(data),
         "unknown": say.unknown(data),

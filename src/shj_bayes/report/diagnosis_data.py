@@ -12,19 +12,19 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError, shown
-from shj_bayes.files import read_json
+from shj_bayes.mismatch.schema import READ
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray
 
-SCHEMA = "shj-bayes/diagnosis/1"
 VERDICTS = ("adequate", "named", "family", "unknown")
 KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
 )  # fmt: skip
 KINDS: dict[str, tuple[type, type]] = {
-    **dict.fromkeys(("effects", "family", "location", "aliases", "candidates"), (list, dict)),
-    **{"shift": (dict, dict), "words": (list, str)},
+    **dict.fromkeys(("effects", "family", "coordinates", "sets", "location", "aliases", "candidates"), (list, dict)),
+    **{"shift": (dict, dict)},
 }
 PLAIN: dict[type, str] = {list: "list", dict: "table", str: "text"}
 
@@ -131,8 +131,10 @@ def diagnosis_record(folder: Path) -> dict[str, Any]:
     if not (folder / "diagnosis.json").exists():
         raise ReportError(f"{folder.name} holds no diagnosis.json; run shj-bayes diagnose first")
     record = read_json(folder / "diagnosis.json", ReportError)
-    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-        raise ReportError(f"diagnosis.json in {folder.name} is not of schema {SCHEMA}; run the diagnosis again")
+    if not isinstance(record, dict) or record.get("schema") not in READ:
+        raise ReportError(
+            f"diagnosis.json in {folder.name} is of none of the schemas {', '.join(READ)}; run the diagnosis again"
+        )
     if record.get("verdict") not in VERDICTS:
         raise ReportError(f"diagnosis.json in {folder.name}: the verdict is none of {', '.join(VERDICTS)}")
     missing = [key for key in KEYS if key not in record]

@@ -45,6 +45,7 @@ def draw(data: DiagnosisData, parts: tuple[Parity, Parity]) -> dict[str, Any]:
     """All pictures of a diagnosis page by place."""
     loops = _loops(data)
     return {
+        "curves": _curves(data),
         "first": loops[:FIRST],
         "loops": loops[FIRST:],
         "profiles": [_profile(data, *row) for row in COORDINATES],
@@ -62,6 +63,31 @@ def parities(data: DiagnosisData) -> tuple[Parity, Parity]:
     group = amplitude_groups(c)[c.used]
     before, after = (parity(c.position_mm[c.used], c.direction[c.used], r[c.used], group) for r in c.residuals)
     return before, after
+
+
+def _curves(data: DiagnosisData) -> list[Picture]:
+    """Draw the curves that were found, each over its coordinate: the first pictures of the page."""
+    out = []
+    for c in data.record.get("coordinates") or ():
+        table = c.get("curve")
+        if not table:
+            continue
+        at, mean, low, high = (np.array([number(v) for v in table[key]]) for key in ("at", "mean", "q05", "q95"))
+        name = say.COORDINATES.get(str(c["coordinate"]), str(c["coordinate"])).removeprefix("the ")
+        unit = "" if c.get("unit") in (None, "1") else f" ({c['unit']})"
+        what = "sliding force" if c.get("action") == "capacity" else "added force"
+        names = "; ".join(say.title_of(n) for n in c.get("matches") or ())
+        out.append(
+            Picture(
+                draw_.curve(at, mean, low, high, f"{name}{unit}"),
+                f"Curve of the {what} over {name}, per cent of Fy, with its 90 % band.",
+                f"{say.curve_words(c)} Probability {say.percent(c.get('probability'))}. "
+                + (f"Known mechanism: {names}." if names else "No known mechanism has this curve."),
+                f"Change of the {what} over {name}",
+                wide=True,
+            )
+        )
+    return out
 
 
 def _loops(data: DiagnosisData) -> list[Picture]:

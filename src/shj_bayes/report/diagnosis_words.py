@@ -42,6 +42,26 @@ PARITY = (
     ("rest", "does not repeat", "noise, or a change from cycle to cycle such as wear or heating"),
 )
 DIRECTIONS = {"push": "push", "pull": "pull", "both": "push and pull alike"}
+COORDINATES = {
+    "position": "the position",
+    "distance": "the distance from mid-stroke",
+    "travel": "the distance travelled",
+    "time": "the time",
+    "heat": "the heat that sliding has left",
+    "amplitude": "the amplitude",
+    "slip": "the distance slid since the reversal",
+    "speed": "the speed",
+    "acceleration": "the acceleration",
+    "direction": "the direction of motion",
+    "constant": "nothing that was varied: it is constant",
+    "slack": "a clearance",
+    "second surface": "a second sliding surface",
+    "compliance": "an elastic part in series",
+    "delay": "a delay of the force channel",
+    "reversal": "the rule at reversals",
+    "stick-slip": "stick and slip",
+}
+LIKELY, LIMIT = 0.5, 0.05  # probabilities from which a dependence is stated, and mentioned
 SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a normal law
 MAX_SHAPE_ROWS = 40
 
@@ -59,14 +79,83 @@ def headline(data: DiagnosisData) -> str:
 
 def first_lines(data: DiagnosisData) -> list[str]:
     """Sentences under the verdict: what was left out, its likely cause, what follows."""
-    record = data.record
-    if record.get("words"):
-        lines = [spaced(str(line)) for line in record["words"][1:]]
+    return sentences(data.record)
+
+
+def sentences(record: Mapping[str, Any]) -> list[str]:
+    """Say what a diagnosis found, the verdict left out: each mechanism, what it may also be, what has no name.
+
+    Parameters
+    ----------
+    record : mapping
+        Content of ``diagnosis.json``.
+    """
+    found, verdict = record["effects"], record["verdict"]
+    out = []
+    for e in found:
         # Of several effects the first screen names each; their causes stand where each is described.
-        return lines if len(record["effects"]) < 2 else [line.partition(" Likely cause:")[0] for line in lines]
-    out = [f"{e['statement']}{_cause(e)}" for e in record["effects"]]
-    out += [f"Next test: {record['next_test']}"] if record.get("next_test") else []
+        cause = _cause(e) if len(found) == 1 else ""
+        lead = (
+            "A part of it: "
+            if e.get("partial")
+            else "Most probable: "
+            if verdict == "family" and e.get("rivals")
+            else ""
+        )
+        out.append(spaced(f"{lead}{e['statement']}{cause}"))
+    if verdict == "family":
+        members = [f"{title_of(m.get('id')).lower()} ({percent(m.get('probability'))})" for m in record["family"]]
+        out.append(f"These recordings cannot tell: {', or '.join(members)}.")
+    for c in record.get("coordinates") or ():
+        if not c.get("matches") and number(c.get("probability")) >= LIKELY:
+            out.append(f"{curve_words(c)} No known mechanism has this curve.")
+    if verdict == "unknown":
+        left = number(record.get("left_over_percent"))
+        if math.isfinite(left) and left >= 1.0:
+            out.append(f"What is left beside what was found reaches {left:.2g} % of the sliding force.")
+        if (record.get("unknown") or {}).get("words"):  # files of schema 1
+            out.append(str(record["unknown"]["words"]))
+    gamma = record["shift"].get("gamma")
+    if gamma and found:
+        before, after = gamma["before"]["mean"], gamma["after"]["mean"]
+        out.append(f"Including this changes gamma from {before:+.4f} to {after:+.4f} s/mm.")
+    if record.get("next_test"):
+        out.append(f"Next test: {record['next_test']}")
     return out
+
+
+def curve_words(c: Mapping[str, Any]) -> str:
+    """Say on what the force depends, and by how much."""
+    what = {"capacity": "The sliding force", "added": "An added force"}.get(str(c.get("action")), "The motion")
+    size = number(c.get("range_percent"))
+    much = f": it changes by {size:.2g} % of Fy over what was tested" if math.isfinite(size) else ""
+    return f"{what} depends on {COORDINATES.get(str(c.get('coordinate')), c.get('coordinate'))}{much}."
+
+
+def coordinates(data: DiagnosisData) -> list[dict[str, str]]:
+    """Tabulate what the force depends on."""
+    out = []
+    for c in data.record.get("coordinates") or ():
+        evidence, size = number(c.get("evidence")), number(c.get("size_percent"))
+        out.append(
+            {
+                "words": curve_words(c),
+                "probability": percent(c.get("probability")),
+                "evidence": f"{evidence:+.0f}" if math.isfinite(evidence) else "",
+                "size": f"{size:.2g} %" if math.isfinite(size) else "",
+                "names": "; ".join(title_of(name) for name in c.get("matches") or ()) or "none known",
+            }
+        )
+    return out
+
+
+def limits_words(data: DiagnosisData) -> str:
+    """Say what is not excluded where nothing was found."""
+    open_ = [c for c in data.record.get("coordinates") or () if number(c.get("probability")) >= LIMIT]
+    if data.record["verdict"] != "adequate" or not open_:
+        return ""
+    named = (f"{COORDINATES.get(str(c['coordinate']), c['coordinate'])} ({percent(c['probability'])})" for c in open_)
+    return f"Not excluded: a dependence on {', '.join(named)}."
 
 
 def spaced(text: str) -> str:
@@ -116,7 +205,7 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     out.append(_card("Error on cycles that were held out", words.short(before), words.short(after), "kN", noise))
     if not data.channels.changed:
         out = [card | {"before": ""} for card in out]
-    note = "Corrected for everything that was tried. Small: something is missing."
+    note = "An upper limit, corrected for everything that was tried. Small: something is missing."
     out.append(
         _card("Chance of so large a misfit if nothing were missing", "", p_words(data.record["p_value"]), "", note)
     )
@@ -269,26 +358,13 @@ def candidates(data: DiagnosisData) -> list[dict[str, str]]:
             "title": c.get("title") or title_of(c["id"]),
             "gain": f"{number(c.get('elpd_gain')) + 0.0:+.1f}".replace("-0.0", "0.0").replace("+0.0", "0.0"),
             "exact": repr(number(c.get("elpd_gain"))),
-            "score": f"{number(c.get('t', c.get('score'))):.1f}".replace("-0.0", "0.0"),
             "probability": percent(c.get("probability")),
             "size": f"{size:.2f}" if (size := number(c.get("size_kN"))) >= 0.005 else "below 0.01",
-            "reason": reason_of(c, data),
-            "kept": "kept" if str(c.get("reason") or "").startswith("kept") else "",
+            "reason": str(c.get("reason") or ""),
+            "kept": "kept" if c.get("kept") else "",
         }
         for c in data.record["candidates"]
     ]
-
-
-def reason_of(candidate: Mapping[str, Any], data: DiagnosisData) -> str:
-    """Why an effect was kept or dropped.
-
-    The record compares each with the first effect of the law. Of several effects no single one need beat the dropped
-    ones alone, so that is said only where one effect was found.
-    """
-    reason = str(candidate.get("reason") or "")
-    if len(data.record["effects"]) < 2:
-        return reason
-    return "kept" if reason.startswith("kept") else "dropped: not part of the law that predicts best"
 
 
 def quality(data: DiagnosisData) -> list[dict[str, str]]:

@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.files import shown
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
-from shj_bayes.margins.sheet import Sheet
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Margin
+from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import sets_suffice
 from shj_bayes.report.sets import name_of
 
 MAX_SETS = 16
 BANDS = (
-    ("Fy", "Fy, first run", "kN"),
-    ("Fy_second", "Fy, second run", "kN"),
-    ("degradation", "loss of Fy", "%"),
+    ("least", "smallest plateau, first run", "kN"),
+    ("most", "largest force, first run", "kN"),
+    ("least_2", "smallest plateau, second run", "kN"),
+    ("degradation", "loss from run to run", "%"),
     ("K", "K", "kN/mm"),
     ("energy", "energy of a cycle, first run", "kJ"),
-    ("force", "force at mid-stroke, first run", "kN"),
 )
 TESTED = (
     ("EN 1990 characteristic, lognormal", "X_k", "EN 1990 D7.2"),
@@ -29,23 +30,20 @@ TESTED = (
     ("tolerance 90/95 two-sided, lognormal", "90/95 both", "ISO 16269-6"),
 )
 FACTORS = (
-    ("nominal sliding force", MIDDLE),
-    ("lambda_spec,min", LOW),
-    ("lambda_spec,max", HIGH),
-    ("lambda_test,min", LOW),
-    ("lambda_test,max", HIGH),
-    ("lambda_ae,min", LOW),
-    ("lambda_ae,max", HIGH),
-    ("lambda_min with the floor for dampers", LOW),
-    ("lambda_max with the floor for dampers", HIGH),
-    ("ASCE 7 lower bound force", LOW),
-    ("ASCE 7 upper bound force", HIGH),
-    ("EN 15129 LBDP", LOW),
-    ("EN 15129 UBDP", HIGH),
-    ("phi equivalent, first run", LOW),
-    ("phi equivalent, after a first earthquake", LOW),
-    ("phi_o equivalent", HIGH),
+    "nominal sliding force",
+    "lambda_spec,min",
+    "lambda_spec,max",
+    "lambda_test,min",
+    "lambda_test,max",
+    "lambda_ae,min",
+    "lambda_ae,max",
+    "lambda_min with the floor for dampers",
+    "lambda_max with the floor for dampers",
+    "ASCE 7 lower bound force",
+    "ASCE 7 upper bound force",
 )
+EQUIVALENTS = ("phi equivalent, first run", "phi equivalent, after a first earthquake", "phi_o equivalent")
+SPREADS = ("device to device", "within a device", "model, V_delta")
 Index = dict[tuple[str, str, str, str], Margin]
 
 
@@ -72,10 +70,33 @@ def band_table(sheet: Sheet) -> list[dict[str, Any]]:
             if all(found):
                 scale = 100.0 if unit == "%" else 1.0
                 low, middle, high = (digits(scale * m.value) for m in found if m)
-                alone = [scale * m.without_diagnosis for m in found if m]
-                beside = f"{digits(alone[0])} to {digits(alone[2])}" if math.isfinite(alone[0]) else ""
-                cells[quantity] = {"middle": middle, "range": f"{low} to {high}", "alone": beside}
+                cells[quantity] = {"middle": middle, "range": f"{low} to {high}"}
         rows.append({"name": name_of(name), "n": _devices(index, name), "cells": cells})
+    return rows
+
+
+def first_table(sheet: Sheet) -> list[dict[str, str]]:
+    """One row per set: the one number for drift and the one for capacity design, kN."""
+    index = _index(sheet)
+    rows = []
+    for name in shown_sets(sheet):
+        low, high = index[name, "force", DRIFT, LOW], index[name, "force", CAPACITY, HIGH]
+        rows.append({"name": name_of(name), "drift": digits(low.value), "capacity": digits(high.value)})
+    return rows
+
+
+def spread_table(sheet: Sheet) -> list[dict[str, Any]]:
+    """One row per tested set: per cent of the smallest plateau and of the largest force by where the width is from."""
+    rows = []
+    for name in tested_sets(sheet)[:MAX_SETS]:
+        cells = []
+        for quantity in ("least", "most"):
+            own = {
+                r.kind: r.value for r in sheet.rows if (r.set_name, r.quantity, r.method) == (name, quantity, SPREAD)
+            }
+            cells += [digits(100.0 * own[kind]) if kind in own else "-" for kind in SPREADS]
+            cells.append(digits(own["model, b"]) if "model, b" in own else "-")
+        rows.append({"name": name_of(name), "cells": cells})
     return rows
 
 
@@ -95,17 +116,15 @@ def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     return rows
 
 
-def factor_table(sheet: Sheet) -> list[dict[str, Any]]:
-    """One row per set: factors on the nominal sliding force and the bounds they give."""
+def factor_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
+    """One row per set: factors on the nominal sliding force and the bounds they give, for a class of EN 15129."""
     index = _index(sheet)
+    kinds = (*FACTORS, kind_of("LBDP", importance), kind_of("UBDP", importance), *EQUIVALENTS)
     rows = []
     for name in shown_sets(sheet):
-        own = {row.kind.partition(", importance")[0]: row for row in sheet.rows if row.set_name == name}
-        cells = [(digits(own[kind].value), own[kind].warning) if kind in own else ("-", "") for kind, _ in FACTORS]
-        age = own.get("lambda_ae,max")
-        rows.append(
-            {"name": name_of(name), "n": _devices(index, name), "cells": cells, "age": age.inputs if age else ""}
-        )
+        own = {row.kind: row for row in sheet.rows if row.set_name == name}
+        cells = [(digits(own[kind].value), own[kind].warning) if kind in own else ("-", "") for kind in kinds]
+        rows.append({"name": name_of(name), "n": _devices(index, name), "cells": cells})
     return rows
 
 
@@ -122,16 +141,10 @@ def tested_sets(sheet: Sheet) -> list[str]:
     return [name for name in dict.fromkeys(row.set_name for row in sheet.rows) if name != ANY_SET]
 
 
-def importance_of(sheet: Sheet) -> str:
-    """Read the importance class that EN 15129 rows were drawn up for."""
-    kind = next((row.kind for row in sheet.rows if row.kind.startswith("EN 15129")), "")
-    return kind.rpartition(" ")[2]
-
-
 def _index(sheet: Sheet) -> Index:
     return {row.key: row for row in sheet.rows}
 
 
 def _devices(index: Index, name: str) -> int:
-    row = index.get((name, "Fy", "new device, 50 %", MIDDLE))
+    row = index.get((name, "least", "new device, 50 %", MIDDLE))
     return row.n_devices if row else 0

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.margins.sheet import PUBLISHED_LAW, Sheet
-from shj_bayes.margins.speed_guard import published_factors
+from shj_bayes.margins.asked import published_factors
+from shj_bayes.margins.sheet import Sheet
 from shj_bayes.population.loops import LoopBand
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import never_tested_words, sets_suffice
@@ -20,12 +20,18 @@ FEW_SETS = 6  # so many leave room on two sheets of A4 for wider tables
 FAR_SPEED = 300.0
 """Speed of an earthquake's stroke (95 mm at a period of 1.5 to 2 s), mm/s."""
 COVERAGE = {2: 0.896, 4: 0.892, 8: 0.896}
-"""Simulated coverage of the 90 % band of a new device, by devices per set: decision 0006, typical truth, 500 campaigns;
+"""Simulated coverage of the 90 % band of a new device, by devices per set: decision 0004, typical truth, 500 campaigns;
 `python benchmarks/population.py coverage -n 500` prints it again."""
 
 
 def render_margins(
-    folder: Path, sheet: Sheet, loops: Sequence[LoopBand] = (), *, name: str, simulated: bool = False
+    folder: Path,
+    sheet: Sheet,
+    loops: Sequence[LoopBand] = (),
+    *,
+    name: str,
+    importance: str,
+    simulated: bool = False,
 ) -> Path:
     """Write ``margins.html``.
 
@@ -39,6 +45,8 @@ def render_margins(
         Bands of the loop of a new device; drawn where the sheet has room, that is for few sets.
     name : str
         Title of the campaign or of the tables.
+    importance : {"I", "II", "III"}
+        Importance class of the structure that the sheet was drawn up for.
     simulated : bool
         True where the recordings were simulated.
 
@@ -47,11 +55,13 @@ def render_margins(
     Path
         The page.
     """
-    tested = numbers.testing_table(sheet, "Fy"), numbers.testing_table(sheet, "Fy_second")
+    tested = numbers.testing_table(sheet, "least"), numbers.testing_table(sheet, "least_2")
     content: dict[str, Any] = {
         "name": name,
         "simulated": simulated,
         "cycle": _cycle(sheet),
+        "first": numbers.first_table(sheet),
+        "spreads": numbers.spread_table(sheet),
         "bands": numbers.band_table(sheet),
         "quantities": numbers.BANDS,
         "tests": numbers.TESTED,
@@ -59,14 +69,13 @@ def render_margins(
             {"title": "first run", "rows": tested[0]},
             {"title": "after a first earthquake (second run)", "rows": tested[1]},
         ],
-        "factors": numbers.factor_table(sheet),
-        "importance": numbers.importance_of(sheet),
+        "factors": numbers.factor_table(sheet, importance),
+        "importance": importance,
         "left_out": max(0, len(numbers.tested_sets(sheet)) - numbers.MAX_SETS),
         "untested": "" if sets_suffice(n_sets := len(numbers.tested_sets(sheet))) else never_tested_words(n_sets),
         "few": len(numbers.shown_sets(sheet)) <= FEW_SETS,
         "warnings": sheet.warnings,
         "diagnoses": sheet.diagnoses,
-        "beside": len(sheet.models) > 1 or sheet.models[0] != PUBLISHED_LAW,
         "far": published_factors(FAR_SPEED),
         "coverage": ", ".join(f"{100 * c:.1f} % with {n}" for n, c in COVERAGE.items()),
         "n_rows": len(sheet.rows),
@@ -89,26 +98,22 @@ def _pictures(loops: Sequence[LoopBand]) -> list[Picture]:
     return [
         Picture(
             loop(bands),
-            f"Force over displacement of a new device of {name}: middle and 90 % band of the first and the second run.",
-            "At each displacement 90 % of new devices lie in the band, under the default prior of the spread. "
-            "Values: loops.csv.",
+            f"Force over displacement of the tested devices of {name}: middle and 90 % band, run by run.",
+            "Every tested device through its widest cycle, with the model that was found for it. Values: loops.csv.",
             name,
         )
         for name, bands in by_set.items()
     ]
 
 
-def _cycle(sheet: Sheet) -> dict[str, str] | None:
-    """Amplitude, speed and what was tested, as text."""
-    motion = sheet.motion
-    if motion is None:
-        return None
-    tested = motion.guard.tested
+def _cycle(sheet: Sheet) -> dict[str, str]:
+    """History of the virtual test and what was tested, as text."""
+    tested = sheet.tested
     return {
-        "amplitude": f"{motion.amplitude_mm:.3g} mm",
-        "speed": f"{motion.guard.speed_mm_s:.3g} mm/s",
-        "tested_amplitude": f"{tested.smallest_mm:.3g} to {tested.largest_mm:.3g} mm",
-        "tested_speed": f"up to {tested.fastest_mm_s:.3g} mm/s",
-        "source": tested.source,
-        "beyond": "yes" if motion.guard.beyond else "",
+        "history": sheet.history,
+        "tested": ""
+        if tested is None
+        else f"amplitudes {tested.smallest_mm:.3g} to {tested.largest_mm:.3g} mm, speeds up to "
+        f"{tested.fastest_mm_s:.3g} mm/s ({tested.source})",
+        "beyond": "yes" if sheet.extrapolated else "",
     }

@@ -13,6 +13,7 @@ from shj_bayes.report.data import DeviceData, RunData
 LEVELS = (0.05, 0.5, 0.95)
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
+SLIDES = 0.7  # of the largest force: a middle of the stroke below it is no plateau
 SAME_SPEED = 0.2  # peak speeds within this share of one another count as one
 
 
@@ -165,6 +166,61 @@ def cycle_energy(run: RunData) -> CycleEnergy:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class CycleShape:
+    """Envelope, plateau and damping of the cycles of one run, arrays of shape (n_cycles,).
+
+    Parameters
+    ----------
+    run : int
+        Number of the run.
+    push_kN, pull_kN : array
+        Largest and smallest measured force: the envelope.
+    push_plateau_kN, pull_plateau_kN : array
+        Median measured force over the middle half of the stroke, displacement growing and falling; NaN where the
+        device does not slide there.
+    damping_percent, model_damping_percent : array
+        Equivalent viscous damping of the measured and of the modelled loop, W / (2 pi F x): W its energy, F half the
+        range of the force, x half that of the displacement (Chopra, Dynamics of Structures, section 3.9). 63.7 % is
+        a rectangle.
+    """
+
+    run: int
+    push_kN: FloatArray = field(repr=False)
+    pull_kN: FloatArray = field(repr=False)
+    push_plateau_kN: FloatArray = field(repr=False)
+    pull_plateau_kN: FloatArray = field(repr=False)
+    damping_percent: FloatArray = field(repr=False)
+    model_damping_percent: FloatArray = field(repr=False)
+
+
+def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> CycleShape:
+    """Envelope, plateau and damping of every full cycle of a run; `median_kN` is the modelled force."""
+    spans = whole_spans(cycle_marks(run))
+    x, f, direction = run.displacement_mm, run.force_kN, run.direction
+
+    def plateau(a: int, b: int, sign: int) -> float:
+        middle, quarter = 0.5 * (x[a:b].max() + x[a:b].min()), 0.25 * np.ptp(x[a:b])
+        rows = (np.abs(x[a:b] - middle) <= quarter) & (direction[a:b] == sign)
+        flat = sign * float(np.median(f[a:b][rows])) if rows.any() else 0.0
+        return sign * flat if flat > SLIDES * np.max(sign * f[a:b]) else np.nan
+
+    def damping(energy_J: FloatArray, force: FloatArray) -> FloatArray:
+        # Not the extremes: of noisy samples they are too large.
+        half = np.array([0.5 * np.subtract(*np.quantile(force[a:b], (0.98, 0.02))) for a, b in spans])
+        return np.asarray(100 * energy_J / (2 * np.pi * half * energy.amplitude_mm))
+
+    return CycleShape(
+        run.number,
+        np.array([f[a:b].max() for a, b in spans]),
+        np.array([f[a:b].min() for a, b in spans]),
+        np.array([plateau(a, b, 1) for a, b in spans]),
+        np.array([plateau(a, b, -1) for a, b in spans]),
+        damping(energy.measured_J, f),
+        damping(energy.median_J, median_kN),
+    )
+
+
 def whole_spans(marks: FloatArray) -> list[tuple[int, int]]:
     """Sample ranges of the cycles, first included, last excluded."""
     whole = np.round(marks).astype(int)
@@ -218,38 +274,3 @@ def degradation(device: DeviceData) -> tuple[Degradation, ...]:
         q05, q50, q95 = (float(v) for v in np.quantile(loss, LEVELS))
         out.append(Degradation(run.number, loss, q05, q50, q95))
     return tuple(out)
-
-
-def rank_shares(draws: FloatArray, n_effective: float, n_bins: int = 20) -> tuple[FloatArray, float]:
-    """Rank histogram of each ensemble.
-
-    Parameters
-    ----------
-    draws : array, shape (n_ensembles, n_draws)
-        One parameter.
-    n_effective : float
-        Effective sample size of all ensembles together.
-    n_bins : int
-        Bins.
-
-    Returns
-    -------
-    shares : array, shape (n_ensembles, n_bins)
-        1 where an ensemble has exactly its fair share of those ranks.
-    margin : float
-        Three standard deviations of a share if the ensembles agree.
-    """
-    n_ensembles, n_draws = draws.shape
-    ranks = np.argsort(np.argsort(draws, axis=None, kind="stable"), kind="stable").reshape(draws.shape)
-    index = ranks * n_bins // draws.size
-    counts = np.stack([np.bincount(row, minlength=n_bins) for row in index])
-    # Neighbouring draws resemble each other, so the scatter is that of the effective number, not of all draws.
-    expected = max(n_effective, 1.0) / n_ensembles / n_bins
-    return counts * n_bins / n_draws, float(3 * np.sqrt((1 - 1 / n_bins) / expected))
-
-
-def steps_of(draws: FloatArray, n_walkers: int) -> FloatArray:
-    """Mean over the walkers at each stored step, shape (n_ensembles, n_steps)."""
-    n_ensembles, n_draws = draws.shape
-    n_steps = n_draws // n_walkers
-    return np.asarray(draws[:, : n_steps * n_walkers].reshape(n_ensembles, n_steps, n_walkers).mean(axis=2))

@@ -14,7 +14,7 @@ import jinja2
 from markupsafe import Markup
 
 import shj_bayes
-from shj_bayes.files import write_text
+from shj_bayes._util.files import write_text
 
 PAGE = "report.html"
 TABLES, LOOPS = ("sheet", "tables"), ("sheet", "tables", "loops")  # scripts of a page, in the order they run

@@ -20,12 +20,13 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.binned import StrokeProfile, features, noise_means, repeating_labels, residual, stroke_profiles
 from shj_bayes.report.data import DeviceData
 from shj_bayes.report.numbers import cycle_marks
+from shj_bayes.report.words import LONG_MEMORY
 
 N_FLIPS = 1999
 MIN_CYCLES = 8  # fewer cycles cannot reach a p value below 1 %
 LEVEL = 0.01  # of each look; both together raise a false alarm for about 3 devices in 100 (tests/report)
-# Of the typical cycle. Against the shortest one (3.7 s in Table 1) ordinary noise of phi 0.7 at 5 Hz was called misfit.
-LONG_MEMORY = 0.2
+FEWEST_CYCLES = 3  # what comes again twice may be shape; what is there once or twice may be chance
+POOR_PERCENT = 5.0  # of Fy: more than nominally identical devices differ by
 LARGE_SLOW = 0.02  # of Fy: a load cell's own drift stays below
 
 
@@ -88,6 +89,10 @@ class Structure:
         How large the residual is.
     largest : Place
         Where it stands out most.
+    n_cycles : int
+        Full cycles of all runs.
+    unexplained_percent : float
+        Root mean square of the residual beyond the scatter from one sample to the next, per cent of the sliding force.
     """
 
     p_noise: float
@@ -97,6 +102,22 @@ class Structure:
     independent_noise: bool
     size: Size
     largest: Place
+    n_cycles: int
+    unexplained_percent: float
+
+    @property
+    def grade(self) -> str:
+        """Of the model: ``good``, ``fair``, ``poor``, or ``undecided`` where there are too few cycles to say."""
+        if self.n_cycles < FEWEST_CYCLES:
+            return "undecided"
+        if self.unexplained_percent > POOR_PERCENT:
+            return "poor"
+        return "fair" if self.structured else "good"
+
+    @property
+    def least_cycles(self) -> int:
+        """Full cycles that a verdict on the model needs."""
+        return FEWEST_CYCLES
 
     @property
     def absorbed(self) -> bool:
@@ -152,7 +173,15 @@ def structure(device: DeviceData, *, seed: int = 0) -> Structure:
         independent_noise=independent,
         size=_sizes(device),
         largest=_largest(device),
+        n_cycles=sum(max(0, cycle_marks(run).size - 1) for run in device.runs),
+        unexplained_percent=_unexplained(device),
     )
+
+
+def _unexplained(device: DeviceData) -> float:
+    """Residual that neighbouring samples share, root mean square in per cent of the sliding force."""
+    size, capacity = _sizes(device), abs(float(np.median(device.draws["Fy"])))
+    return 100.0 * float(np.sqrt(max(size.rms_kN**2 - size.short_kN**2, 0.0))) / max(capacity, 1e-12)
 
 
 def _share_above(reference: FloatArray, seen: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from itertools import combinations
 from typing import Any
@@ -109,14 +109,18 @@ def set_bands(
     for quantity in SHOWN:
         rows = table[table["quantity"] == quantity].to_dict("records")
         if rows:
-            out[quantity] = tuple(_band(row, groups.get(str(row["set"])), intervals or {}) for row in rows)
+            out[quantity] = tuple(
+                _band(row, groups.get(str(row["set"])), intervals or {}, result.other_priors) for row in rows
+            )
     return out
 
 
 def _band(
-    row: Mapping[Any, Any], group: DeviceSet | None, intervals: Mapping[tuple[str, str], Mapping[str, Interval]]
+    row: Mapping[Any, Any],
+    group: DeviceSet | None,
+    intervals: Mapping[tuple[str, str], Mapping[str, Interval]],
+    priors: Iterable[str],
 ) -> SetBand:
-    labels = [str(key)[4:] for key in row if str(key).startswith("q05_")]
     quantity = str(row["quantity"])
     devices = []
     for index, name in enumerate(group.devices if group else ()):
@@ -131,7 +135,7 @@ def _band(
         quantity,
         str(row["unit"]),
         (float(row["q05"]), float(row["q50"]), float(row["q95"])),
-        {label: (float(row[f"q05_{label}"]), float(row[f"q95_{label}"])) for label in labels},
+        {label: (float(row[f"q05_{label}"]), float(row[f"q95_{label}"])) for label in priors},
         tuple(devices),
     )
 

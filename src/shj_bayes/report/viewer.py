@@ -14,6 +14,7 @@ from shj_bayes.report import numbers as n
 from shj_bayes.report.data import DeviceData, IntArray
 from shj_bayes.report.device_numbers import Numbers
 from shj_bayes.report.diagnosis_data import DiagnosisData
+from shj_bayes.report.force_unit import force_unit
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
 MOST = 6  # runs that can be looked into
@@ -32,23 +33,24 @@ def device_viewer(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     -------
     dict
         ``runs`` (whole numbers by channel, ``cycles`` as places in them, ``every`` how they were thinned), ``scale``
-        (s, mm and kN of one step), ``names`` of what is drawn, ``ink`` of the only law ("base" as on a
-        diagnosis page, or "model"), ``cycle`` to show first.
+        (s, mm and force of one step), ``unit`` of the force, ``names`` of what is drawn, ``ink`` of the only law
+        ("base" as on a diagnosis page, or "model"), ``cycle`` to show first.
     """
-    runs = []
+    runs, unit = [], force_unit(device.record)
     shown = list(zip(device.runs, numbers.bands, strict=True))[:MOST]
     for run, band in shown:
         marks = np.round(n.cycle_marks(run)).astype(np.int64)
         channels = {
             "t": run.time_s,
             "x": run.displacement_mm,
-            "measured": run.force_kN,
-            "before": band.median,
-            "low": band.force_low,
-            "high": band.force_high,
+            "measured": unit.factor * run.force_kN,
+            "before": unit.factor * band.median,
+            "low": unit.factor * band.force_low,
+            "high": unit.factor * band.force_high,
         }
         runs.append(_run(f"run {run.number}", channels, marks, run.reversals, MAX_POINTS // len(shown)))
-    return _whole(runs, {"before": "model", "after": "", "band": "90 % of points expected"})
+    whole = _whole(runs, {"before": "model", "after": "", "band": "90 % of points expected"})
+    return whole | {"unit": unit.name}
 
 
 def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
@@ -58,8 +60,8 @@ def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
     runs = []
     for run in which:
         mine = c.run == run
-        edges = np.flatnonzero(np.diff(c.block[mine])) + 1
-        cycles = np.concatenate([[0], edges, [int(mine.sum())]])
+        turns = np.flatnonzero(np.diff(c.direction[mine])) + 1
+        cycles = np.concatenate([[0], turns[::2], [int(mine.sum())]])  # whole loops, from one end of the stroke
         channels = {
             "t": c.time_s[mine],
             "x": c.position_mm[mine],
@@ -68,7 +70,6 @@ def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
         }
         if c.changed:
             channels["after"] = c.after_kN[mine]
-        turns = np.flatnonzero(np.diff(c.direction[mine])) + 1
         runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
     return _whole(runs, {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}, "base")
 

@@ -4,14 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from shj_bayes.report.residuals import LONG_MEMORY, Structure
+if TYPE_CHECKING:
+    from shj_bayes.report.residuals import Structure
 
-VERDICTS = {
-    "reliable": "The calculation has finished: independent searches agree, so the intervals below can be quoted.",
-    "tentative": "The calculation has not quite finished: take the intervals below as a first look, and run it longer.",
-    "unusable": "The calculation failed: do not use the numbers below.",
+# Of the typical cycle. Against the shortest one (3.7 s in Table 1) ordinary noise of phi 0.7 at 5 Hz was called misfit.
+LONG_MEMORY = 0.2
+
+# Of the calculation alone: word of the badge, class of its colour, sentence.
+CONVERGENCE = {
+    "reliable": ("converged", "reliable", "The independent ensembles agree."),
+    "tentative": ("not quite converged", "tentative", "Take the intervals as a first look, and run it longer."),
+    "unusable": ("not converged", "unusable", "The independent ensembles disagree: do not use the numbers below."),
+}
+# Of the model: word of the badge, class of its colour.
+FIT = {
+    "good": ("good fit", "reliable"),
+    "fair": ("fair fit", "tentative"),
+    "poor": ("poor fit", "unusable"),
+    "undecided": ("fit undecided", "tentative"),
+}
+_DETERMINES = {
+    "K": "small cycles, or more samples where the force turns",
+    "Fy": "cycles long enough to slide",
+    "beta": "more samples where sliding begins",
+    "gamma": "cycles of one stroke at clearly different speeds",
+    "ratio": "a second run over the same strokes",
 }
 SEVERITIES = {
     "unusable": "must not be used",
@@ -83,30 +102,77 @@ def alias_words(peak_mm_s: float | None) -> str:
     )
 
 
-def residual_headline(s: Structure) -> str:
-    """One sentence: does the model describe this device."""
-    size = f"{abs(s.largest.mean_kN):.2g} kN ({100 * s.largest.share:.1f} % of the sliding force) {s.largest.where}"
-    if s.seen:
-        return f"The model leaves something out: the residual is structured, up to {size}, more than noise explains."
-    if s.absorbed:
+def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0) -> str:
+    """Say what the recordings do not tell of a parameter.
+
+    Parameters
+    ----------
+    finding : mapping
+        Of ``remarks`` in ``fit.json``.
+    unit : str
+        Of the numbers shown, empty for none.
+    factor : float
+        To that unit.
+    """
+    name = str(finding["parameter"])
+    low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
+    unit = "" if unit in ("", "1") else f" {unit}"
+    if finding["kind"] == "undetermined":
+        wanted = _DETERMINES.get(name.partition("_")[0])
         return (
-            "The model probably leaves something out: what remains is too slow to be noise, and the noise term of the "
-            f"model has taken it up (mean residual up to {size})."
+            f"{name} is not determined by this recording: it may lie almost anywhere in its prior, {low} to {high}"
+            f"{unit} (90 %)" + (f"; {wanted} would tell." if wanted else ".")
         )
+    return (
+        f"{name} is {short(factor * float(finding['q50']))}{unit}, which the prior holds nearly impossible ({low} to "
+        f"{high}{unit}, 90 %): the result is drawn towards it. Check the units (--units), or give priors for this kind "
+        "of device (--priors general, or a file of your own)."
+    )
+
+
+def fit_words(s: Structure) -> str:
+    """How much of the force the model leaves unexplained."""
+    if s.grade == "undecided":
+        return f"{s.unexplained_percent:.2g} % of Fy unexplained, {s.n_cycles} full cycle{'s' * (s.n_cycles != 1)}"
+    return f"{s.unexplained_percent:.2g} % of Fy unexplained"
+
+
+def residual_headline(s: Structure, unit: str = "kN", factor: float = 1.0) -> str:
+    """One sentence: does the model describe this device."""
+    if s.grade == "undecided":
+        return (
+            f"Too few cycles to say whether the model describes this device ({s.n_cycles} full cycles, "
+            f"{s.least_cycles} are needed); it leaves {s.unexplained_percent:.2g} % of the sliding force unexplained."
+        )
+    if s.seen:
+        return f"The model leaves something out: the residuals are structured, {in_a_cell(s, unit, factor)}"
+    if s.absorbed:
+        return f"The model probably leaves something out: {in_a_cell(s, unit, factor)}"
     if s.unmodelled_correlation:
         return (
             "The noise was taken as independent from sample to sample, and it is not: the intervals are too narrow. "
             "Fit again with the default noise model."
         )
-    return "Nothing beyond noise is seen in what the model leaves over."
+    if s.grade != "good":
+        return (
+            f"The residuals look like noise, but they are large: {s.unexplained_percent:.2g} % of the sliding force is "
+            "unexplained."
+        )
+    return "Nothing beyond noise is seen in the residuals."
 
 
-def in_a_cell(structured: bool, headline: str) -> str:
-    """Shorten `residual_headline` to what a cell of a table has room for."""
-    if not structured:
-        return "nothing beyond noise"
-    head, _, rest = headline.partition(": ")
-    return rest.removeprefix("the residual is structured, ") if head.startswith("The model") else headline
+def in_a_cell(s: Structure, unit: str = "kN", factor: float = 1.0) -> str:
+    """Say the same as `residual_headline`, as far as a cell of a table has room for it."""
+    force = f"{factor * abs(s.largest.mean_kN):.2g} {unit}"
+    size = f"{force} ({100 * s.largest.share:.1f} % of the sliding force) {s.largest.where}"
+    if s.seen and s.grade != "undecided":
+        return f"up to {size}, more than noise explains."
+    if s.absorbed and s.grade != "undecided":
+        return (
+            "what remains is too slow to be noise, and the noise term of the model has taken it up (mean residual up "
+            f"to {size})."
+        )
+    return "nothing beyond noise" if s.grade == "good" else residual_headline(s, unit, factor)
 
 
 def band_words(s: Structure) -> str:
@@ -119,15 +185,15 @@ def band_words(s: Structure) -> str:
     return "Points that leave the band over a stretch, cycle after cycle, are what the model does not describe."
 
 
-def residual_details(s: Structure) -> list[str]:
+def residual_details(s: Structure, unit: str = "kN", factor: float = 1.0) -> list[str]:
     """How that was found, one or two sentences for each look."""
     out = [
         f"Against noise: of residuals made of the fitted noise alone, {_share(s.p_noise)} are as structured as the "
         "measured one over stroke, distance since reversal and time.",
         _repeat_words(s),
         *([] if s.independent_noise else [_memory_words(s)]),
-        f"Size: the residual is {short(s.size.rms_kN)} kN in root mean square; from one sample to the next it scatters "
-        f"by {short(s.size.short_kN)} kN.",
+        f"Size: the residuals are {short(factor * s.size.rms_kN)} {unit} in root mean square; from one sample to the "
+        f"next they scatter by {short(factor * s.size.short_kN)} {unit}.",
     ]
     if s.size.rms_kN > 5 * s.size.short_kN:
         out[-1] += " It changes far more slowly than the instruments scatter, so most of it is not their noise."

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import matplotlib as mpl
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 
 from shj_bayes.errors import InferenceError
+from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
@@ -60,13 +62,13 @@ def test_summary_has_the_columns_of_the_interface(fitted: Fitted) -> None:
 
 def test_record_says_where_everything_comes_from(fitted: Fitted) -> None:
     result, folder = fitted
-    record = store.read_record(folder)
+    record = record_file.read_record(folder)
     assert record == json.loads(json.dumps(result.record))
-    assert record["schema"] == store.SCHEMA
+    assert record["schema"] == record_file.SCHEMA
     assert record["verdict"] == result.verdict.word == judge(result.figures).word
     assert record["reasons"] == list(result.verdict.reasons)
     assert (record["seed"], record["key"], record["device"]) == (3, "abc", "small")
-    assert record["versions"]["emcee"] >= "3.1.6"
+    assert {name: record["versions"][name] for name in store.PACKAGES} == {n: version(n) for n in store.PACKAGES}
     assert [entry["name"] for entry in record["inputs"]] == ["simulated-run1", "simulated-run2"]
     assert [law["name"] for law in record["prior_laws"]] == list(result.posterior.names)
     assert all(law["source"] for law in record["prior_laws"])
@@ -87,12 +89,12 @@ def test_groups_read_back_as_they_were_made(fitted: Fitted) -> None:
         assert {"meaning", "inference_library_version", "creation_library_version"} <= set(back[group].attrs)
     assert list(back["posterior"].data_vars) == list(result.posterior.names)
     assert back["posterior"].sizes["chain"] == 4
-    assert back.attrs["schema"] == store.SCHEMA
-    record = store.read_record(folder)
+    assert back.attrs["schema"] == record_file.SCHEMA
+    record = record_file.read_record(folder)
     without = {key: value for key, value in record.items() if key not in ("files", "digest")}
     assert json.loads(back.attrs["provenance"]) == without
     for group in ("posterior", "constant_data"):
-        for name, array in store.read_group(folder, group).items():
+        for name, array in record_file.read_group(folder, group).items():
             assert np.array_equal(array, back[group][name].to_numpy()), name
 
 
@@ -357,13 +359,13 @@ def test_results_that_cannot_be_read(tmp_path: Path, text: str | None, message: 
     if text is not None:
         (tmp_path / "fit.json").write_text(text, encoding="utf-8")
     with pytest.raises(InferenceError, match=re.escape(message)):
-        store.read_record(tmp_path)
+        record_file.read_record(tmp_path)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not a netCDF file at all"])
 def test_posteriors_that_cannot_be_read(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / "posterior.nc").write_bytes(content)
-    for read in (store.read_posterior, lambda folder: store.read_group(folder, "posterior")):
+    for read in (store.read_posterior, lambda folder: record_file.read_group(folder, "posterior")):
         with pytest.raises(InferenceError, match=r"posterior\.nc in .* cannot be read .*; run the fit again"):
             read(tmp_path)

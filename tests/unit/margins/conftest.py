@@ -3,6 +3,9 @@ from dataclasses import replace
 import pytest
 from made_devices import table_device
 
+from shj_bayes.margins.sheet import pool
+from shj_bayes.margins.specimen import specimens_of_table
+from shj_bayes.margins.trial import try_all
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.tested import PUBLISHED
@@ -27,3 +30,22 @@ def devices():
 @pytest.fixture(scope="session")
 def population():
     return replace(fit_population(DEVICES, seed=3), tested=PUBLISHED)
+
+
+@pytest.fixture(scope="session")
+def trials(population):
+    return try_all(specimens_of_table(population), None)
+
+
+@pytest.fixture(scope="session")
+def design(trials, population):
+    return pool(trials, population)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _fewer_draws():
+    """Sheets are made many times here; what is asked of them does not hang on the number of draws."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr("shj_bayes.population.hierarchy._BRIEF", {"n_warm": 60, "n_keep": 150, "thin": 1})
+    yield
+    patch.undo()

@@ -1,14 +1,22 @@
 """The commands on a written population: margins, export, compare."""
 
 import json
+import math
 import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from shj_bayes.cli import main
+from shj_bayes.design import margin_text
+from shj_bayes.margins.request import Request
+from shj_bayes.margins.row import LOW
+from shj_bayes.margins.sheet import margins
 from shj_bayes.population.results import write_population
 from shj_bayes.population.selectors import is_bare
+from shj_bayes.report.margins_numbers import digits, factor_table
 
 LABEL = "=cmd|'<b>"
 
@@ -25,12 +33,13 @@ def run(*arguments):
 
 
 def test_margins_prints_a_table_and_writes_the_sheet(folder):
-    done = run("margins", folder, "--set", "Zinc 70", "--amplitude", 48)
+    done = run("margins", folder, "--set", "Zinc 70", "--amplitude", 48, "--cycles", 2)
     assert done.exit_code == 0, done.output
     assert "Zinc 70: 2 devices" in done.output
     assert "corroded" not in done.output.split("\n- ")[0]
     page = (folder / "margins.html").read_text(encoding="utf-8")
-    assert "<strong>48 mm</strong>" in page
+    assert "<strong>2 cycles of 48 mm at a peak speed of 10" in page
+    assert "for drift and displacement" in done.output
     assert "by 11 for dep = +30" in page
     assert "by -9 for dep = -30" in page
     assert "In 500 simulated campaigns" in page
@@ -119,3 +128,39 @@ def test_a_folder_without_a_population_says_what_to_run(tmp_path):
         done = run(*command)
         assert done.exit_code == 1
         assert "shj-bayes tables" in done.output
+
+
+def test_a_missing_factor_is_told_by_its_value_not_by_a_dash(design, trials):
+    sheet = margins(design, trials)
+    rows = [replace(row, set_name="Zinc  -  70 -") if row.set_name == "Zinc 70" else row for row in sheet.rows]
+    known = [replace(row, value=50.0) if row.method == "EN 1990" else row for row in rows]
+    asked = Request(sets=("Zinc  -  70 -",))
+    assert "has no factor" not in margin_text(replace(sheet, rows=tuple(known)), asked)
+    lacks = [
+        replace(row, value=math.nan) if row.method == "EN 1990" and row.quantity == "third" else row for row in known
+    ]
+    assert margin_text(replace(sheet, rows=tuple(lacks)), asked).count("has no factor") == 1
+
+
+def test_bounds_are_shown_for_the_class_that_was_asked_for(design, trials):
+    third = Request(importance="III", sets=("Zinc 70",))
+    sheet = margins(design, trials, third)
+    bound = sheet.get("Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW)
+    assert f"EN 15129 {bound.value:.3g} to" in margin_text(sheet, third)
+    assert "EN 15129 - to - kN" in margin_text(sheet, replace(third, importance="I"))
+    cells = next(row["cells"] for row in factor_table(sheet, "III") if row["name"] == "Zinc 70")
+    assert cells[11][0] == digits(bound.value)
+
+
+def test_a_history_of_ones_own_is_driven_through(folder, tmp_path):
+    path = tmp_path / "drift.csv"
+    time = np.linspace(0.0, 120.0, 400)
+    drift = 60.0 * np.sin(2 * np.pi * 0.025 * time) * np.minimum(1.0, time / 60.0)
+    path.write_text("time,drift\n" + "\n".join(f"{t},{x}" for t, x in zip(time, drift, strict=True)), encoding="utf-8")
+    done = run("margins", folder, "--history", path)
+    assert done.exit_code == 0, done.output
+    record = json.loads((folder / "margins.json").read_text(encoding="utf-8"))
+    assert record["history"] == "the history of drift.csv"
+    assert run("margins", folder, "--history", path, "--cycles", 3).exit_code == 1
+    path.write_text("nothing\n", encoding="utf-8")
+    assert "two columns" in run("margins", folder, "--history", path).output

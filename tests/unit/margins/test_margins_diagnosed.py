@@ -1,17 +1,9 @@
 import json
-from dataclasses import replace
 
 import pytest
 
-from shj_bayes.inference.store import KINDS, SCHEMA
-from shj_bayes.margins.diagnosed import LAW_ALONE, Diagnosed, cases, find_diagnosis, stated
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE
-from shj_bayes.margins.sheet import margins
-from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.tested import PUBLISHED
-
-BEFORE = {"gamma": (-0.01, 0.002), "Fy": (92.0, 1.0), "ratio": (0.75, 0.01)}
-AFTER = {"gamma": (0.0, 0.002), "Fy": (96.0, 1.0), "ratio": (0.7, 0.01)}
+from shj_bayes.inference.record import KINDS, SCHEMA
+from shj_bayes.margins.diagnosed import Diagnosed, find_diagnosis, words_of
 
 
 def write(folder, **change):
@@ -22,11 +14,9 @@ def write(folder, **change):
         "verdict": "named",
         "effects": [{"id": "prying", "title": "Prying"}],
         "family": [],
-        "shift": {q: {"before": {"mean": 1, "sd": 1}, "after": {"mean": m, "sd": s}} for q, (m, s) in AFTER.items()},
         "quick": False,
         "inputs": inputs,
     }
-    record["shift"]["slack.size"] = record["shift"]["ratio"]  # not a quantity that is pooled
     (folder / "diagnosis.json").write_text(json.dumps({**record, **change}), encoding="utf-8")
     return inputs
 
@@ -46,8 +36,9 @@ def test_a_diagnosis_is_found_beside_the_fit_or_below_it(fitted):
     assert (found.verdict, found.found, why) == ("family", ("prying", "velocity"), "")
     write(fitted)
     found, _ = find_diagnosis(fitted)
-    assert (found.verdict, found.found, dict(found.after)) == ("named", ("Prying",), AFTER)
-    assert dict(found.before) == dict.fromkeys(AFTER, (1.0, 1.0))
+    assert (found.verdict, found.found, found.fit) == ("named", ("Prying",), fitted)
+    write(fitted, quick=True)
+    assert find_diagnosis(fitted)[0].fit is None
 
 
 @pytest.mark.parametrize(
@@ -56,7 +47,7 @@ def test_a_diagnosis_is_found_beside_the_fit_or_below_it(fitted):
         ({"inputs": [{"sha256": "11"}]}, "of other recordings"),
         ({"schema": "else"}, "has the schema 'else'"),
         ({"verdict": "perhaps"}, "cannot be read"),
-        ({"shift": None}, "cannot be read"),
+        ({"effects": None}, "cannot be read"),
     ],
 )
 def test_a_diagnosis_that_does_not_belong_is_left_out_and_said(fitted, change, words):
@@ -66,46 +57,11 @@ def test_a_diagnosis_that_does_not_belong_is_left_out_and_said(fitted, change, w
     assert words in why
 
 
-def test_the_augmented_model_replaces_what_it_gives(devices):
-    changed = stated(devices[0], AFTER)
-    assert changed.point("gamma") == 0.0
-    assert changed.error("gamma") == pytest.approx(0.002)
-    assert changed.point("K") == devices[0].point("K")
-    assert changed.error("Fy") == pytest.approx(1 / 96)
-
-
-def test_every_finding_keeps_the_law_alone_beside_it(devices):
+def test_what_was_found_is_said_device_by_device(tmp_path):
     key = ("Zinc 70", "1")
-    nothing = cases(devices, {key: Diagnosed("adequate", (), BEFORE, AFTER)})
-    assert nothing.devices == ()
-    assert nothing.words[0].startswith("1 of 5 devices have a diagnosis")
-    assert cases(devices, {}, ["y: not used"]).words[0].startswith("No device has a diagnosis")
-    named = cases(devices, {key: Diagnosed("named", ("Prying",), BEFORE, AFTER)})
-    assert "the less favourable with and without it" in named.words[0]
-    both = cases(devices, {key: Diagnosed("family", ("prying", "velocity"), BEFORE, AFTER)}, ["y: not used"])
-    for found in (named, both):
-        assert [label for label, _ in found.devices] == ["with the physics found", LAW_ALONE]
-        assert found.devices[0][1][0].point("gamma") == 0.0
-        assert found.devices[1][1][0].point("gamma") == BEFORE["gamma"][0]
-    assert "not told apart" in both.words[0]
-    assert both.words[-1] == "y: not used"
-    others = cases(devices, {("Zinc 70 corroded", "1"): Diagnosed("named", ("Prying",), BEFORE, AFTER)})
-    assert others.devices[0][1][0].point("gamma") == devices[0].point("gamma")  # same name, other set
-
-
-def test_margins_are_the_least_favourable_with_the_law_alone_beside(devices, population):
-    found = {("Zinc 70", key): Diagnosed("unknown", (), BEFORE, AFTER) for key in "12"}
-    models = cases(devices, found)
-    fitted = {label: replace(fit_population(d, seed=3), tested=PUBLISHED) for label, d in models.devices}
-    sheet = margins(population, diagnosed=fitted, words=models.words)
-    parts = [margins(model) for model in fitted.values()]
-    alone = margins(fitted[LAW_ALONE])
-    for side, level, pick in ((LOW, 5, min), (HIGH, 95, max)):
-        key = ("Zinc 70", "force", f"new device, {level} %", side)
-        row = sheet.get(*key)
-        assert row.value == pytest.approx(pick(part.get(*key).value for part in parts))
-        assert row.without_diagnosis == pytest.approx(alone.get(*key).value)
-        assert "the less favourable of" in row.note
-    middle = sheet.get("Zinc 70", "force", "new device, 50 %", MIDDLE)
-    assert parts[0].get(*middle.key).value != pytest.approx(parts[1].get(*middle.key).value, rel=0.01)
-    assert sheet.models == ("with the physics found", LAW_ALONE)
+    assert words_of({}, 5, ["y: not used"]) == (words_of({}, 5)[0], "y: not used")
+    assert words_of({}, 5)[0].startswith("No device has a diagnosis")
+    assert words_of({key: Diagnosed("adequate", (), tmp_path)}, 5)[0].startswith("1 of 5 devices have a diagnosis")
+    assert words_of({key: Diagnosed("named", ("Prying",), tmp_path)}, 5)[0] == "Zinc 70, 1: Prying"
+    assert "not told apart" in words_of({key: Diagnosed("family", ("prying", "velocity"), tmp_path)}, 5)[0]
+    assert "without a posterior" in words_of({key: Diagnosed("unknown", ())}, 5)[0]

@@ -152,9 +152,17 @@ def test_unknown_parameters_are_named(name: str) -> None:
         describe(name)
 
 
-@pytest.mark.parametrize("name", ["slack.width", "slak.size", "K.size"])
-def test_unknown_parameters_of_effects_are_named(name: str) -> None:
-    with pytest.raises(ModelError, match=re.escape(f"'{name}' is not a parameter of an effect of the catalogue")):
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("slack.width", "'slack.width' is not a parameter of an effect of the catalogue"),
+        ("capacity_over_travel_50_10.size", "'capacity_over_travel_50_10.size' is not a parameter of an effect"),
+        ("slak.size", "'slak' is not an effect; known are"),
+        ("K.size", "'K' is not an effect; known are"),
+    ],
+)
+def test_unknown_parameters_of_effects_are_named(name: str, message: str) -> None:
+    with pytest.raises(ModelError, match=re.escape(message)):
         meaning_of(name)
 
 

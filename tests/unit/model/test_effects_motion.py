@@ -125,7 +125,7 @@ def by_bisection(turning: list[float], x: np.ndarray, half: np.ndarray, base: Ba
     return out
 
 
-@pytest.mark.parametrize(("smooth", "variant"), [(0.0, "seed"), (1.0, "continuous")])
+@pytest.mark.parametrize(("smooth", "variant"), [(0.0, "published"), (1.0, "continuous")])
 @pytest.mark.parametrize("softness", [0.05, 0.9])
 def test_a_frame_and_a_clearance_together_agree_with_bisection(smooth: float, variant: str, softness: float):
     """With stops inside the clearance and reversals under load; strong compliance, where steps could jump the gap."""

@@ -9,7 +9,7 @@ from scipy import stats
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model, noise_models
-from shj_bayes.model.noise.filter import Timing, log_density, simulate
+from shj_bayes.model.noise.filter import Timing, log_density, simulate, whiten
 from shj_bayes.model.noise.noise import Noise, gaussian
 
 STEP = 0.05
@@ -181,6 +181,38 @@ def test_student_with_many_degrees_of_freedom_is_gaussian() -> None:
     values = CASES["white and slow"][1]
     gauss = total("slow", values, residual, 0 * residual, timing())
     assert total("student", values | {"nu": 1e7}, residual, 0 * residual, timing()) == pytest.approx(gauss, rel=1e-5)
+
+
+@every_case
+@pytest.mark.parametrize("noise_mm", [0.0, 0.02])
+def test_whitening_is_the_root_of_the_covariance(case: str, noise_mm: float) -> None:
+    """Over gaps and new beginnings: solving with the lower Cholesky factor, which is what is new in each block."""
+    word, values, of_lag, white = CASES[case]
+    rng = np.random.default_rng(12)
+    columns, slope = rng.normal(0, 2, (len(COUNTS), 3)), rng.uniform(-15, 15, len(COUNTS))
+    own = slope**2 * noise_mm**2 / np.array(COUNTS)
+    if noise_mm:  # the error of a turning point counts as independent from block to block
+        own += np.repeat(np.square(TURNS), np.diff(HALVES)) * slope**2
+    matrix = covariance(of_lag, white) + np.diag(own)
+    when = timing(noise_mm=noise_mm, turning_mm=TURNS if noise_mm else None)
+    got, log_det = whiten(noise_model(word), values, columns, slope, when)
+    np.testing.assert_allclose(got, np.linalg.solve(np.linalg.cholesky(matrix), columns), rtol=1e-7, atol=1e-9)
+    assert log_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-8)
+
+
+def test_whitening_passes_over_blocks_without_samples() -> None:
+    word, values, of_lag, white = CASES["white and slow"]
+    columns = np.random.default_rng(13).normal(0, 2, (len(COUNTS), 2))
+    gaps, kept = list(GAPS), [i for i in range(len(COUNTS)) if i != 5]
+    gaps[6] += GAPS[5] + 19 * STEP
+    full = timing(gaps=gaps)
+    kind = full.kind.copy()
+    kind[5] = -1
+    gone = Timing(kind, full.kinds, full.half, STEP, 0.0, full.turning_noise_mm)
+    got, log_det = whiten(noise_model(word), values, columns, np.zeros(len(COUNTS)), gone)
+    matrix = covariance(of_lag, white, [COUNTS[i] for i in kept], [gaps[i] for i in kept])
+    np.testing.assert_allclose(got, np.linalg.solve(np.linalg.cholesky(matrix), columns[kept]), rtol=1e-8)
+    assert log_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-8)
 
 
 @every_case

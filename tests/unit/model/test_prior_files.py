@@ -9,10 +9,10 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import PriorError
 from shj_bayes.model.parameters import BASE
 from shj_bayes.model.priors import LAWS, SCHEMA, Prior, read_priors, shipped_families
-from shj_bayes.resources import shipped
 
 EXAMPLES = [
     Prior("gamma", "s/mm", "normal", 0.0, 0.02, "test"),

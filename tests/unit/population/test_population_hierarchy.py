@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.inference.convergence import ess_bulk, r_hat
+from shj_bayes.inference.ranks import ess_bulk, rhat
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.hierarchy import fit_population, fit_quantity
 from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded
@@ -216,7 +216,7 @@ def test_a_negative_seed_and_an_empty_quantity_are_refused():
 
 def test_chain_diagnostics_on_chains_of_known_kind(rng):
     independent = rng.standard_normal((4, 4000))
-    assert r_hat(independent) == pytest.approx(1.0, abs=0.003)
+    assert rhat(independent) == pytest.approx(1.0, abs=0.003)
     assert ess_bulk(independent) == pytest.approx(16_000, rel=0.1)
     slow = np.empty_like(independent)
     slow[:, 0] = independent[:, 0]
@@ -224,4 +224,4 @@ def test_chain_diagnostics_on_chains_of_known_kind(rng):
         slow[:, i] = 0.9 * slow[:, i - 1] + np.sqrt(1 - 0.81) * independent[:, i]
     assert ess_bulk(slow) == pytest.approx(16_000 * 0.1 / 1.9, rel=0.25)
     apart = independent + np.array([0, 0, 0, 2.0])[:, None]
-    assert r_hat(apart) > 1.2
+    assert rhat(apart) > 1.2

@@ -7,22 +7,14 @@ from scipy import stats
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import force_of_laws
-from shj_bayes.population import (
-    ANY_SET,
-    compare,
-    fit_population,
-    how_wide,
-    load_population,
-    loop_band,
-    new_device,
-    new_device_table,
-    to_tables,
-    write_population,
-)
+from shj_bayes.population.compare import compare
 from shj_bayes.population.device import DeviceEstimate
+from shj_bayes.population.hierarchy import fit_population
+from shj_bayes.population.loops import loop_band
 from shj_bayes.population.measurement import Rounded
-from shj_bayes.population.predict import NewDevice, dep_words
-from shj_bayes.population.results import safe_cell
+from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.predict import NewDevice, dep_words, how_wide, new_device, new_device_table
+from shj_bayes.population.results import load_population, safe_cell, to_tables, write_population
 
 ALKYD = "=cmd|' /C calc'!A0"
 

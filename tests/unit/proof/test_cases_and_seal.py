@@ -9,9 +9,10 @@ import pytest
 
 from shj_bayes.errors import ModelError, ProofError
 from shj_bayes.proof import seal
-from shj_bayes.proof.cases import Key, canonical, draw_keys
+from shj_bayes.proof.cases import KINDS, Key, canonical, development_keys, draw_keys
 from shj_bayes.proof.make import make
 from shj_bayes.proof.run import write_recordings
+from shj_bayes.proof.simulators.simulator import simulators_by_id
 
 SEED = 31  # of development
 
@@ -35,6 +36,35 @@ def test_two_effects_are_never_the_same():
     for key in draw_keys(SEED, 200):
         assert len({one.id for one in key.effects}) == len(key.effects)
         assert len(key.effects) == {"nothing": 0, "one": 1, "outside": 1, "two": 2}[key.kind]
+
+
+def test_two_effects_never_share_a_coordinate():
+    known = simulators_by_id()
+    for key in development_keys(SEED, 100, "two"):
+        first, second = (set(known[one.id].coordinates) for one in key.effects)
+        assert not first & second
+
+
+def test_development_trials_are_the_same_however_many():
+    for kind in KINDS:
+        assert development_keys(SEED, 5, kind) == development_keys(SEED, 12, kind)[:5]
+    assert development_keys(SEED, 3, "one", rate_Hz=5.0)[2].device == development_keys(SEED, 3, "one")[2].device
+
+
+def test_development_takes_the_forms_of_an_effect_in_turn():
+    assert {key.effects[0].id for key in development_keys(SEED, 3, "one", effect="wear")} == {
+        "wear",
+        "wear_saturating",
+        "wear_power",
+    }
+    assert {key.effects[0].id for key in development_keys(SEED, 3, "one", effect="wear_power")} == {"wear_power"}
+    with pytest.raises(ModelError, match="no simulator is 'were'"):
+        development_keys(SEED, 3, "one", effect="were")
+
+
+def test_development_and_proof_have_no_stream_in_common():
+    proof, development = draw_keys(SEED, 30), [key for kind in KINDS for key in development_keys(SEED, 30, kind)]
+    assert not {key.entropy for key in proof} & {key.entropy for key in development}
 
 
 def test_a_key_survives_its_text():

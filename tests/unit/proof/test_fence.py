@@ -92,5 +92,5 @@ def test_the_worker_is_told_nothing_and_answers(tmp_path):
         record = blind.diagnose(paths, intervals=False)
     finally:
         blind.close()
-    assert record["schema"] == "shj-bayes/diagnosis/1"
+    assert record["schema"] == "shj-bayes/diagnosis/2"
     assert not blind.folder.exists()

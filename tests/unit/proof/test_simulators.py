@@ -1,19 +1,23 @@
 """The simulators are physics of their own: checked against closed forms and another integrator, neutral when small."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp, trapezoid
 
+from shj_bayes.errors import ModelError
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.law import force
 from shj_bayes.proof.cases import stated_key
 from shj_bayes.proof.device import Device
 from shj_bayes.proof.make import make
+from shj_bayes.proof.noise import NOISES, force_noise
 from shj_bayes.proof.protocols import Course, course
-from shj_bayes.proof.simulators import bolt, friction, heat
+from shj_bayes.proof.simulators import bolt, forms, friction, heat
 from shj_bayes.proof.simulators.iwan import elements
 from shj_bayes.proof.simulators.mechanism import two_poles
-from shj_bayes.proof.simulators.rig import Acts, Drive, rate_free
+from shj_bayes.proof.simulators.rig import Acts, Drive, drives, rate_free
 from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.recording.protocol import Block, exact_motion
 
@@ -37,6 +41,61 @@ def test_the_iwan_element_follows_equation_1_once_it_has_slid(beta):
     off = np.abs(own - law)[later] / 60.0
     assert np.sqrt(np.mean(off**2)) < 0.005
     assert off.max() < 0.03
+
+
+@pytest.mark.parametrize("beta", [8.0, 100.0])
+def test_the_published_rule_is_equation_1_with_its_jump(beta):
+    device = Device(14.0, 60.0, beta, 0.0, 1.0)
+    blocks = (Block(6.0, 0.05, 2), Block(48.0, 0.03, 2))
+    time, motion = exact_motion(blocks, 100.0)
+    path = Course(time, motion.displacement_mm, 1)
+    drive = Drive(1, path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]))
+    own = rate_free(drive, device, Acts(), 1e6, "published")
+    law = force(motion, K=14.0, Fy=60.0, beta=beta, variant="published")
+    sure = np.ones(time.size, dtype=bool)
+    sure[np.concatenate([motion.start[:-1], motion.start[1:-1] - 1])] = False
+    assert own[sure] == pytest.approx(law[sure], abs=0.02)
+
+
+def test_a_gap_and_a_lever_act_under_both_rules():
+    time, motion = exact_motion((Block(48.0, 0.03, 2),), 400.0)
+    drive = Drive(1, Course(time, motion.displacement_mm, 1), 60.0, np.zeros(time.size), 95.0, float(time[-1]))
+    own = rate_free(drive, DEVICE, Acts(clearance_mm=3.0, lever=0.1), 1e6, "published")
+    back = motion.half_cycle == 2
+    assert np.ptp(motion.displacement_mm[(np.abs(own) < 0.01) & back]) == pytest.approx(3.0, abs=0.1)
+    middle = np.abs(motion.displacement_mm) < 10
+    up, down = own[middle & back].mean(), own[middle & (motion.half_cycle == 1)].mean()
+    assert up / -down == pytest.approx(1.1 / 0.9, rel=0.01)
+
+
+def test_a_rest_is_no_reversal():
+    x = np.concatenate([np.linspace(0, 20, 500), 20 + 1e-9 * np.sin(np.arange(300)), np.linspace(20, 25, 100)])
+    drive = Drive(1, Course(np.arange(x.size) * 0.01, x, 1), 60.0, np.zeros(x.size), 95.0, 10.0)
+    own = rate_free(drive, DEVICE, Acts(), 1e6, "published")
+    assert own[450:] == pytest.approx(60.0, abs=0.01)
+
+
+def test_a_mass_cannot_follow_the_jump():
+    with pytest.raises(ModelError, match="take continuous"):
+        rate_free(
+            drives([course("paper", 5.0, 1)], DEVICE, 95.0, 600.0, 1e3)[0], DEVICE, Acts(mass_t=1.0), 1e3, "published"
+        )
+
+
+@pytest.mark.parametrize("kind", NOISES)
+def test_noise_means_the_same_at_every_rate(kind):
+    """Averages over 2 s scatter alike at 20 and 200 Hz, less the white part; the whole has the stated deviation."""
+    scatter = []
+    for dt in (0.05, 0.005):
+        rng = np.random.default_rng(7)
+        speed = 10.0 * np.abs(np.sin(0.5 * np.arange(round(6000 / dt)) * dt))
+        series = force_noise(kind, speed, dt, 2.0, 3.0, rng)
+        assert series.std() == pytest.approx(2.0, rel=0.1)
+        scatter.append(series.reshape(-1, round(2.0 / dt)).mean(axis=1).std())
+    if kind in ("white", "rounded"):
+        assert scatter[0] / scatter[1] == pytest.approx(np.sqrt(10), rel=0.1)
+    else:
+        assert scatter[0] / scatter[1] == pytest.approx(1.0, abs=0.3)
 
 
 def test_sliders_hold_the_whole_capacity():
@@ -127,9 +186,63 @@ def test_every_effect_of_the_catalogue_has_a_simulator_or_a_reason():
     # frame_compliance is a nuisance that K absorbs; reversal_form is a property of the law, and the diagnosis is told
     # which rule the device follows; velocity needs the base law to be run without it, which would give the key away.
     reasons = {"frame_compliance", "reversal_form", "velocity"}
-    inside = {name for name, one in simulators_by_id().items() if one.inside}
-    assert inside | reasons == set(catalogue())
+    inside = {one.counts_as for one in simulators_by_id().values() if one.inside}
+    assert {name for one in simulators_by_id().values() for name in one.names} <= set(catalogue())
+    assert inside | reasons == {effect.mechanism for effect in catalogue().values()}
     assert not inside & reasons
+
+
+@pytest.mark.parametrize(
+    ("effect", "forms"),
+    [("wear", 3), ("tension_step", 3)]
+    + [(name, 2) for name in ("prying", "centre_wear", "velocity_law", "breakaway", "bedding_in", "drift")],
+)
+def test_an_effect_has_more_than_one_form_over_the_same_coordinate(effect, forms):
+    own = [one for one in simulators_by_id().values() if one.counts_as == effect]
+    assert len(own) >= forms
+    assert set.intersection(*(set(one.coordinates) for one in own))
+
+
+def test_a_coordinate_that_no_diagnosis_could_state_is_refused():
+    with pytest.raises(ModelError, match=r"taper: \[\('capacity', 'place'\)\] are no pairs of action and coordinate"):
+        replace(simulators_by_id()["taper"], coordinates=(("capacity", "place"),))
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "shape", "wanted"),
+    [
+        ("wear_saturating", 0.2, {"length_m": 0.5}, lambda s: 1 - 0.2 * (1 - np.exp(-s / 0.5))),
+        ("bedding_in_hyperbolic", 0.2, {"length_m": 0.5}, lambda s: 1 + 0.2 * s / (s + 0.5)),
+        ("wear_power", 0.2, {"power": 0.5}, lambda s: 1 - 0.2 * np.sqrt(s / forms.TESTED_M)),
+    ],
+)
+def test_a_law_of_travel_goes_on_from_run_to_run(name, size, shape, wanted):
+    key = stated_key("wear", 0.01, seed=5)
+    path = course("paper", 20.0, 5)
+    runs = drives([path, path], key.device, 95.0, float(path.time_s[-1]), 1e3)
+    acts = simulators_by_id()[name].act(runs, size, shape, key.device)
+    slid = np.concatenate([np.cumsum(run.slip_mm_s * run.dt) for run in runs]) / 1000
+    n = path.x_mm.size
+    slid[n:] += slid[n - 1]
+    assert np.concatenate([act.clamping for act in acts]) == pytest.approx(wanted(slid), abs=2e-4)
+    assert 5.0 < slid[-1] < 7.7
+
+
+def test_clamping_wanders_smoothly_and_as_far_as_it_should():
+    time = np.arange(0, 1200, 0.1)
+    walks = [forms._wander(time, 0.05, {"pace_s": 40.0, "seed": float(i)}, 600.0) for i in range(200)]
+    assert np.std([walk[6000] for walk in walks]) == pytest.approx(0.05, rel=0.2)
+    assert max(np.abs(np.diff(walk)).max() for walk in walks) < 0.001
+
+
+def test_junctions_are_torn_anew_behind_every_reversal():
+    path = course("paper", 20.0, 5)
+    runs = drives([path], DEVICE, 95.0, float(path.time_s[-1]), 1e3)
+    torn = forms._torn(runs, 0.2, {"length_mm": 8.0}, DEVICE)[0].clamping
+    turned = np.flatnonzero(np.diff(runs[0].sense)) + 1
+    assert np.asarray(torn)[turned[:-1]] == pytest.approx(1.2, abs=1e-3)
+    large = np.abs(path.x_mm) < 2.0
+    assert np.median(np.asarray(torn)[large & (runs[0].speed > 9.0)]) < 1.2
 
 
 @pytest.mark.parametrize("name", sorted(simulators_by_id()))

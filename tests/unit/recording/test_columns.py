@@ -1,10 +1,13 @@
 import numpy as np
+import pandas as pd
 import pytest
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.columns import choose, parse_columns
 from shj_bayes.recording.formula import evaluate
+from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.headers import split_header
+from shj_bayes.recording.reader import read
 from shj_bayes.recording.tables import Column, Table
 
 N = 6
@@ -150,7 +153,9 @@ def test_rate_makes_the_time_and_says_so():
 @pytest.mark.parametrize(
     ("option", "words"),
     [
-        ("speed=3", "'speed=3'"),
+        ("forse=3", "'forse' is no channel of the law; did you mean 'force'"),
+        (f"{'x' * 41}=3", "cannot read"),
+        (",".join(f"channel{i}=1" for i in range(16)), "names 16 channels; allowed are 3 and 12 more"),
         ("time", "cannot read 'time'"),
         ("time=1,time=2", "time twice"),
         ("force=", "cannot read"),
@@ -170,3 +175,34 @@ def test_columns_of_different_lengths_and_single_numbers():
         choose(uneven, "force=k")
     with pytest.raises(RecordingError, match="adds columns of"):
         evaluate("t + x", uneven)
+
+
+def test_further_channels_come_along_through_repairs_and_splits(tmp_path):
+    """Any number, by names of one's own; a tension in N is held in kN, anything else in the unit of its header."""
+    t = np.arange(400) / 20.0
+    x, f = 30 * np.sin(t), 40 * np.sign(np.cos(t))
+    rows = np.column_stack([t, x, f, 1e5 - 100 * t, 20 + t])
+    rows[7, 1] = np.nan  # filled in
+    rows = np.delete(rows, 9, axis=0)
+    path = tmp_path / "run.csv"
+    header = "time (s),displacement (mm),force (kN),bolt (N),plate (degC)"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.9g")
+    recording = read(path, columns="tension=bolt,temperature=plate")
+    assert [(e.name, e.unit) for e in recording.extras] == [("tension", "kN"), ("temperature", "degC")]
+    np.testing.assert_allclose(recording.extras[0].values, 100 - 0.1 * recording.time_s, atol=1e-9)
+    np.testing.assert_allclose(recording.extras[1].values, 20 + recording.time_s, atol=1e-9)
+    assert "columns-ignored" not in {f.code for f in recording.findings}
+    with pytest.raises(RecordingError, match="no column named 'valve'"):
+        read(path, columns="temperature=valve")
+
+
+def test_a_data_frame_is_read_like_a_file():
+    t = np.arange(400) / 20.0
+    frame = pd.DataFrame({"time (ms)": 1e3 * t, "stroke [in]": np.sin(t), "load (N)": 9e3 * np.cos(t), "note": "a"})
+    recording = read_frame(frame, "made here", columns="tension=load (N)")
+    np.testing.assert_allclose(recording.time_s, t)
+    np.testing.assert_allclose(np.ptp(recording.displacement_mm), 2 * 25.4, rtol=1e-3)
+    np.testing.assert_allclose(np.abs(recording.force_kN).max(), 9.0, rtol=1e-6)
+    assert (recording.source.format, recording.extras[0].name) == ("dataframe", "tension")
+    with pytest.raises(RecordingError, match="no column holds numbers"):
+        read_frame(pd.DataFrame({"note": ["a"]}))

@@ -5,10 +5,10 @@ sets the least spread. The text of the standard could not be read here (public c
 formula, the 0.75 and the limits 1.2 and 0.85 (dampers), 1.8 and 0.60 (isolators) are given from knowledge of it. Check
 them against your edition.
 
-The nominal property is the force of the third cycle at standstill in the first run. What happened to it in the tests
-stands in lambda_test: first cycle over third, travel (second run over first) and speed. It is the larger change of two,
-that of a typical device and that of the 5 (95) % devices, so that lambda_test x lambda_spec reaches the force that
-95 % of new devices deliver even where devices wear differently.
+The nominal property is the force of the third cycle of the first run. What happened to it in the tests (first cycle,
+travel, later runs, speed, whatever else) stands in lambda_test: smallest plateau and largest force of all runs over
+that third cycle. It is the larger change of two, that of a typical device and that of the 5 (95) % devices, so that
+lambda_test x lambda_spec reaches the force that 95 % of new devices deliver even where devices wear differently.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.delivered import Delivered
 from shj_bayes.margins.pair import Bounds
 from shj_bayes.margins.row import FACTORS, HIGH, LOW, MIDDLE, Margin
+from shj_bayes.population.quantities import LOWEST
 
 CLAUSE = "ASCE 7 18.2.4"
 ADJUSTMENT = 0.75
@@ -43,19 +44,14 @@ def with_floor(bounds: Bounds, device: str = "damper") -> Bounds:
 
 
 def specification(force: Delivered, nominal_kN: float) -> Bounds:
-    """Device to device: 5 and 95 % of the first run at standstill over the nominal force."""
-    return Bounds.around(force.low_rest / nominal_kN, force.high_rest / nominal_kN)
+    """Device to device: 5 and 95 % of the third cycle over the nominal force."""
+    return Bounds.around(force.third_low / nominal_kN, force.third_high / nominal_kN)
 
 
 def testing(force: Delivered) -> Bounds:
-    """First cycle, travel and speed: what the tests did to the force of the third cycle."""
-    cycle = force.first_cycle
-    return Bounds.around(
-        force.typical.low * cycle.low,
-        force.typical.high * cycle.high,
-        force.low / force.low_rest,
-        force.high / force.high_rest,
-    )
+    """First cycle, travel, later runs and speed: what the tests did to the force of the third cycle."""
+    change = force.low / force.third_low, force.high / force.third_high
+    return Bounds.around(force.typical.low, force.typical.high, *change)
 
 
 def _rows(given: Given) -> Iterator[Margin]:
@@ -63,43 +59,43 @@ def _rows(given: Given) -> Iterator[Margin]:
 
     def row(kind: str, side: str, value: float, formula: str, more: tuple[str, str, str], clause: str = "") -> Margin:
         unit, inputs, purpose = more
-        n = given.devices.get("Fy", 0)
+        n = given.devices.get(LOWEST, 0)
         origin = (clause or CLAUSE, formula, inputs, purpose)
-        return Margin(given.set_name, "Fy", FACTORS, kind, side, value, unit, n, math.nan, *origin)
+        return Margin(given.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
 
     yield row(
         "nominal sliding force",
         MIDDLE,
         parts.nominal_kN,
-        "50 % of a new device, third cycle of the first run at standstill",
+        "50 % of a new device, third cycle of the first run",
         ("kN", f"nominal {parts.nominal_kN:.4g} kN ({parts.nominal_words})", "what the factors below multiply"),
         "ASCE 7, NZ practice",
     )
     spec, test = specification(parts.force, parts.nominal_kN), testing(parts.force)
     total = modification(parts.age.measured, test, spec)
     floored = with_floor(total)
-    ends = parts.force.low_rest, parts.force.high_rest
+    ends = parts.force.third_low, parts.force.third_high
     for i, (side, word, level) in enumerate(((LOW, "min", 5), (HIGH, "max", 95))):
         s, t, age, both, final = ((b.low, b.high)[i] for b in (spec, test, parts.age.measured, total, floored))
-        bound = ("lower", "upper")[i]
+        bound, what = (("lower", "smallest plateau"), ("upper", "largest force"))[i]
         reached = (parts.force.low, parts.force.high)[i]
         yield row(
             f"lambda_spec,{word}",
             side,
             s,
-            f"{level} % of a new device at standstill, first run / nominal",
+            f"{level} % of a new device, third cycle of the first run / nominal",
             ("1", f"{ends[0]:.4g} to {ends[1]:.4g} kN", "manufacturing: device to device"),
         )
         yield row(
             f"lambda_test,{word}",
             side,
             t,
-            "first cycle x travel x speed over the third cycle: typical device, or the "
-            f"{level} % devices where those change more",
+            f"{what} of all runs over the third cycle: typical device, or the "
+            f" {level} % devices where those change more",
             (
                 "1",
-                f"{parts.inputs}; {level} % devices {reached:.4g} / {ends[i]:.4g} kN",
-                "first cycle, cumulative travel and speed in the tests",
+                f"{parts.force.words}; {level} % devices {reached:.4g} / {ends[i]:.4g} kN",
+                "first cycle, cumulative travel, later runs and speed in the tests",
             ),
         )
         yield row(

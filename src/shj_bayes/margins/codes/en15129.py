@@ -6,9 +6,9 @@ cumulative travel. Neither standard could be read here: this is given from knowl
 edition.
 
 psi allows for extremes that do not happen all at once. A loss that was measured has happened, so psi does not shrink
-it: X is the force delivered in the less favourable of both runs and at the least favourable tested speed, which holds
-travel (f4) in full; of ageing (f1) the measured middle counts in full, and psi acts on what lies between it and the
-5 (95) % end of what is known.
+it: X is the smallest plateau (largest force) of all runs of the test, which holds travel (f4) and speed in full; of
+ageing (f1) the measured middle counts in full, and psi acts on what lies between it and the 5 (95) % end of what is
+known.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.pair import Bounds
 from shj_bayes.margins.parts import Environment
 from shj_bayes.margins.row import FACTORS, HIGH, LOW, Margin
+from shj_bayes.population.quantities import LOWEST
 
 COMBINATION = {"III": 0.90, "II": 0.70, "I": 0.60}
 """psi_fi by importance class of the structure."""
@@ -41,6 +42,11 @@ def ageing(age: Environment, importance: str = "II") -> Bounds:
     )
 
 
+def kind_of(word: str, importance: str) -> str:
+    """Kind of the lower (``LBDP``) or upper (``UBDP``) bound design property for an importance class."""
+    return f"EN 15129 {word}, importance class {importance}"
+
+
 def _rows(given: Given) -> Iterator[Margin]:
     parts, importance = given.parts, given.request.importance
     factors = ageing(parts.age, importance)
@@ -48,21 +54,21 @@ def _rows(given: Given) -> Iterator[Margin]:
         (LOW, parts.force.low, factors.low, "LBDP"),
         (HIGH, parts.force.high, factors.high, "UBDP"),
     ):
-        run = "smaller" if side == LOW else "larger"
+        what = "smallest plateau" if side == LOW else "largest force"
         yield Margin(
             given.set_name,
-            "Fy",
+            "force",
             FACTORS,
-            f"EN 15129 {word}, importance class {importance}",
+            kind_of(word, importance),
             side,
             supply * factor,
             "kN",
-            given.devices.get("Fy", 0),
+            given.devices.get(LOWEST, 0),
             math.nan,
             "EN 15129; EN 1998-2 Annex J",
             "X x lambda_f1; travel (f4) and speed are in X as measured, psi on what was not measured",
-            f"X = {supply:.4g} kN, {'5' if side == LOW else '95'} % of the {run} of both runs ({parts.inputs}); ageing "
-            f"{factor:.3f} ({parts.age.words}); psi = {COMBINATION[importance]:g}",
+            f"X = {supply:.4g} kN, {'5' if side == LOW else '95'} % of the {what} of all runs ({parts.force.words}); "
+            f"ageing {factor:.3f} ({parts.age.words}); psi = {COMBINATION[importance]:g}",
             f"{'lower' if side == LOW else 'upper'} bound design property, one of two analyses",
             "temperature and contamination were not tested and stand as 1",
         )

@@ -21,9 +21,9 @@ from scipy import stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, TESTING, Margin
-from shj_bayes.margins.sample import UNITS
 from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, known, limit, remarks, sd_of_log
 from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.quantities import quantity as described
 
 CHARACTERISTIC = 0.05
 """Fractile of a characteristic value, Table D1."""
@@ -31,8 +31,8 @@ DESIGN = 0.001
 """Fractile of a design value taken straight from tests, Table D2 (alpha_R beta = 0.8 x 3.8 = 3.04)."""
 LEAST_VARIATION = 0.10
 """Least coefficient of variation where it is not known from elsewhere (D7.1)."""
-FORCE = ("Fy", "force")
-"""Quantities that a stated V of the sliding force is for: the first run, at standstill and at speed."""
+FORCE = ("least", "most", "plateau", "third")
+"""Quantities that a stated V of the sliding force is for: those of the first run."""
 FEWEST = {CHARACTERISTIC: 3, DESIGN: 4}
 """Fewest devices for which Tables D1 and D2 give a factor with the coefficient of variation unknown."""
 
@@ -103,7 +103,7 @@ def _rows(given: Given) -> Iterator[Margin]:
                             f"EN 1990 {word}, {law}, {way.name}",
                             side,
                             math.nan if few else value,
-                            UNITS[quantity],
+                            described(quantity).unit,
                             given.devices[quantity],
                             way.degrees,
                             f"EN 1990 {clause}",

@@ -18,8 +18,8 @@ from scipy import optimize, stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, TOLERANCE, Margin
-from shj_bayes.margins.sample import UNITS
 from shj_bayes.margins.spread import COMMON, LOGNORMAL, NORMAL, UNKNOWN, limit, remarks
+from shj_bayes.population.quantities import quantity as described
 
 CLAUSE = "ISO 16269-6"
 LIMITS = ((0.95, 0.75), (0.95, 0.95), (0.90, 0.95))
@@ -64,12 +64,6 @@ def one_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     return float(stats.nct.ppf(confidence, nu, stats.norm.ppf(coverage) * math.sqrt(n)) / math.sqrt(n))
 
 
-def one_sided_known(n: float, coverage: float, confidence: float) -> float:
-    """Factor of a one-sided limit when the spread is known: z(coverage) + z(confidence)/sqrt(n)."""
-    _check(n, math.inf, coverage, confidence)
-    return float(stats.norm.ppf(coverage) + stats.norm.ppf(confidence) / math.sqrt(n))
-
-
 @cache
 def two_sided(n: float, coverage: float, confidence: float, degrees: float | None = None) -> float:
     """Factor of a two-sided limit mean +- k s, spread unknown: exact, by quadrature over the error of the mean.
@@ -110,37 +104,6 @@ def _half_width(z: float, coverage: float) -> float:
     return float(optimize.brentq(short_by, 0.0, z + 40.0, xtol=1e-12))
 
 
-def wilks(coverage: float, confidence: float, *, sides: int = 1) -> int:
-    """Smallest number of devices whose extremes are distribution-free limits.
-
-    Parameters
-    ----------
-    coverage, confidence : float
-        Share of devices covered, and how surely.
-    sides : {1, 2}
-        1: the smallest (or largest) alone is the limit; 2: both.
-
-    Returns
-    -------
-    int
-    """
-    _check(1, 1.0, coverage, confidence)
-    n = sides
-    while covered_by_extremes(n, coverage, sides=sides) < confidence:
-        n += 1
-    return n
-
-
-def covered_by_extremes(n: int, coverage: float, *, sides: int = 2) -> float:
-    """Confidence with which the extremes of n devices hold a share of all devices.
-
-    Two devices hold 90 % of all with a confidence of 0.01: the distance between two devices is no band.
-    """
-    if sides == 1:
-        return 1.0 - coverage**n
-    return 1.0 - n * coverage ** (n - 1) + (n - 1) * coverage**n
-
-
 def _rows(given: Given) -> Iterator[Margin]:
     """One- and two-sided limits: of the set's own devices, and with the variance common to all sets."""
     forms: tuple[tuple[str, Callable[..., float]], ...] = (("one-sided", one_sided), ("two-sided", two_sided))
@@ -162,7 +125,7 @@ def _rows(given: Given) -> Iterator[Margin]:
                                 f"tolerance {share} {form}, {law}, {way.name}",
                                 side,
                                 value,
-                                UNITS[quantity],
+                                described(quantity).unit,
                                 given.devices[quantity],
                                 way.degrees,
                                 f"{CLAUSE}, {form}"

@@ -1,10 +1,11 @@
 """New Zealand practice for sliding hinge joints: dependable and overstrength factors phi and phi_o.
 
 V_ss = n_b n_s mu N_tf; phi V_ss is dependable, phi_o V_ss is what beam, column and welds are designed for. phi = 0.70
-and phi_o = 1.40 are recalled from the literature on asymmetric friction connections of 2012 to 2014 (shims of Bisalloy
-400 and harder); they could not be read again. Equivalents from tests stand beside them: the force delivered at the
-least favourable speed up to the tested one, phi for each run, phi_o for the larger of both, over the nominal force. Few
-devices say less than the practice that rests on many, so an equivalent on the unsafe side of it carries a warning.
+and phi_o = 1.40 are recalled from the literature on asymmetric friction connections of 2012 to 2014 (shims of
+Bisalloy 400 and harder); they could not be read again. Equivalents from tests stand beside them: the force delivered
+at the tested speed, phi the smallest plateau of the first and of the later runs, phi_o the largest force of all, over
+the nominal. Few devices say less than the practice that rests on many, so an equivalent on the unsafe side of it
+carries a warning.
 """
 
 from __future__ import annotations
@@ -15,19 +16,10 @@ from collections.abc import Iterator
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import FACTORS, HIGH, LOW, Margin
+from shj_bayes.population.quantities import LOWEST
 
 PRACTICE_PHI, PRACTICE_PHI_O = 0.70, 1.40
 """Values in use for high-hardness shims (Bisalloy 400 and harder), recalled from the AFC literature of 2012-14."""
-
-
-def slip_capacity(bolts: int, friction: float, bolt_tension_kN: float, surfaces: int = 2) -> float:
-    """Nominal sliding force V_ss = n_b n_s mu N_tf, kN."""
-    if min(bolts, surfaces) < 1 or friction <= 0 or bolt_tension_kN <= 0:
-        raise PopulationError(
-            f"V_ss needs bolts, surfaces, friction and tension above zero; got {bolts}, {surfaces}, {friction:g}, "
-            f"{bolt_tension_kN:g} kN"
-        )
-    return bolts * surfaces * friction * bolt_tension_kN
 
 
 def equivalent_factors(low: float, high: float, nominal: float) -> tuple[float, float]:
@@ -55,13 +47,13 @@ def _rows(given: Given) -> Iterator[Margin]:
     force, nominal = parts.force, parts.nominal_kN
     phi, phi_o = equivalent_factors(force.first_low, force.high, nominal)
     found = [("phi equivalent, first run", LOW, phi, force.first_low, "dependable sliding force phi V_ss")]
-    if force.second_low is not None:
+    if force.later_low is not None:
         found.append(
             (
                 "phi equivalent, after a first earthquake",
                 LOW,
-                force.second_low / nominal,
-                force.second_low,
+                force.later_low / nominal,
+                force.later_low,
                 "dependable sliding force in a second earthquake",
             )
         )
@@ -71,17 +63,17 @@ def _rows(given: Given) -> Iterator[Margin]:
     for kind, side, value, force_kN, purpose in found:
         yield Margin(
             given.set_name,
-            "Fy",
+            "force",
             FACTORS,
             kind,
             side,
             value,
             "1",
-            given.devices.get("Fy", 0),
+            given.devices.get(LOWEST, 0),
             math.nan,
             "NZ practice for sliding hinge joints",
             f"{'5' if side == LOW else '95'} % of the delivered force / nominal",
-            f"{force_kN:.4g} kN, nominal {nominal:.4g} kN; {parts.inputs}",
+            f"{force_kN:.4g} kN, nominal {nominal:.4g} kN; {force.words}",
             purpose,
             f"practice for hardened shims: phi {PRACTICE_PHI:.2f}, phi_o {PRACTICE_PHI_O:.2f}",
             warning=warning(value, side),

@@ -31,6 +31,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "amplitude"),),
     source="DOMAIN E18.",
     start={"size": (0.02, -0.02)},
 )

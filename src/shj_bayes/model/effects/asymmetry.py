@@ -26,6 +26,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "direction"),),
     source="DOMAIN E11.",
     start={"size": (0.05,)},
 )

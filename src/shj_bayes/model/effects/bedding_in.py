@@ -14,6 +14,11 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 + values["size"] * (1.0 - np.exp(-history.travel_m / values["travel"])))
 
 
+def _hyperbolic(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + b s/(s + s1)."""
+    return Contribution(clamping=1.0 + values["size"] * history.travel_m / (history.travel_m + values["travel"]))
+
+
 EFFECT = Effect(
     id="bedding_in",
     family="slow_change",
@@ -29,6 +34,18 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "travel"),),
     source="DOMAIN E07.",
     start={"size": (0.1,), "travel": (0.1, 0.5, 2.0)},
+).with_form(
+    "hyperbolic",
+    statement="Sliding force rises by {size:.0%} in all, half of it within {travel:.2f} m: the surfaces bed in.",
+    equation="Fy -> Fy (1 + b s/(s + s1))",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 1.5, "Rises of up to 0.3 are expected; galling reaches more."),
+        Prior("travel", "m", "loguniform", 0.02, 20.0, "Half of the rise: from the first cycle to beyond the test."),
+    ),
+    act=_hyperbolic,
+    source="Growth of the contact area that slows down with its size.",
+    start={"size": (0.1,), "travel": (0.1, 0.5, 3.0)},
 )

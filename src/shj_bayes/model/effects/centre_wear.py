@@ -31,6 +31,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "distance"),),
     source="DOMAIN E12.",
     start={"size": (0.08,), "width": (0.25, 0.6)},
 )

@@ -15,6 +15,12 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(added_kN=base.Fy_first * values["size"] * np.expm1(-clock / warming) / np.expm1(-1.0 / warming))
 
 
+def _zeroed(history: History, values: Values, base: Base) -> Contribution:
+    """Add the same drift in each run: the load cell was zeroed before it."""
+    clock, warming = history.time_s / history.tested_s * history.n_runs, values["warming"]
+    return Contribution(added_kN=base.Fy_first * values["size"] * np.expm1(-clock / warming) / np.expm1(-1.0 / warming))
+
+
 EFFECT = Effect(
     id="drift",
     family="slow_change",
@@ -30,6 +36,18 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("added", "time"),),
     source="DOMAIN E17.",
+    start={"size": (0.02,), "warming": (0.5, 5.0)},
+).with_form(
+    "zeroed",
+    statement="The force reading drifts by {size:+.1%} of Fy in each run, from zero.",
+    equation="F -> F + c Fy1 (1 - exp(-t/(w T)))/(1 - exp(-1/w)) in each run",
+    parameters=(
+        Prior("size", "1", "normal", 0.0, 0.1, "In a run, of Fy_first; a sound load cell drifts below 0.01."),
+        Prior("warming", "1", "loguniform", 0.2, 50.0, "In runs: amplifiers warm up in minutes to an hour."),
+    ),
+    act=_zeroed,
+    source="A load cell that is zeroed before each run.",
     start={"size": (0.02,), "warming": (0.5, 5.0)},
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.history import History
@@ -112,6 +112,13 @@ class Effect:
     initial : tuple of str
         Parameters that say how the device stood when the test began: only the first cycle tells of them, so they are
         not predicted for it from the others.
+    acts : tuple of (str, str)
+        How it acts and on which coordinate it depends, e.g. ``("capacity", "travel")``; see `model.coordinates`.
+    mechanism, form : str
+        Where one mechanism has several published formulas, each is an effect: the id of the mechanism (by default its
+        own) and the word for the formula (empty for the first).
+    forms : tuple of Effect
+        The other formulas of the mechanism; see `with_form`.
     delay : str
         Parameter that is the time by which the force channel is behind the displacement channel, s; all effects act on
         the motion of that moment. Empty for most.
@@ -131,6 +138,10 @@ class Effect:
     source: str
     start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     initial: tuple[str, ...] = ()
+    acts: tuple[tuple[str, str], ...] = ()
+    mechanism: str = ""
+    form: str = ""
+    forms: tuple[Effect, ...] = ()
     delay: str = ""
 
     def __post_init__(self) -> None:
@@ -139,6 +150,7 @@ class Effect:
             raise ModelError(
                 f"effect {self.id}: family '{self.family}' is not known; choose one of {', '.join(FAMILIES)}"
             )
+        object.__setattr__(self, "mechanism", self.mechanism or self.id)
         names = {p.name for p in self.parameters}
         if not names or not set(self.neutral) <= names or not self.neutral:
             raise ModelError(f"effect {self.id}: needs parameters, and a neutral value for at least one of them")
@@ -146,6 +158,51 @@ class Effect:
             raise ModelError(
                 f"effect {self.id}: starts, initial state and delay must be of its parameters, {', '.join(self.names)}"
             )
+
+    def with_form(
+        self,
+        word: str,
+        *,
+        statement: str,
+        equation: str,
+        parameters: tuple[Prior, ...],
+        act: Act,
+        source: str,
+        start: Mapping[str, tuple[float, ...]],
+    ) -> Effect:
+        """Give the same mechanism with another published formula beside those it has.
+
+        Parameters
+        ----------
+        word : str
+            Word for the formula; the id of the form is that of the mechanism, an underscore and this word.
+        statement, equation : str
+            As for the effect.
+        parameters : tuple of Prior
+            Its own; the size stays the first one and is neutral at 0.
+        act : callable
+            As for the effect.
+        source : str
+            Equation or paper.
+        start : mapping of str to tuple of float
+            As for the effect.
+        """
+        form = replace(
+            self,
+            id=f"{self.id}_{word}",
+            mechanism=self.id,
+            form=word,
+            forms=(),
+            statement=statement,
+            equation=equation,
+            parameters=parameters,
+            neutral={parameters[0].name: 0.0},
+            act=act,
+            source=source,
+            start=start,
+            initial=(),
+        )
+        return replace(self, forms=(*self.forms, form))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("added", "position"),),
     source="DOMAIN E09; suanPan and OpenSees gap elements.",
     start={"size": (0.03,), "contact": (0.75, 0.92), "side": (-0.7, 0.0, 0.7), "returned": (0.2,)},
 )

@@ -26,6 +26,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("motion", "compliance"),),
     source="DOMAIN E15.",
     start={"size": (0.003, 0.03)},
 )

@@ -26,6 +26,7 @@ EFFECT = Effect(
     parameters=(Prior("size", "kg", "loguniform", 0.1, 2e4, "From a clamp to a heavy actuator with its beam."),),
     neutral={"size": 0.0},
     act=act,
+    acts=(("added", "acceleration"),),
     source="DOMAIN E19; Newton.",
     start={"size": (100.0,)},
 )

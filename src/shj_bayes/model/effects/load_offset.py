@@ -26,6 +26,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("added", "constant"),),
     source="DOMAIN E17.",
     start={"size": (0.02,)},
 )

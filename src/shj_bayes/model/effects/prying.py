@@ -15,6 +15,13 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 - values["size"] * np.exp(values["power"] * np.log(off_centre)))
 
 
+def _beyond_a_gap(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 - p <|x|/L - g>+ / (1 - g)."""
+    gap = values["gap"]
+    beyond = np.maximum(np.abs(history.normal_position) - gap, 0.0) / (1.0 - gap)
+    return Contribution(clamping=1.0 - values["size"] * beyond)
+
+
 EFFECT = Effect(
     id="prying",
     family="even_in_position",
@@ -30,6 +37,18 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "distance"),),
     source="DOMAIN E08; column-base AFC studies cited by the paper [14, 15].",
     start={"size": (0.08,), "power": (1.2, 2.2)},
+).with_form(
+    "gap",
+    statement="Clamping is lost beyond {gap:.0%} of the stroke, up to {size:.0%} at its end: prying.",
+    equation="Fy -> Fy (1 - p <|x|/L - g>+/(1 - g))",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 0.6, "Up to 0.3 expected in AFC column bases; twice that allowed."),
+        Prior("gap", "1", "uniform", 0.0, 0.9, "The plates may tilt freely at first."),
+    ),
+    act=_beyond_a_gap,
+    source="Lever of the plates once a gap has closed.",
+    start={"size": (0.08,), "gap": (0.2, 0.5)},
 )

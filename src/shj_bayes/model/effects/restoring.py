@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("added", "position"),),
     source="DOMAIN E20.",
     start={"size": (0.03,), "stiffening": (0.1,)},
 )

@@ -24,6 +24,7 @@ EFFECT = Effect(
     parameters=(Prior("size", "1", "uniform", 0.0, 1.0, "0 is Eq. (1) as published, 1 the continuous rule."),),
     neutral={"size": 0.0},
     act=act,
+    acts=(("motion", "reversal"),),
     source="DOMAIN 5.4 item 8.",
     start={"size": (0.5,)},
 )

@@ -24,6 +24,7 @@ EFFECT = Effect(
     parameters=(Prior("size", "s", "normal", 0.0, 0.1, "0 to 0.1 s for unequal filters; either channel may be late."),),
     neutral={"size": 0.0},
     act=act,
+    acts=(("motion", "delay"),),
     source="DOMAIN E16.",
     start={"size": (0.03, -0.03)},
     delay="size",

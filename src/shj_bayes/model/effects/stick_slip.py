@@ -36,6 +36,7 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("motion", "stick-slip"),),
     source="DOMAIN E03.",
     start={"size": (0.03,), "wave": tuple(round(0.5 * 1.03**i, 3) for i in range(130))},
 )

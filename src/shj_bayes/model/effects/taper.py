@@ -24,6 +24,7 @@ EFFECT = Effect(
     parameters=(Prior("size", "1", "normal", 0.0, 0.15, "Within 10 % for plates of usual tolerance; either sign."),),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "position"),),
     source="DOMAIN E12.",
     start={"size": (0.03,)},
 )

@@ -35,6 +35,12 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 + values["size"] * (1.0 + values["side"] * history.direction) * window)
 
 
+def _swing(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + c sin(2 pi (t/p + phase))."""
+    turns = (history.begun_s + history.time_s) / (values["period"] * history.tested_s) + values["phase"]
+    return Contribution(clamping=1.0 + values["size"] * np.sin(2.0 * np.pi * turns))
+
+
 EFFECT = Effect(
     id="tension_step",
     family="slow_change",
@@ -59,11 +65,28 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "time"),),
     source="DOMAIN 1.4 (bolt rupture step); brfd-lehigh ds4_step, where the band was moved in one direction only.",
     start={
         "size": (0.1,),
         "begin": tuple(round(0.03 + 0.04 * i, 2) for i in range(24)),
         "length": (0.05, 0.15, 0.3, 1.5),
         "side": (-0.9, 0.0, 0.9),
+    },
+).with_form(
+    "swing",
+    statement="Clamping swings by {size:.1%} up and down, once in {period:.2f} of the testing time.",
+    equation="Fy -> Fy (1 + c sin(2 pi (t/(p T) + phase))), T the testing time of all runs",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 0.5, "Temperature of the hall, or a clamping that is controlled."),
+        Prior("period", "1", "loguniform", 0.02, 2.0, "Share of the testing time."),
+        Prior("phase", "1", "uniform", -0.2, 1.2, "Turns at the beginning."),
+    ),
+    act=_swing,
+    source="brfd-lehigh ds4_harmonic: a band whose force follows a sine.",
+    start={
+        "size": (0.05,),
+        "period": tuple(round(0.025 * 1.12**i, 4) for i in range(36)),
+        "phase": (0.1, 0.35, 0.6, 0.85),
     },
 )

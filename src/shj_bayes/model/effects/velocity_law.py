@@ -26,6 +26,15 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     )
 
 
+def _power(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + c (u^n - u), u = |v|/v_peak; the straight part is taken from gamma."""
+    speed = np.maximum(history.speed_mm_s / history.peak_speed_mm_s, 1e-9)
+    power = values["power"]
+    place = power ** (1.0 / (1.0 - power))
+    size = values["size"] / (place**power - place)
+    return Contribution(clamping=1.0 + size * speed**power, gamma_s_per_mm=-size / history.peak_speed_mm_s)
+
+
 EFFECT = Effect(
     id="velocity_law",
     family="low_speed",
@@ -42,6 +51,18 @@ EFFECT = Effect(
     ),
     neutral={"size": 0.0},
     act=act,
+    acts=(("capacity", "speed"),),
     source="DOMAIN E13: ln(1 + |v|/v0), rate-and-state friction with a cut-off.",
     start={"size": (0.05, -0.05), "corner": (0.01, 0.2)},
+).with_form(
+    "power",
+    statement="Sliding force follows the power {power:.2f} of the speed: {size:+.1%} beside the linear law at most.",
+    equation="Fy (1 + gamma v) -> Fy (1 + gamma v + c ((v/vp)^n - v/vp)/m), m the largest value of that bracket",
+    parameters=(
+        Prior("size", "1", "normal", 0.0, 0.15, "Largest departure from the linear law; either sign."),
+        Prior("power", "1", "loguniform", 0.05, 0.9, "Fluid films and lubricants: 0.1 to 0.8."),
+    ),
+    act=_power,
+    source="Power law of viscous dampers: Constantinou and Symans (1993), F = C |v|^n sgn v.",
+    start={"size": (0.05, -0.05), "power": (0.2, 0.5)},
 )

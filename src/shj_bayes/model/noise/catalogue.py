@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.discover import discovered
 from shj_bayes.errors import ModelError
 from shj_bayes.model import noise
 from shj_bayes.model.noise.noise import Noise
-from shj_bayes.suggest import did_you_mean
 
 DEFAULT = "slow"
 
@@ -17,14 +16,7 @@ DEFAULT = "slow"
 @cache
 def noise_models() -> dict[str, Noise]:
     """Every noise model by its word, the default first."""
-    found = {}
-    for module in pkgutil.iter_modules(noise.__path__):
-        model = getattr(importlib.import_module(f"{noise.__name__}.{module.name}"), "NOISE", None)
-        if model is None:
-            continue
-        if model.id != module.name:
-            raise ModelError(f"noise/{module.name}.py holds noise model '{model.id}'; the file carries its word")
-        found[model.id] = model
+    found = {model.id: model for model in discovered(noise, "NOISE", ModelError)}
     return dict(sorted(found.items(), key=lambda item: (item[0] != DEFAULT, item[0])))
 
 

@@ -19,13 +19,14 @@ integrated out in closed form. What the memory of the slow part carries of it be
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from shj_bayes.arrays import frozen
+from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.errors import ModelError
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
@@ -71,10 +72,8 @@ class Timing:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        object.__setattr__(self, "kind", frozen(self.kind, np.int64))
-        object.__setattr__(self, "kinds", frozen(self.kinds))
-        object.__setattr__(self, "half", frozen(self.half, np.int64))
-        object.__setattr__(self, "turning_noise_mm", frozen(self.turning_noise_mm))
+        freeze(self, "kind", "half", kind=np.int64)
+        freeze(self, "kinds", "turning_noise_mm")
         if self.half[-1] != self.kind.size or self.turning_noise_mm.size != self.half.size - 1:
             raise ModelError("the blocks, half-cycles and turning points of a run do not belong together")
 
@@ -119,6 +118,47 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
         timing.turning_noise_mm**2,
     )
     return out
+
+
+def whiten(
+    noise: Noise, values: Mapping[str, float], columns: FloatArray, slope: FloatArray, timing: Timing
+) -> tuple[FloatArray, float]:
+    """Take from each column what the noise before predicts, in units of the standard deviation of what is new.
+
+    Columns that are treated so may be handled as if the noise were independent and of unit variance. An error of a
+    turning point counts as independent from block to block, and heavy tails as normal ones.
+
+    Parameters
+    ----------
+    noise : Noise
+        The model.
+    values : mapping of str to float
+        Its parameters.
+    columns : array, shape (n, p)
+        Functions of the blocks, one column each.
+    slope : array, shape (n,)
+        Derivative of the modelled force after the displacement in each block, kN/mm.
+    timing : Timing
+        When the blocks were taken.
+
+    Returns
+    -------
+    array, shape (n_evidence, p), and float
+        Whitened columns of the blocks that are evidence, and the logarithm of the determinant of the covariance.
+    """
+    rows = {name: np.array([value]) for name, value in values.items()}
+    parts = noise.parts(rows)
+    within, before = np.split(
+        noise.decay(rows, np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]]), timing.step_s), 2
+    )
+    table = _coefficients(timing.kinds[:, 0], within, before)[0]
+    out = np.empty((int(np.count_nonzero(timing.kind >= 0)), columns.shape[1]))
+    half_of = np.repeat(np.arange(timing.half.size - 1), np.diff(timing.half))
+    white = (parts.white_kN[0] ** 2 + (timing.displacement_noise_mm * slope) ** 2) / np.maximum(
+        timing.kinds[np.maximum(timing.kind, 0), 0], 1.0
+    ) + (timing.turning_noise_mm[half_of] * slope) ** 2
+    log_det = _whiten(out, columns, timing.kind, table, white, float(parts.slow_kN[0] ** 2))
+    return out, float(log_det)
 
 
 def simulate(
@@ -283,6 +323,30 @@ def _step(work, lines, factors, at, of, share, noise_x, turn):  # type: ignore[n
         work[ALONG + lane] += new * also * inverse
         work[OWN + lane] += also * also * inverse
         work[LAST + lane] = new * new * inverse
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nnan", "nsz", "reassoc"})
+def _whiten(out, columns, kind, table, white, slow):  # type: ignore[no-untyped-def]
+    """Fill `out` with the news of each column; give the log determinant."""
+    n, p = columns.shape
+    state, variance = np.zeros(p), slow
+    row, log_det = 0, 0.0
+    for i in range(n):
+        c = kind[i]
+        if c < 0:
+            continue
+        h, f = table[c, 0], table[c, 1]
+        total = h * h * variance + slow * table[c, 2] + white[i]
+        gain = (h * f * variance + slow * table[c, 4]) / total
+        scale = 1.0 / math.sqrt(total)
+        for j in range(p):
+            new = columns[i, j] - h * state[j]
+            state[j] = f * state[j] + gain * new
+            out[row, j] = new * scale
+        variance = max(f * f * variance + slow * table[c, 3] - gain * gain * total, 0.0)
+        log_det += math.log(total)
+        row += 1
+    return log_det
 
 
 @njit(error_model="numpy", inline="always")

@@ -123,7 +123,8 @@ def _wedge(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -
 SIMULATORS = (
     Simulator(
         "wear",
-        True,
+        "wear",
+        (("capacity", "travel"),),
         "share per m",
         (0.001, 0.06),
         _wear,
@@ -131,7 +132,8 @@ SIMULATORS = (
     ),
     Simulator(
         "centre_wear",
-        True,
+        "centre_wear",
+        (("capacity", "distance"),),
         "share",
         (0.005, 0.2),
         _track,
@@ -140,16 +142,19 @@ SIMULATORS = (
     ),
     Simulator(
         "local_wear",
-        False,
+        None,
+        (("capacity", "passes"),),
         "share",
         (0.02, 0.4),
         _local,
         "wear depth on a grid along the slot, elastic bolt",
         draw=lambda rng: {"pad_mm": float(rng.uniform(15.0, 40.0))},
+        holds=("wear",),  # it is wear; only the place is more than that name says
     ),
     Simulator(
         "tension_step",
-        True,
+        "tension_step",
+        (("capacity", "time"),),
         "share",
         (0.005, 0.2),
         _slip_of_nut,
@@ -161,7 +166,8 @@ SIMULATORS = (
     ),
     Simulator(
         "prying",
-        True,
+        "prying",
+        (("capacity", "distance"),),
         "share",
         (0.005, 0.25),
         _rocking,
@@ -171,7 +177,8 @@ SIMULATORS = (
     ),
     Simulator(
         "taper",
-        True,
+        "taper",
+        (("capacity", "position"),),
         "share",
         (0.005, 0.15),
         _wedge,

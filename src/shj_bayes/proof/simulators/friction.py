@@ -147,7 +147,8 @@ def _powder(drives: Sequence[Drive], size: float, shape: Shape, device: Device) 
 SIMULATORS = (
     Simulator(
         "breakaway",
-        True,
+        "breakaway",
+        (("capacity", "slip"), ("capacity", "rest")),
         "share",
         (0.005, 0.3),
         _breakaway,
@@ -160,7 +161,8 @@ SIMULATORS = (
     ),
     Simulator(
         "stribeck",
-        True,
+        "stribeck",
+        (("capacity", "speed"),),
         "share",
         (0.005, 0.3),
         _stribeck,
@@ -170,7 +172,8 @@ SIMULATORS = (
     ),
     Simulator(
         "velocity_law",
-        True,
+        "velocity_law",
+        (("capacity", "speed"),),
         "share",
         (0.005, 0.2),
         _eyring,
@@ -181,7 +184,8 @@ SIMULATORS = (
     ),
     Simulator(
         "friction_memory",
-        True,
+        "friction_memory",
+        (("capacity", "speed"), ("capacity", "acceleration")),
         "share",
         (0.01, 0.3),
         _memory,
@@ -195,7 +199,8 @@ SIMULATORS = (
     ),
     Simulator(
         "bedding_in",
-        True,
+        "bedding_in",
+        (("capacity", "travel"),),
         "share",
         (0.005, 0.3),
         _coating,
@@ -204,7 +209,8 @@ SIMULATORS = (
     ),
     Simulator(
         "amplitude",
-        True,
+        "amplitude",
+        (("capacity", "amplitude"),),
         "share per doubling",
         (0.003, 0.06),
         _reach,
@@ -215,7 +221,8 @@ SIMULATORS = (
     ),
     Simulator(
         "powder",
-        False,
+        None,
+        (("capacity", "speed"), ("capacity", "travel")),
         "share at 10 mm/s",
         (0.01, 0.25),
         _powder,

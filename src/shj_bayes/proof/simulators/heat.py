@@ -59,7 +59,8 @@ def _faces(power, dt, thickness, diffusivity, biot):  # type: ignore[no-untyped-
 SIMULATORS = (
     Simulator(
         "thermal",
-        True,
+        "thermal",
+        (("capacity", "heat"),),
         "share",
         (0.005, 0.25),
         _thermal,

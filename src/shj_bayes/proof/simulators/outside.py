@@ -52,10 +52,26 @@ def _patch(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -
     return out
 
 
+def _seam(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -> list[Acts]:
+    """Slide across a seam between two plates: one level of friction on either side of a place."""
+    out = []
+    for drive in drives:
+        beyond = 0.5 * (1.0 + np.tanh((drive.x - shape["place"] * drive.stroke_mm) / shape["pad_mm"]))
+        out.append(Acts(clamping=1.0 + size * beyond))
+    return out
+
+
+def _guide(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -> list[Acts]:
+    """Run along a wavy guide: a force of position that pushes one way on one slope and back on the other."""
+    wave = [np.sin(2 * np.pi * drive.x / shape["pitch_mm"] + shape["phase"]) for drive in drives]
+    return [Acts(added_kN=size * device.Fy * one) for one in wave]
+
+
 SIMULATORS = (
     Simulator(
         "thread_ripple",
-        False,
+        None,
+        (("capacity", "position"),),
         "share",
         (0.01, 0.15),
         _thread,
@@ -67,7 +83,8 @@ SIMULATORS = (
     ),
     Simulator(
         "spatter",
-        False,
+        None,
+        (("capacity", "position"),),
         "share",
         (0.01, 0.25),
         _spatter,
@@ -81,7 +98,8 @@ SIMULATORS = (
     ),
     Simulator(
         "pump",
-        False,
+        None,
+        (("added", "time"),),
         "share",
         (0.01, 0.12),
         _pump,
@@ -93,12 +111,37 @@ SIMULATORS = (
     ),
     Simulator(
         "patch",
-        False,
+        None,
+        (("capacity", "position"),),
         "share",
         (0.01, 0.2),
         _patch,
         "a patch of other friction along the slot",
         draw=lambda rng: {"from": float(rng.uniform(-0.5, 0.0)), "to": float(rng.uniform(0.15, 0.6))},
         signed=True,
+    ),
+    Simulator(
+        "seam",
+        None,
+        (("capacity", "position"),),
+        "share",
+        (0.01, 0.2),
+        _seam,
+        "capacity that steps at a place",
+        draw=lambda rng: {"place": float(rng.uniform(-0.5, 0.5)), "pad_mm": float(rng.uniform(1.0, 6.0))},
+        signed=True,
+    ),
+    Simulator(
+        "wavy_guide",
+        None,
+        (("added", "position"),),
+        "share",
+        (0.01, 0.12),
+        _guide,
+        "force that swings with position",
+        draw=lambda rng: {
+            "pitch_mm": float(np.exp(rng.uniform(np.log(8.0), np.log(40.0)))),
+            "phase": float(rng.uniform(0.0, 2 * np.pi)),
+        },
     ),
 )

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.proof.device import Device
 from shj_bayes.proof.protocols import Course
+from shj_bayes.proof.simulators.branch import branches
 from shj_bayes.proof.simulators.iwan import elements, in_series, move, try_move
 
+RULES = ("published", "continuous")  # at a reversal: jump as Eq. (1) does, or unload from the force there is
 SLIP_MEMORY_S = 0.004  # contacts notice a change of the slip speed after some micrometres, not at once
 
 
@@ -128,26 +131,38 @@ class Drive:
         return self.course.dt_s
 
 
-def drives(courses: list[Course], device: Device, stroke_mm: float, test_s: float, frame_kN_mm: float) -> list[Drive]:
+def drives(
+    courses: list[Course],
+    device: Device,
+    stroke_mm: float,
+    test_s: float,
+    frame_kN_mm: float,
+    rule: str = "continuous",
+) -> list[Drive]:
     """Drive the bare rig through all runs, to know when and how fast it slides."""
     out = []
     for run, course in enumerate(courses, start=1):
         capacity = device.Fy * (device.ratio if run > 1 else 1.0)
         bare = Drive(run, course, capacity, np.zeros(course.x_mm.size), stroke_mm, test_s)
-        force = rate_free(bare, device, Acts(), frame_kN_mm)
+        force = rate_free(bare, device, Acts(), frame_kN_mm, rule)
         sliding = np.abs(course.v_mm_s - np.gradient(force, course.dt_s) / device.K)
         slip = np.where(np.abs(force) > 0.5 * capacity, np.minimum(sliding, np.abs(course.v_mm_s)), 0.0)
         out.append(Drive(run, course, capacity, slip, stroke_mm, test_s))
     return out
 
 
-def rate_free(drive: Drive, device: Device, acts: Acts, frame_kN_mm: float) -> FloatArray:
-    """Force of the load cell before Eq. (2) and the sensors, kN."""
+def rate_free(drive: Drive, device: Device, acts: Acts, frame_kN_mm: float, rule: str = "continuous") -> FloatArray:
+    """Force before Eq. (2) and the sensors, kN; a mass and a second contact want the continuous rule."""
     x = drive.course.x_mm
     clamping = np.ascontiguousarray(np.broadcast_to(acts.clamping, x.shape), dtype=np.float64)
+    out = np.empty(x.size)
+    if rule == "published":
+        if acts.mass_t or acts.second_share:
+            raise ModelError("a mass or a second contact cannot follow the published reversal rule; take continuous")
+        branches(out, x, clamping, device.K, drive.capacity_kN, device.beta, acts.lever, acts.clearance_mm)
+        return out
     spring = acts.spring_kN_mm if acts.mass_t else frame_kN_mm
     own = 1.0 / (1.0 / device.K - 1.0 / spring)  # so that K is what the gauges see
-    out = np.empty(x.size)
     if acts.mass_t:
         stiffness, limits = elements(own, drive.capacity_kN, device.beta)
         damping = 0.4 * np.sqrt(spring * acts.mass_t * 1e-3)

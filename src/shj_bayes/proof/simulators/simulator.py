@@ -10,13 +10,38 @@ from functools import cache
 
 import numpy as np
 
+from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.proof import simulators
 from shj_bayes.proof.device import Device
-from shj_bayes.proof.simulators.rig import Acts, Drive
+from shj_bayes.proof.simulators.rig import RULES, Acts, Drive
 
 Shape = Mapping[str, float]
 BASE = ("K", "Fy", "beta", "gamma", "ratio")
+# What a force can depend on, and how it does; a diagnosis uses the same words.
+ACTIONS = ("capacity", "added", "motion", "noise")
+COORDINATES = (
+    "position",
+    "distance",
+    "travel",
+    "time",
+    "heat",
+    "amplitude",
+    "slip",
+    "speed",
+    "rest",
+    "acceleration",
+    "direction",
+    "constant",
+    "load",
+    "passes",
+    "slack",
+    "second surface",
+    "compliance",
+    "delay",
+    "reversal",
+    "stick-slip",
+)
 
 
 def _plain(_: np.random.Generator) -> dict[str, float]:
@@ -34,9 +59,12 @@ class Simulator:
     Parameters
     ----------
     id : str
-        Name in keys and tables; that of the catalogue's effect where there is one.
-    inside : bool
-        Whether the catalogue holds an effect for it.
+        Name in keys and tables.
+    counts_as : str or None
+        The catalogue's effect whose name is right for it, whichever form that effect has there; None where the
+        catalogue holds none.
+    coordinates : tuple of (str, str)
+        What the force depends on, as (action, coordinate) of `ACTIONS` and `COORDINATES`. With several, each is true.
     unit : str
         Unit of the size.
     sizes : tuple of float
@@ -59,10 +87,15 @@ class Simulator:
         Tests in which it can show at all.
     holds : tuple of str
         Other effects of the catalogue that this physics holds, and that are as true an answer.
+    may_be_unknown : bool
+        Whether the verdict ``unknown`` beside a right coordinate is as right as the name.
+    rules : tuple of str
+        Reversal rules under which the rig can be built with it.
     """
 
     id: str
-    inside: bool
+    counts_as: str | None
+    coordinates: tuple[tuple[str, str], ...]
     unit: str
     sizes: tuple[float, float]
     act: Callable[[Sequence[Drive], float, Shape, Device], list[Acts]]
@@ -74,6 +107,28 @@ class Simulator:
     signed: bool = False
     protocols: tuple[str, ...] = ("paper", "improved")
     holds: tuple[str, ...] = ()
+    may_be_unknown: bool = False
+    rules: tuple[str, ...] = RULES
+
+    def __post_init__(self) -> None:
+        """Refuse words that no diagnosis could use."""
+        if unknown := [pair for pair in self.coordinates if pair[0] not in ACTIONS or pair[1] not in COORDINATES]:
+            raise ModelError(f"{self.id}: {unknown} are no pairs of action and coordinate")
+
+    @property
+    def inside(self) -> bool:
+        """Whether the catalogue holds an effect for it."""
+        return self.counts_as is not None
+
+    @property
+    def effect(self) -> str:
+        """Group in which it is dealt and counted: the catalogue's effect, or its own id outside the catalogue."""
+        return self.counts_as or self.id
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Effects of the catalogue that are right answers."""
+        return frozenset(self.holds) | ({self.counts_as} if self.counts_as else set())
 
 
 @cache

@@ -8,6 +8,9 @@ from io import BytesIO
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from shj_bayes.report.force_unit import KN, ForceUnit
 
 # Okabe and Ito: told apart with every common form of colour blindness, and (by lightness) in grey print.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
@@ -32,10 +35,12 @@ def tidy(axes: Axes) -> Axes:
     return axes
 
 
-def label(axes: Axes, x: str, y: str) -> None:
-    """Axis titles; they always carry a unit."""
+def label(axes: Axes, x: str, y: str, unit: ForceUnit = KN) -> None:
+    """Axis titles; they always carry a unit. Forces are drawn in kN; `unit` says what stands at the marks."""
     axes.set_xlabel(x, fontsize=10.5, color=INK)
-    axes.set_ylabel(y, fontsize=10.5, color=INK)
+    axes.set_ylabel(y.replace("(kN)", f"({unit.name})"), fontsize=10.5, color=INK)
+    if "(kN)" in y and unit.factor != 1:
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * unit.factor:g}"))
 
 
 def legend(axes: Axes, columns: int = 1) -> None:

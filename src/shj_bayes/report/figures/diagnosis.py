@@ -140,6 +140,17 @@ def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, aft
     return svg(figure)
 
 
+def curve(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, axis: str) -> str:
+    """Draw a curve that was found over its coordinate, with its 90 % band, per cent of Fy."""
+    figure, axes = sheet(WIDE, 3.4)
+    axes.axhline(0, color=INK, linewidth=0.8)
+    axes.fill_between(at, low, high, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
+    axes.plot(at, mean, color=BLUE, linewidth=1.8, label="curve found")
+    label(axes, axis, "change (% of Fy)")
+    legend(axes, 2)
+    return svg(figure)
+
+
 def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str) -> str:
     """Shape of what no effect explains."""
     figure, axes = sheet(WIDE, 2.9)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import IntArray
@@ -23,20 +25,26 @@ from shj_bayes.report.figures.canvas import (
     legend,
     sheet,
     svg,
+    tidy,
 )
-from shj_bayes.report.numbers import Band, CycleEnergy, Degradation
+from shj_bayes.report.force_unit import KN, ForceUnit
+from shj_bayes.report.numbers import Band, CycleEnergy, CycleShape
 
 STROKE, FORCE = "displacement (mm)", "force (kN)"
-MAX_POINTS = 20_000
+MAX_POINTS, MAX_OVER_TIME, MAX_OVER_SPEED = 20_000, 6000, 4000
 
 
-def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], *, wide: bool = False) -> str:
+def cycle(
+    parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit = KN, *, wide: bool = False
+) -> str:
     """One cycle of each run: measured points, median of the law and the band of what would be measured.
 
     Parameters
     ----------
     parts : sequence of (name, displacement, force, Band)
         One for each run, arrays of shape (n,).
+    unit : ForceUnit
+        At the marks of the force.
     wide : bool
         Full width of the page.
     """
@@ -48,12 +56,12 @@ def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], *, wide: bo
         axes.plot(x, band.median, color=colour, linewidth=1.3, label=f"{name}: model")
     axes.plot([], [], ".", color=INK, markersize=6, label="measured")
     axes.fill_between([], [], [], color=GREY, alpha=0.3, label="90 % of points expected")
-    label(axes, STROKE, FORCE)
+    label(axes, STROKE, FORCE, unit)
     legend(axes, 2)
     return svg(figure)
 
 
-def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray) -> str:
+def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, unit: ForceUnit = KN) -> str:
     """All cycles of one run, measured over predicted; `starts` are the first samples of the half-cycles."""
     figure, axes = sheet()
     step = max(1, x.size // MAX_POINTS)
@@ -67,14 +75,14 @@ def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray) -
     axes.plot(x[keep], force[keep], color=INK, linewidth=0.6, alpha=0.8, label="measured", rasterized=True)
     axes.plot(x[keep], band.median[keep], color=RED, linewidth=0.8, label="model (median)", rasterized=True)
     axes.fill_between([], [], [], color=BLUE, alpha=0.3, label="90 % band")
-    label(axes, STROKE, FORCE)
+    label(axes, STROKE, FORCE, unit)
     legend(axes, 3)
     return svg(figure)
 
 
 def energy(energies: Sequence[CycleEnergy]) -> str:
     """Energy of every cycle, measured and predicted."""
-    figure, axes = sheet(WIDE, 3.3)
+    figure, axes = sheet()
     largest = max(float(e.measured_J.max()) for e in energies)
     unit, factor = ("kJ", 1e-3) if largest >= 1000 else ("J", 1.0)
     at = 0
@@ -83,7 +91,7 @@ def energy(energies: Sequence[CycleEnergy]) -> str:
         middle = e.median_J * factor
         error = np.stack([(e.median_J - e.low_J), (e.high_J - e.median_J)]) * factor
         axes.errorbar(
-            number, middle, _lengths(error), fmt="_", color=colour, markersize=13, capsize=5, elinewidth=2,
+            number, middle, np.maximum(error, 0.0), fmt="_", color=colour, markersize=13, capsize=5, elinewidth=2,
             label=f"run {e.run}: predicted, 90 % band",
         )  # fmt: skip
         axes.plot(
@@ -92,49 +100,104 @@ def energy(energies: Sequence[CycleEnergy]) -> str:
         at += e.measured_J.size
     axes.plot([], [], "o", color=INK, markersize=4.5, markerfacecolor="none", label="measured")
     axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     label(axes, "cycle, in the order they were made", f"energy of the cycle ({unit})")
     legend(axes, 3)
     return svg(figure)
 
 
-def energy_error(energies: Sequence[CycleEnergy]) -> str:
-    """Predicted less measured energy, per cent of the measured."""
-    figure, axes = sheet(WIDE, 2.6)
+def over_time(
+    time_s: FloatArray, force: FloatArray, median: FloatArray, noise: tuple[float, float], unit: ForceUnit = KN
+) -> str:
+    """Force over time of one run, measured and modelled, and the residual below it with the band of the noise."""
+    figure = Figure(figsize=(WIDE, 4.6), layout="constrained")
+    above, below = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
+    keep = slice(None, None, max(1, time_s.size // MAX_OVER_TIME))
+    above.plot(time_s[keep], force[keep], color=INK, linewidth=0.8, label="measured", rasterized=True)
+    above.plot(time_s[keep], median[keep], color=RED, linewidth=0.7, label="model (median)", rasterized=True)
+    left = force - median
+    below.axhspan(*noise, color=BLUE, alpha=0.15, linewidth=0, label="noise of the fit (90 %)")
+    below.plot(time_s[keep], left[keep], color=INK, linewidth=0.5, rasterized=True, label="residual")
+    below.axhline(0, color=INK, linewidth=0.8)
+    reach = 1.25 * float(np.quantile(np.abs(left), 0.999)) or 1.0
+    below.set_ylim(-reach, reach)
+    label(above, "", FORCE, unit)
+    label(below, "time (s)", "residual (kN)", unit)
+    legend(above, 2)
+    legend(below, 2)
+    return svg(figure)
+
+
+def channels(time_s: FloatArray, extras: Sequence[tuple[str, FloatArray]]) -> str:
+    """Further channels over time, one below the other; title with unit, and values, of each."""
+    figure = Figure(figsize=(WIDE, 1.5 * len(extras) + 0.5), layout="constrained")
+    panels = figure.subplots(len(extras), 1, sharex=True, squeeze=False)[:, 0]
+    keep = slice(None, None, max(1, time_s.size // MAX_OVER_TIME))
+    for axes, (title, values) in zip(panels, extras, strict=True):
+        tidy(axes)
+        axes.plot(time_s[keep], values[keep], color=BLUE, linewidth=0.9, rasterized=True)
+        label(axes, "", title.replace("$", r"\$"))
+    label(panels[-1], "time (s)", extras[-1][0].replace("$", r"\$"))
+    return svg(figure)
+
+
+def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], unit: ForceUnit = KN) -> str:
+    """Force over velocity: measured points and the model's; name, velocity, measured and modelled of each run."""
+    figure, axes = sheet()
+    for (name, speed, force, median), colour in zip(runs, SERIES, strict=False):
+        keep = slice(None, None, max(1, speed.size // MAX_OVER_SPEED))
+        for values, ink, alpha in ((force, INK, 0.5), (median, colour, 0.6)):
+            dots = axes.plot(speed[keep], values[keep], ".", color=ink, markersize=2.2, alpha=alpha, rasterized=True)
+            dots[0].set_markeredgewidth(0)
+        axes.plot([], [], ".", color=colour, markersize=7, label=f"{name}: model")
+    axes.plot([], [], ".", color=INK, markersize=7, label="measured")
+    label(axes, "velocity (mm/s)", FORCE, unit)
+    legend(axes, 3)
+    return svg(figure)
+
+
+def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
+    """Largest force and plateau of every cycle, push and pull."""
+    figure, axes = sheet()
     at = 0
-    for e, colour in zip(energies, SERIES, strict=False):
-        number = at + np.arange(1, e.measured_J.size + 1)
-        low, middle, high = (100 * (v / e.measured_J - 1) for v in (e.low_J, e.median_J, e.high_J))
-        axes.errorbar(
-            number, middle, _lengths(np.stack([middle - low, high - middle])), fmt="o", color=colour, markersize=4,
-            capsize=3, label=f"run {e.run}",
-        )  # fmt: skip
-        at += e.measured_J.size
-    axes.axhline(0, color=INK, linewidth=1)
-    label(axes, "cycle, in the order they were made", "predicted minus\nmeasured energy (%)")
+    for shape, colour in zip(shapes, SERIES, strict=False):
+        number = at + np.arange(1, shape.push_kN.size + 1)
+        for sign, peak, flat in ((1, shape.push_kN, shape.push_plateau_kN), (-1, shape.pull_kN, shape.pull_plateau_kN)):
+            marker = "^" if sign > 0 else "v"
+            axes.plot(number, sign * peak, marker, color=colour, markersize=4.5, markerfacecolor="none")
+            axes.plot(number, sign * flat, marker + "-", color=colour, markersize=4.5, linewidth=1)
+        axes.plot([], [], "-", color=colour, label=f"run {shape.run}")
+        at += shape.push_kN.size
+    axes.plot([], [], "^", color=INK, markersize=4.5, label="push")
+    axes.plot([], [], "v", color=INK, markersize=4.5, label="pull")
+    axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    label(axes, "cycle, in the order they were made", FORCE, unit)
+    legend(axes, 4)
+    return svg(figure)
+
+
+def damping(shapes: Sequence[CycleShape]) -> str:
+    """Equivalent viscous damping of every cycle, measured and modelled."""
+    figure, axes = sheet()
+    at = 0
+    for shape, colour in zip(shapes, SERIES, strict=False):
+        number = at + np.arange(1, shape.damping_percent.size + 1)
+        axes.plot(number, shape.model_damping_percent, "_", color=colour, markersize=13, markeredgewidth=2)
+        axes.plot(number, shape.damping_percent, "o", color=INK, markersize=4.5, markerfacecolor="none")
+        axes.plot([], [], "_", color=colour, markersize=10, markeredgewidth=2, label=f"run {shape.run}: model")
+        at += shape.damping_percent.size
+    axes.plot([], [], "o", color=INK, markersize=4.5, markerfacecolor="none", label="measured")
+    axes.set_ylim(0, 70)
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    label(axes, "cycle, in the order they were made", "equivalent damping (%)")
     legend(axes, 3)
     return svg(figure)
 
 
-def _lengths(error: FloatArray) -> FloatArray:
-    """Lengths of error bars, never negative."""
-    return np.maximum(np.abs(error), 0.0)
-
-
-def degradation(losses: Sequence[Degradation]) -> str:
-    """Posterior of the loss of sliding force against the first run."""
-    figure, axes = sheet(NARROW, 2.9)
-    for loss, colour in zip(losses, SERIES, strict=False):
-        axes.hist(loss.loss_percent, bins=60, density=True, color=colour, alpha=0.35, label=f"run {loss.run}")
-        axes.axvline(loss.q50, color=colour, linewidth=1.6)
-        for edge in (loss.q05, loss.q95):
-            axes.axvline(edge, color=colour, linewidth=1, linestyle="--")
-    axes.set_yticks([])
-    label(axes, "loss of sliding force against the first run (%)", "how likely")
-    legend(axes, 3)
-    return svg(figure)
-
-
-def prior(x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_kN: FloatArray) -> str:
+def prior(
+    x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_kN: FloatArray, unit: ForceUnit = KN
+) -> str:
     """Loops that the priors allow, those of the published devices, and what is left after the test.
 
     Parameters
@@ -156,6 +219,6 @@ def prior(x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_k
     reach = 1.15 * float(np.quantile(np.abs(prior_kN).max(axis=1), 0.97))
     reach = max(reach, 1.1 * float(np.abs(posterior_kN).max()))
     axes.set_ylim(-reach, reach)
-    label(axes, STROKE, FORCE)
+    label(axes, STROKE, FORCE, unit)
     legend(axes, 3)
     return svg(figure)

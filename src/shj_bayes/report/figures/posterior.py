@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import corner as corner_package
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from shj_bayes._util.import_safety import without
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.figures.canvas import BLUE, INK, SERIES, WIDE, label, png, svg, tidy
 
-MAX_DRAWS, MAX_STEPS = 8000, 300
+with without("arviz"):
+    import corner as corner_package
+
+MAX_DRAWS = 8000
 
 
 def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
@@ -73,47 +76,64 @@ def _gamma_and_dep(value: float, _: object = None) -> str:
     return f"{value:.4g}\n({1 / value:+.4g})" if abs(value) > 1e-9 else "0\n(none)"
 
 
-def traces(means: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
-    """Mean over the walkers of each ensemble along its path.
+def densities(
+    parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], units: Mapping[str, str], width: float = WIDE
+) -> str:
+    """Posterior of every parameter beside its prior.
 
     Parameters
     ----------
-    means : mapping of str to array, shape (n_ensembles, n_steps)
-        In natural units.
+    parts : mapping of str to (draws, places, prior density there)
+        In the unit that is shown.
+    units : mapping of str to str
+        Unit of each, ``"1"`` for none.
+    width : float
+        Inches.
+    """
+    columns = 4
+    rows = -(-len(parts) // columns)
+    figure = Figure(figsize=(width, 1.75 * rows + 0.3), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, (name, (draws, places, density)) in zip(panels, parts.items(), strict=False):
+        tidy(axes)
+        axes.grid(visible=False)
+        axes.hist(draws, bins=40, range=(places[0], places[-1]), density=True, color=BLUE, alpha=0.55)
+        axes.plot(places, density, color=INK, linewidth=1.2, linestyle="--")
+        axes.set_yticks([])
+        axes.xaxis.set_major_locator(MaxNLocator(3))
+        axes.tick_params(labelsize=8)
+        axes.set_xlabel(_named(name, units).replace("\n", " "), fontsize=9)
+    for axes in panels[len(parts) :]:
+        axes.set_visible(False)
+    panels[0].hist([], color=BLUE, alpha=0.55, label="posterior")
+    panels[0].plot([], [], color=INK, linewidth=1.2, linestyle="--", label="prior")
+    figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=9)
+    return svg(figure)
+
+
+def traces(chains: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
+    """Where the walkers were, step by step, one colour for each ensemble.
+
+    Parameters
+    ----------
+    chains : mapping of str to array, shape (n_ensembles, n_draws)
+        Draws in the order in which they were made, walkers after one another, in the unit that is shown.
     units : mapping of str to str
         Unit of each.
     """
-    figure = Figure(figsize=(WIDE / 2, 1.0 * len(means) + 0.4), layout="constrained")
-    panels = figure.subplots(len(means), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (name, paths) in zip(panels, means.items(), strict=True):
+    figure = Figure(figsize=(WIDE, 0.85 * len(chains) + 0.4), layout="constrained")
+    panels = figure.subplots(len(chains), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, paths) in zip(panels, chains.items(), strict=True):
         tidy(axes)
-        every = max(1, paths.shape[1] // MAX_STEPS)
-        for path, colour in zip(paths[:, ::every], SERIES, strict=False):
-            axes.plot(1 + every * np.arange(path.size), path, color=colour, linewidth=0.7)
+        for path, colour in zip(paths, SERIES, strict=False):
+            place = np.linspace(0, 100, path.size)
+            axes.plot(place, path, ".", color=colour, markersize=1.6, markeredgewidth=0, alpha=0.7)
         axes.yaxis.set_major_locator(MaxNLocator(3))
         axes.tick_params(labelsize=8)
         axes.set_ylabel(_named(name, units), fontsize=9)
-    label(panels[-1], "stored step (number)", _named(list(means)[-1], units))
+    label(panels[-1], "steps kept (%)", _named(list(chains)[-1], units))
     panels[-1].yaxis.label.set_size(9)
     return png(figure, 115)
-
-
-def ranks(shares: Mapping[str, tuple[FloatArray, float]]) -> str:
-    """Rank histogram of each ensemble, for each parameter."""
-    figure = Figure(figsize=(WIDE / 2, 1.0 * len(shares) + 0.4), layout="constrained")
-    panels = figure.subplots(len(shares), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (name, (rows, margin)) in zip(panels, shares.items(), strict=True):
-        tidy(axes)
-        axes.axhspan(max(0.0, 1 - margin), 1 + margin, color=INK, alpha=0.1, linewidth=0)
-        edges = np.linspace(0, 100, rows.shape[1] + 1)
-        for row, colour in zip(rows, SERIES, strict=False):
-            axes.stairs(row, edges, color=colour, linewidth=1.1)
-        axes.set_ylim(0, max(2.0, 1.1 * float(rows.max())))
-        axes.tick_params(labelsize=8)
-        axes.set_ylabel(name, fontsize=9)
-    label(panels[-1], "rank among all draws (%)", panels[-1].get_ylabel())
-    panels[-1].yaxis.label.set_size(9)
-    return svg(figure)
 
 
 def _named(name: str, units: Mapping[str, str]) -> str:

@@ -30,6 +30,7 @@
 
   const view = (box, data) => {
     const runs = data.runs.map((run) => decode(run, data.scale));
+    const unit = data.unit || "kN";
     const state = { run: 0, cycle: -1, at: null, zoom: null, playing: 0, speed: 20, drag: null };
     const show = { measured: true, before: true, after: Boolean(runs[0].after), band: Boolean(runs[0].low) && !runs[0].after };
     let split = null;
@@ -64,8 +65,8 @@
       el("div", { class: "bar" }, play, labelled("Time", time), labelled("Speed", speed), button("CSV", "Download the points of this run as CSV", save)),
       strip,
     );
-    const loops = new Sheet(canvas, "displacement (mm)", "force (kN)");
-    const left = new Sheet(strip, "time (s)", "misfit (kN)");
+    const loops = new Sheet(canvas, "displacement (mm)", `force (${unit})`);
+    const left = new Sheet(strip, "time (s)", `residual (${unit})`);
 
     const run = () => runs[state.run];
     const span = () => {
@@ -112,9 +113,9 @@
 
     function tell(i) {
       const r = run();
-      const parts = [`${r.name}, cycle ${cycleOf(i) + 1}, ${r.t[i].toFixed(1)} s: ${signed(r.x[i])} mm, measured ${signed(r.measured[i])} kN`];
+      const parts = [`${r.name}, cycle ${cycleOf(i) + 1}, ${r.t[i].toFixed(1)} s: ${signed(r.x[i])} mm, measured ${signed(r.measured[i])} ${unit}`];
       for (const name of ["before", "after"]) {
-        if (r[name]) parts.push(`${data.names[name]} ${signed(r[name][i])} kN (misfit ${signed(r.measured[i] - r[name][i])} kN)`);
+        if (r[name]) parts.push(`${data.names[name]} ${signed(r[name][i])} ${unit} (residual ${signed(r.measured[i] - r[name][i])} ${unit})`);
       }
       said.textContent = parts.join("; ");
     }
@@ -247,7 +248,7 @@
     function save() {
       const r = run();
       const columns = ["t", "x", "measured", "before", "after", "low", "high"].filter((name) => r[name]);
-      const heads = { t: "time_s", x: "displacement_mm", measured: "measured_kN", before: "model_kN", after: "model_after_kN", low: "band_low_kN", high: "band_high_kN" };
+      const heads = { t: "time_s", x: "displacement_mm", measured: `measured_${unit}`, before: `model_${unit}`, after: `model_after_${unit}`, low: `band_low_${unit}`, high: `band_high_${unit}` };
       const rows = Array.from(r.t, (_, i) => columns.map((name) => +r[name][i].toFixed(4)).join(","));
       saveAs(`${r.name.replace(/\W+/g, "-")}-points`, [columns.map((name) => heads[name]).join(","), ...rows, ""].join("\r\n"));
     }

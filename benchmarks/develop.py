@@ -1,0 +1,133 @@
+"""Development trials of the diagnosis: the simulators of the proof, seeds of development, one line a trial.
+
+``python benchmarks/develop.py --kind one -n 20`` takes a first look at 20 devices that hold one effect each and prints
+what is concealed, the verdict, the coordinates with their probabilities, the names and the seconds; then a table.
+``--effect wear`` holds the forms of wear in turn, ``--effect wear_power`` one form. Trial i of a seed is the same
+whatever ``-n`` is; ``--first`` goes on behind trials that are done. Every trial is a line of
+``build/develop/*.jsonl``, with its key. The figures set thresholds and prove nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.errors import ShjError
+from shj_bayes.inference.run import runs_of
+from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.priors import read_priors
+from shj_bayes.proof.cases import KINDS, Key, development_keys
+from shj_bayes.proof.make import make
+from shj_bayes.proof.score import coordinate_right, outcome, rate
+from shj_bayes.proof.simulators.simulator import simulators_by_id
+from shj_bayes.proof.summary import RIGHT_OUTCOMES
+from shj_bayes.proof.truth import truth_of
+
+BUILD = Path(__file__).resolve().parents[1] / "build" / "develop"
+KEPT = ("verdict", "reason", "coordinates", "effects", "family", "before", "after")
+
+
+def main() -> None:
+    """Run the trials of one kind."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, default=1, help="of development")
+    parser.add_argument("-n", "--n", type=int, default=10, help="number of trials")
+    parser.add_argument("--first", type=int, default=1, help="number of the first trial")
+    parser.add_argument("--kind", choices=KINDS, default="one", help="what the trials hold")
+    parser.add_argument("--effect", help="simulator, or effect whose forms are taken in turn")
+    parser.add_argument("--rate", type=float, help="sampling rate, Hz; drawn if not given")
+    arguments = parser.parse_args()
+    keys = development_keys(
+        arguments.seed, arguments.n, arguments.kind, effect=arguments.effect, rate_Hz=arguments.rate
+    )
+    words = [arguments.kind, arguments.effect, arguments.rate, f"seed{arguments.seed}"]
+    BUILD.mkdir(parents=True, exist_ok=True)
+    rows = []
+    with (BUILD / ("-".join(str(word) for word in words if word is not None) + ".jsonl")).open("a") as file:
+        for key in keys[arguments.first - 1 :]:
+            row = trial(key)
+            rows.append(row)
+            print(line(row), flush=True)
+            file.write(json.dumps(row, allow_nan=False) + "\n")
+            file.flush()
+    print(table(rows))
+
+
+def trial(key: Key) -> dict[str, Any]:
+    """Make, diagnose and judge one trial."""
+    made = make(key)
+    truth = truth_of(key, made)
+    row: dict[str, Any] = {"key": key.to_dict(), "each": {k: list(v) for k, v in truth.each.items()}}
+    row["required"] = sorted(truth.required)
+    begin = time.perf_counter()
+    try:
+        runs = runs_of([one.recording for one in made])
+        device = DeviceModel(len(runs), read_priors("afc"), variant=key.reversal)
+        record = diagnose(runs, device, quick=True).record
+    except (ShjError, ArithmeticError, ValueError) as error:
+        row |= {"outcome": "failed", "right": False, "verdict": "failed", "reason": f"{type(error).__name__}: {error}"}
+        return row | {"seconds": time.perf_counter() - begin}
+    row |= {"seconds": time.perf_counter() - begin} | {name: record[name] for name in KEPT if name in record}
+    row["outcome"] = outcome(key, record, truth.required)
+    row["right"] = coordinate_right(key, record, truth.required)
+    return row
+
+
+def line(row: dict[str, Any]) -> str:
+    """One trial in one line."""
+    key = row["key"]
+    visible = (f"{one['id']} {one['size']:+.3g} ({row['each'][one['id']][0]:.1%})" for one in key["effects"])
+    concealed = " + ".join(visible) or "nothing"
+    if key["effects"] and not row["required"]:
+        concealed += " too small"
+    setting = f"{key['protocol']} {key['rate_Hz']:g} Hz {key['reversal'][:4]} {key['nuisance']['noise']}"
+    place = {True: "right", False: "WRONG", None: "-"}[row["right"]]
+    stated = sorted(row.get("coordinates", []), key=lambda entry: -entry["probability"])[:4]
+    coordinates = ", ".join(f"{e['action']}/{e['coordinate']} {e['probability']:.2f}" for e in stated)
+    names = "+".join(effect["id"] for effect in row.get("effects", []))
+    family = ", ".join(member["id"] for member in row.get("family", []))
+    answer = f"{row['verdict']} {names}{f' or {family}' if family else ''}".strip()
+    head = f"{key['number']:4} {concealed:44} {setting:36} coordinate {place:6} {row['outcome']:13}"
+    return f"{head} {row['seconds']:5.1f} s | {answer} | {coordinates}"
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Count all trials, then those of each effect and form."""
+    lines = [f"{'':30} {'coordinate':>12} {'name':>12} {'adequate':>9} {'alarms':>7} {'median s':>9} {'worst s':>8}"]
+    known = simulators_by_id()
+    groups = {"all": rows}
+    for row in rows:
+        for one in row["key"]["effects"]:
+            groups.setdefault(known[one["id"]].effect, []).append(row)
+            if one["id"] != known[one["id"]].effect:
+                groups.setdefault(f"  {one['id']}", []).append(row)
+    for name, own in [("all", rows), *sorted((n, g) for n, g in groups.items() if n != "all")]:
+        seen = [row for row in own if row["required"]]
+        stated = [row for row in seen if row["right"] is not None]
+        places = rate(sum(bool(row["right"]) for row in stated), len(stated))
+        outside = ("unknown", *RIGHT_OUTCOMES)
+        hits = sum(row["outcome"] in (outside if row["key"]["kind"] == "outside" else RIGHT_OUTCOMES) for row in seen)
+        quiet = [row for row in own if not row["key"]["effects"]]
+        alarms = sum(row["verdict"] != "adequate" for row in quiet)
+        seconds = [row["seconds"] for row in own] or [0.0]
+        lines.append(
+            f"{name:30} {places['hits']:5} of {places['n']:3} {hits:5} of {len(seen):3} "
+            f"{sum(row['verdict'] == 'adequate' for row in own):9} {alarms:7} "
+            f"{np.median(seconds):9.1f} {max(seconds):8.1f}"
+        )
+    quiet = [row for row in rows if not row["key"]["effects"]]
+    if quiet:
+        alarms = rate(sum(row["verdict"] != "adequate" for row in quiet), len(quiet))
+        lines.append(f"false alarms {alarms['hits']} of {alarms['n']}, upper 95 % limit {alarms['high']:.1%}")
+    lines.append("coordinate and name: of the trials whose effects can be seen in their noise; two effects, both")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""What a package holds, one thing a module: adding a file is enough, nothing is registered."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+from shj_bayes.errors import ShjError
+
+
+def discovered(package: ModuleType, constant: str, error: type[ShjError]) -> Iterator[Any]:
+    """Value of a constant in every module of a package that holds one.
+
+    Parameters
+    ----------
+    package : module
+        The package.
+    constant : str
+        Name of the constant, such as ``EFFECT``; its value has an ``id``.
+    error : type
+        Kind of error to raise.
+
+    Raises
+    ------
+    ShjError
+        If a value has another id than its file.
+    """
+    folder = package.__name__.rpartition(".")[2]
+    for module in pkgutil.iter_modules(package.__path__):
+        value = getattr(importlib.import_module(f"{package.__name__}.{module.name}"), constant, None)
+        if value is None:
+            continue
+        if value.id != module.name:
+            what = constant.lower()
+            raise error(f"{folder}/{module.name}.py holds {what} '{value.id}'; the file carries the {what}'s id")
+        yield value

@@ -1,0 +1,28 @@
+"""Where the files that ship with the project are: priors/ and data/ at the top of the tree, or inside a wheel."""
+
+from pathlib import Path
+
+
+def shipped(*parts: str) -> Path:
+    """Path of a shipped file or folder.
+
+    Parameters
+    ----------
+    *parts : str
+        Path below the top of the project, for example ``"priors", "afc.toml"``.
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    FileNotFoundError
+        If neither the checkout nor the installed wheel holds it.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for root in (package / "_shipped", package.parents[1]):
+        candidate = root.joinpath(*parts)
+        if candidate.exists():
+            return candidate
+    raise FileNotFoundError(f"{'/'.join(parts)} does not ship with this installation; reinstall shj-bayes")

@@ -1,0 +1,160 @@
+"""Yesterday's posterior as today's prior: of the same device, or of the set that a new one belongs to.
+
+The noise keeps the priors of its family: it belongs to the laboratory, not to the device. So does beta, whose law has
+ends: an earlier interval as a law with ends would forbid what lies beyond it.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.files import read_bytes, read_json
+from shj_bayes.errors import PriorError
+from shj_bayes.inference.record import read_group, read_record
+from shj_bayes.model.priors import FROM_EARLIER, Prior, Priors
+from shj_bayes.recording.recording import Finding, Recording
+
+LAW = ("K", "Fy", "gamma", "ratio")
+NINETY = 3.289707  # standard deviations from 5 to 95 % of a normal law
+LEAST_SPREAD = 0.01  # of a factor: no two tests of one device agree better
+MAX_TABLE = 50_000_000  # bytes
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What is known from earlier tests.
+
+    Parameters
+    ----------
+    statement : str
+        Of which device or set.
+    bands : dict of str to tuple of float
+        5, 50 and 95 % by parameter of the law.
+    sha256 : str
+        Digest of the files it comes from.
+    recordings : frozenset of str
+        Digests of the recordings that it rests on.
+    """
+
+    statement: str
+    bands: dict[str, tuple[float, float, float]]
+    sha256: str
+    recordings: frozenset[str]
+
+    def on(self, family: Priors) -> Priors:
+        """Priors of a family with the laws of these parameters in place of its own."""
+        own = {name: _law(family.of(name), band, self.statement) for name, band in self.bands.items()}
+        digest = hashlib.sha256(f"{family.sha256} {self.sha256}".encode()).hexdigest()
+        return replace(
+            family,
+            family=f"{family.family}, and the posterior of {self.statement}",
+            statement=f"{family.statement} Taken from earlier tests: {', '.join(own)}, of {self.statement}.",
+            priors=family.priors | own,
+            sha256=digest,
+        )
+
+    def remarked(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Warn of recordings that the prior rests on already: their evidence would count twice."""
+        out = []
+        for recording in recordings:
+            if recording.source.sha256 and recording.source.sha256 in self.recordings:
+                message = (
+                    f"{recording.source.name} is in the posterior of {self.statement}, which is the prior here: what "
+                    "it says counts twice, and the intervals are too narrow; give recordings that are new"
+                )
+                found = Finding("recording-in-prior", "warning", message)
+                recording = replace(recording, findings=(*recording.findings, found))  # noqa: PLW2901
+            out.append(recording)
+        return out
+
+
+def earlier(where: str) -> Earlier:
+    """Read what earlier tests say.
+
+    Parameters
+    ----------
+    where : str
+        Folder of a fit; or of a campaign, with ``#SET`` behind it where it has several sets.
+
+    Returns
+    -------
+    Earlier
+
+    Raises
+    ------
+    PriorError
+        If there is neither, or no such set.
+    InferenceError
+        If the fit is damaged.
+    """
+    name, _, chosen = where.partition("#")
+    folder = Path(name)
+    if (folder / "fit.json").is_file():
+        return _of_device(folder)
+    if (folder / "population.csv").is_file():
+        return _of_set(folder, chosen)
+    raise PriorError(f"--priors-from {name}: there is no fit and no campaign in it; name the folder given to -o")
+
+
+def _of_device(folder: Path) -> Earlier:
+    record, draws = read_record(folder), read_group(folder, "posterior")
+    if record["verdict"] == "unusable":
+        raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
+    bands = {name: _band(np.quantile(draws[name], (0.05, 0.5, 0.95))) for name in LAW if name in draws}
+    inputs = frozenset(str(entry["sha256"]) for entry in record["inputs"])
+    return Earlier(f"device {record['device']}", bands, str(record.get("digest", "")), inputs)
+
+
+def _of_set(folder: Path, chosen: str) -> Earlier:
+    raw = read_bytes(folder / "population.csv", MAX_TABLE, PriorError)
+    try:
+        rows = [row for row in csv.DictReader(raw.decode("utf-8-sig").splitlines()) if int(row["n_devices"]) > 0]
+        sets = {row["set"].casefold(): row["set"] for row in rows}
+        if not chosen and len(sets) == 1:
+            chosen = next(iter(sets))
+        if chosen.casefold() not in sets:
+            said = f"has no set '{chosen}'" if chosen else "holds several sets"
+            hint = did_you_mean(chosen, sets.values()) if chosen else f"; write {folder}#SET"
+            raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(sets.values())}{hint}")
+        name = sets[chosen.casefold()]
+        mine = {row["quantity"]: row for row in rows if row["set"] == name}
+        keys = ("q05", "q50", "q95")
+        bands = {q: _band([float(mine[q][key]) for key in keys]) for q in LAW if q in mine}
+    except (KeyError, ValueError, TypeError) as error:
+        raise PriorError(f"population.csv in {folder.name} is damaged ({error}); run the campaign again") from error
+    return Earlier(f"a new device of set {name}", bands, hashlib.sha256(raw).hexdigest(), _recordings(folder, name))
+
+
+def _recordings(folder: Path, name: str) -> frozenset[str]:
+    """Digests of the recordings of a set; none where the population rests on published tables."""
+    path = folder / "campaign.json"
+    if not path.is_file():
+        return frozenset()
+    record = read_json(path, PriorError)
+    groups = [group for group in record.get("sets", ()) if group.get("name") == name]
+    fits = [folder / "devices" / Path(str(d["folder"])).name for group in groups for d in group["devices"]]
+    records = [read_record(fit) for fit in fits if (fit / "fit.json").is_file()]
+    return frozenset(str(entry["sha256"]) for one in records for entry in one["inputs"])
+
+
+def _band(values: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
+    low, middle, high = (float(v) for v in values)
+    return low, middle, high
+
+
+def _law(own: Prior, band: tuple[float, float, float], statement: str) -> Prior:
+    """Law of a parameter with the 5, 50 and 95 % of an earlier result."""
+    low, middle, high = band
+    source = f"{FROM_EARLIER}{statement}."
+    if own.name == "gamma":
+        return replace(own, law="normal", a=middle, b=max((high - low) / NINETY, 1e-6), source=source)
+    spread = max(math.log(high / low) / NINETY, LEAST_SPREAD)
+    return replace(own, law="lognormal", a=middle, b=spread, source=source)

@@ -1,0 +1,50 @@
+"""What the data do not say of a parameter, as values: their sentences stand in ``report/words.py``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import FROM_EARLIER
+
+UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away
+AGAINST = 2.6  # standard deviations of the prior: 1 in 100 beyond it
+
+
+def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:
+    """Parameters that the recordings do not determine, and those whose value the prior holds nearly impossible.
+
+    Parameters
+    ----------
+    model : DeviceModel
+        Says the priors.
+    chains : array, shape (..., d)
+        Draws in natural units.
+
+    Returns
+    -------
+    list of dict
+        ``parameter``, ``kind`` (``undetermined`` or ``against-prior``), ``q50`` and the prior's ``prior_q05`` and
+        ``prior_q95``; of the law alone, since nobody designs with the noise.
+    """
+    flat = chains.reshape(-1, chains.shape[-1])
+    out = []
+    for i, (name, law) in enumerate(zip(model.law_names, model.laws_of_parameters, strict=False)):
+        if not model.predicted[i]:
+            continue
+        place = law.to_free(flat[:, i])  # standard normal, were there no data
+        place = place[np.isfinite(place)]
+        kind = ""
+        known = law.source.startswith(FROM_EARLIER)  # a recording that adds nothing to it leaves it as well known
+        if place.size and np.std(place) > UNDETERMINED and not known:
+            kind = "undetermined"
+        elif place.size and abs(np.median(place)) > AGAINST:
+            kind = "against-prior"
+        if kind:
+            low, high = law.quantile(np.array([0.05, 0.95])).tolist()
+            middle = float(np.median(flat[:, i]))
+            out.append({"parameter": name, "kind": kind, "q50": middle, "prior_q05": low, "prior_q95": high})
+    return out

@@ -1,0 +1,231 @@
+"""The displacement history that is asked for: the test itself, a sine, or a file; and whether the devices saw the like.
+
+A model knows nothing beyond what its device went through. Which coordinates it depends on is found by changing them
+one at a time and looking at the force. Beyond the tested position nothing is said at all, because a slot ends. Beyond
+the tested speed, travel or time the answer is refused, or, when extrapolation is asked for, given by three laws that
+agree with the tests and stay bounded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import PchipInterpolator
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins.request import Request
+from shj_bayes.margins.specimen import Belief, Specimen, largest_ranges
+from shj_bayes.margins.virtual_test import drive
+from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.reversals import hysteresis
+
+PUBLISHED_DEP = (30.0, -30.0)
+UNITS = {"position": "mm", "speed": "mm/s", "travel": "m", "time": "s"}
+LEEWAY = 1.02
+"""Share by which noise may carry a coordinate beyond what was tested."""
+CHANGE = 1e-6
+"""Share of the largest force by which it must change for the model to depend on a coordinate."""
+STEP_MM = 0.5
+SAMPLES = 400
+Stretch = Callable[[FloatArray], FloatArray]
+LAWS: dict[str, Stretch] = {
+    "held": lambda r: 1.0 + 1e-6 * (r - 1.0),
+    "saturating": lambda r: 2.0 - np.exp(-(r - 1.0)),
+    "logarithmic": lambda r: 1.0 + np.log(r),
+}
+"""Value of a coordinate that a model is given in place of one beyond the tested end, both as shares of that end: no
+further change, a change that ends at twice the tested one, and one that slows down for ever."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A displacement history.
+
+    Parameters
+    ----------
+    time_s : array, shape (n_samples,)
+        Sampling times.
+    motion : Motion
+        Displacement from the middle of the stroke, speed and half-cycles.
+    words : str
+        What it is.
+    """
+
+    time_s: FloatArray
+    motion: Motion
+    words: str
+
+
+def asked_for(request: Request, specimens: Sequence[Specimen]) -> Asked | None:
+    """Give the history that is asked for; None for the test that each device went through.
+
+    Parameters
+    ----------
+    request : Request
+        Choices of the user.
+    specimens : sequence of Specimen
+        Tested devices; their largest common amplitude and speed stand in for what was not stated.
+    """
+    if request.history is not None:
+        return from_file(request.history)
+    if (request.amplitude_mm, request.speed_mm_s, request.cycles) == (None, None, None):
+        return None
+    ranges = largest_ranges(specimens)
+    amplitude = ranges["position"] if request.amplitude_mm is None else request.amplitude_mm
+    speed = ranges["speed"] if request.speed_mm_s is None else request.speed_mm_s
+    return sine(amplitude, speed, 3 if request.cycles is None else request.cycles)
+
+
+def sine(amplitude_mm: float, speed_mm_s: float, cycles: int) -> Asked:
+    """So many full cycles of one amplitude and peak speed, with the quarters that lead in and out."""
+    frequency = speed_mm_s / (2.0 * math.pi * amplitude_mm)
+    time, motion = exact_motion((Block(amplitude_mm, frequency, cycles + 1),), SAMPLES * frequency)
+    words = f"{cycles} cycles of {amplitude_mm:.3g} mm at a peak speed of {speed_mm_s:.3g} mm/s"
+    return Asked(time, motion, words)
+
+
+def from_file(path: Path) -> Asked:
+    """Read a displacement (mm) over time (s): two columns, with or without a head; further columns are not read.
+
+    Raises
+    ------
+    PopulationError
+        If the file cannot be read as such.
+    """
+    try:
+        table = pd.read_csv(path, sep=None, engine="python", comment="#", header=None).iloc[:, :2]
+        table = table.apply(pd.to_numeric, errors="coerce").dropna()
+        time, x = (table.iloc[:, i].to_numpy(dtype=np.float64) for i in (0, 1))
+    except (OSError, ValueError, IndexError, pd.errors.ParserError) as error:
+        raise PopulationError(f"{path.name} cannot be read as time (s) and displacement (mm): {error}") from error
+    if time.size < 8 or np.any(np.diff(time) <= 0) or not np.ptp(x) > 0:
+        raise PopulationError(
+            f"{path.name}: a history needs two columns, time (s) that grows and displacement (mm) that changes, in 8 "
+            f"lines or more; read were {time.size} lines"
+        )
+    curve = PchipInterpolator(time, x)
+    n = int(min(max(np.abs(np.diff(x)).sum() / STEP_MM, 2000, time.size), 200_000))
+    fine = np.unique(np.concatenate([time, np.linspace(time[0], time[-1], n)]))
+    moved, speed = curve(fine), np.abs(curve.derivative()(fine))
+    turns = hysteresis(moved, 1e-3 * float(np.ptp(x)))
+    start = np.array([0, *(t for t in turns if 0 < t < fine.size - 1), fine.size])
+    first = 1 if moved[start[1] - 1] > moved[0] else -1
+    direction = first * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
+    motion = Motion(moved, speed, start, moved[start[:-1]], direction)
+    return Asked(fine - fine[0], motion, f"the history of {path.name}")
+
+
+def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> dict[str, tuple[History, ...]]:
+    """Histories to drive a device through, by law of what was not tested; one where all of it was.
+
+    Parameters
+    ----------
+    asked : Asked or None
+        None for the device's own test.
+    specimen : Specimen
+        The device.
+    extrapolate : bool
+        Whether what was not tested may be spoken of.
+
+    Returns
+    -------
+    dict of str to tuple of History
+        "tested", or the names of ``LAWS``.
+
+    Raises
+    ------
+    PopulationError
+        If the history leaves what was tested and extrapolation was not asked for.
+    """
+    if asked is None:
+        return {"tested": specimen.histories}
+    runs = specimen.driven_through(asked.time_s, asked.motion)
+    beyond = _beyond(runs, specimen)
+    name = f"{specimen.set_name}, {specimen.name}"
+    if "position" in beyond:
+        raise PopulationError(
+            f"{asked.words} reaches a position of {beyond['position']:.4g} mm, which was not tested; {name} was tested "
+            f"up to {specimen.ranges['position']:.4g} mm. Nothing is said outside: the bolt may meet the slot"
+        )
+    beyond = {k: v for k, v in beyond.items() if any(depends(b, specimen.histories[-1], k) for b in specimen.beliefs)}
+    if not beyond:
+        return {"tested": runs}
+    if not extrapolate:
+        coordinate, reached = next(iter(beyond.items()))
+        unit, tested = UNITS[coordinate], specimen.ranges[coordinate]
+        extra = f" {published_factors(reached)}" if coordinate == "speed" else ""
+        raise PopulationError(
+            f"{asked.words} reaches a {coordinate} of {reached:.4g} {unit}, which was not tested: {name} was tested up "
+            f"to {tested:.4g} {unit}, and its force depends on it.{extra} With --extrapolate the spread of bounded "
+            "laws is given instead"
+        )
+    return {law: tuple(_stretched(run, specimen, beyond, shape) for run in runs) for law, shape in LAWS.items()}
+
+
+def _beyond(runs: Sequence[History], specimen: Specimen) -> dict[str, float]:
+    """Coordinates that leave the tested range, with the largest value reached."""
+    last = runs[-1]
+    reached = {
+        "position": float(np.abs(last.position_mm).max()),
+        "speed": float(last.speed_mm_s.max()),
+        "travel": float(last.travel_m[-1]),
+        "time": float(last.begun_s + last.time_s[-1]),
+    }
+    return {name: value for name, value in reached.items() if value > LEEWAY * specimen.ranges[name]}
+
+
+def depends(belief: Belief, history: History, coordinate: str) -> bool:
+    """Whether the force of a model changes with a coordinate and nothing else."""
+    motion = history.motion
+    other = {
+        "speed": lambda: replace(history, motion=replace(motion, speed_mm_s=1.5 * motion.speed_mm_s)),
+        "travel": lambda: replace(history, travel_m=0.5 + 1.5 * history.travel_m),
+        "time": lambda: replace(history, time_s=1.5 * history.time_s, begun_s=100.0 + 1.5 * history.begun_s),
+    }[coordinate]()
+    (before,), (after,) = (drive(belief.model, belief.typical, [h]) for h in (history, other))
+    return bool(np.abs(after - before).max() > CHANGE * np.abs(before).max())
+
+
+def _stretched(history: History, specimen: Specimen, beyond: dict[str, float], shape: Stretch) -> History:
+    """History in which coordinates beyond the tested end are those of a bounded law."""
+
+    def bounded(values: FloatArray, name: str) -> FloatArray:
+        if name not in beyond:
+            return values
+        share = values / specimen.ranges[name]
+        return np.asarray(np.where(share > 1.0, shape(np.maximum(share, 1.0)), share) * specimen.ranges[name])
+
+    total = bounded(history.begun_s + history.time_s, "time")
+    return replace(
+        history,
+        motion=replace(history.motion, speed_mm_s=bounded(history.speed_mm_s, "speed")),
+        travel_m=bounded(history.travel_m, "travel"),
+        time_s=total - total[0],
+        begun_s=float(total[0]),
+    )
+
+
+def published_factors(speed_mm_s: float) -> str:
+    """Say what the published law does at a speed, and why that is meaningless when it is far from the tests.
+
+    Eq. (2) multiplies the force by 1 + v/dep; fitted at one peak speed that is a tangent, not a law.
+    """
+    up, down = (1.0 + speed_mm_s / dep for dep in PUBLISHED_DEP)
+    return (
+        f"At {speed_mm_s:.4g} mm/s the published law multiplies the sliding force by {up:.3g} for dep = +30 mm/s and "
+        f"by {down:.3g} for dep = -30 mm/s"
+        + (
+            ": a friction force that pushes the way it moves, and feeds energy in. That is the tangent of a curve "
+            "at one speed, drawn on as a line, and means nothing there."
+            if down < 0
+            else "."
+        )
+    )

@@ -1,0 +1,248 @@
+"""A tested device as the virtual test takes it: its models with draws, the test it went through, and what was measured.
+
+The posterior files of `fit` and `diagnose` are alike; both come here as a model of the device with draws of its
+parameters. A device known by printed parameters alone has no recordings: the regime of Table 1 is its test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes._util.files import damage_told
+from shj_bayes.errors import PopulationError
+from shj_bayes.inference.record import read_group, read_record
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.history import History, histories
+from shj_bayes.model.law import BETA_RANGE
+from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import read_priors
+from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.quantities import QUANTITIES
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.protocol import exact_motion, table_1
+
+N_DRAWS = 64
+"""Draws of each device that are driven: its own uncertainty is known to a tenth from them."""
+FOUND, ALONE = "with the physics found", "with the law alone"
+TABLE_RATE_HZ = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A model of a device, and draws of its parameters.
+
+    Parameters
+    ----------
+    label : str
+        Which model it is, in words.
+    model : DeviceModel
+        With its effects.
+    theta : array, shape (m, d)
+        Draws in natural units.
+    likely : mapping of (run, half-cycle) to array, shape (m,)
+        Log likelihood of each half-cycle under each draw, as far as the fit holds it: what the draws would be without
+        that half-cycle follows from it.
+    """
+
+    label: str
+    model: DeviceModel
+    theta: FloatArray
+    likely: Mapping[tuple[int, int], FloatArray] = field(default_factory=dict, repr=False)
+
+    @property
+    def typical(self) -> FloatArray:
+        """Median of each parameter, shape (1, d)."""
+        return np.median(self.theta, axis=0, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """A tested device.
+
+    Parameters
+    ----------
+    name, set_name : str
+        The device and its set.
+    beliefs : tuple of Belief
+        The best model first, the law alone last.
+    histories : tuple of History
+        Its test, run by run.
+    start_force_kN : tuple of float
+        Force with which each run began.
+    measured_kN : tuple of array
+        Measured force of each run; empty for a device known by printed parameters.
+    """
+
+    name: str
+    set_name: str
+    beliefs: tuple[Belief, ...]
+    histories: tuple[History, ...]
+    start_force_kN: tuple[float, ...]
+    measured_kN: tuple[FloatArray, ...] = ()
+
+    @property
+    def n_runs(self) -> int:
+        """Runs of its test."""
+        return len(self.histories)
+
+    @cached_property
+    def middle_mm(self) -> float:
+        """Displacement in the middle of its stroke."""
+        first = self.histories[0]
+        return float(first.motion.displacement_mm[0] - first.position_mm[0])
+
+    @cached_property
+    def ranges(self) -> dict[str, float]:
+        """Largest value of every coordinate in its test: position (mm), speed (mm/s), travel (m), time (s)."""
+        last = self.histories[-1]
+        travel = float(last.travel_m[-1])
+        return {
+            "position": last.half_stroke_mm,
+            "speed": last.peak_speed_mm_s,
+            "travel": travel,
+            "time": last.tested_s,
+        }
+
+    def driven_through(self, time_s: FloatArray, motion: Motion) -> tuple[History, ...]:
+        """Histories of the same motion run after run, with the middle and the scales of the device's own test."""
+        own = self.histories[-1]
+        drawn = histories([time_s] * self.n_runs, [motion] * self.n_runs)
+        return tuple(
+            replace(
+                history,
+                position_mm=motion.displacement_mm,
+                half_stroke_mm=own.half_stroke_mm,
+                peak_speed_mm_s=own.peak_speed_mm_s,
+                tested_s=own.tested_s,
+            )
+            for history in drawn
+        )
+
+
+def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = None) -> Specimen:
+    """Read a tested device from the files of its fit.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder of the fit.
+    name, set_name : str
+        The device and its set.
+    found : Path, optional
+        Results folder of the fit that its diagnosis ended in, with the effects that were found.
+
+    Returns
+    -------
+    Specimen
+    """
+    with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
+        record = read_record(folder)
+        data = read_group(folder, "constant_data")
+        # Fits of the first schema hold the measured force with what was observed.
+        force = data["force"] if "force" in data else read_group(folder, "observed_data")["force"]
+        beliefs = [_belief(folder, record, ALONE)]
+        if found is not None:
+            beliefs.insert(0, _belief(found, read_record(found), FOUND))
+        numbers = [int(run) for run in np.unique(data["run"])]
+        parts = [data["run"] == run for run in numbers]
+        motions = [
+            _motion(data["displacement_mm"][p], data["speed_mm_s"][p], data["half_cycle_of_sample"][p]) for p in parts
+        ]
+        times = [np.asarray(data["time_s"][p], dtype=np.float64) for p in parts]
+        starts = tuple(float(entry["start_force_kN"]) for entry in record["inputs"])
+        measured = tuple(np.asarray(force[p], dtype=np.float64) for p in parts)
+    return Specimen(name, set_name, tuple(beliefs), histories(times, motions), starts, measured)
+
+
+def model_of(record: Mapping[str, Any]) -> DeviceModel:
+    """Rebuild the model of a fit from its record; the laws of its priors are not needed to drive it."""
+    said = record["model"]
+    return DeviceModel(
+        len(record["inputs"]),
+        read_priors(),
+        effects=effects_named([str(word) for word in said.get("effects", ())]),
+        noise=noise_model(str(said.get("noise", DEFAULT))),
+        free=tuple(said.get("free_between_runs", ())),
+        variant=str(said.get("variant", "published")),
+        speed=bool(said.get("speed", True)),
+    )
+
+
+def _belief(folder: Path, record: Mapping[str, Any], label: str) -> Belief:
+    model, draws = model_of(record), read_group(folder, "posterior")
+    total = draws["Fy"].size
+    chosen = np.linspace(0, total - 1, min(N_DRAWS, total)).astype(np.int64)
+    # Noise parameters do not move the force; a fit of an earlier version may name them otherwise.
+    columns = [draws[name].ravel()[chosen] if name in draws else np.zeros(chosen.size) for name in model.names]
+    stored = read_group(folder, "log_likelihood")
+    likely = {}
+    if {"force_of_half_cycle", "run", "number"} <= set(stored):
+        values = stored["force_of_half_cycle"].reshape(total, -1)[chosen]
+        places = zip(stored["run"].tolist(), stored["number"].tolist(), strict=True)
+        likely = {(int(run), int(number)): values[:, i] for i, (run, number) in enumerate(places)}
+    return Belief(label, model, np.stack(columns, axis=1).astype(np.float64), likely)
+
+
+def _motion(x: FloatArray, speed: FloatArray, half: FloatArray) -> Motion:
+    """Motion of a run from its stored channels; turning points are the outermost samples beside each reversal."""
+    start = np.append(np.flatnonzero(np.diff(half, prepend=-1)), x.size)
+    first = int(np.sign(x[start[1] - 1] - x[0]) or 1)
+    direction = first * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
+    beside = np.stack([x[start[1:-1] - 1], x[start[1:-1]]])
+    turning = np.where(direction[1:] < 0, beside.max(axis=0), beside.min(axis=0))
+    return Motion(x, speed, start, np.concatenate([x[:1], turning]), direction)
+
+
+def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:
+    """Devices known by printed parameters, driven through the regime of Table 1.
+
+    Parameters
+    ----------
+    result : PopulationResult
+        Its devices have values with the error of their rounding; those that lack K, Fy, beta or gamma are left out.
+
+    Returns
+    -------
+    tuple of Specimen
+    """
+    variant = result.tested.variant if result.tested else "published"
+    time, motion = exact_motion(table_1(), TABLE_RATE_HZ)
+    out = []
+    for group in result.sets:
+        for i, name in enumerate(group.devices):
+            theta = _table_draws(group, i, result.seed)
+            if theta is None:
+                continue
+            n_runs = 2 if "ratio" in theta else 1
+            model = DeviceModel(n_runs, read_priors(), variant=variant)
+            columns = [theta.get(name, np.zeros(N_DRAWS)) for name in model.names]
+            belief = Belief(ALONE, model, np.stack(columns, axis=1))
+            tested = histories([time] * n_runs, [motion] * n_runs)
+            out.append(Specimen(name, group.name, (belief,), tested, (0.0,) * n_runs))
+    return tuple(out)
+
+
+def _table_draws(group: DeviceSet, index: int, seed: int) -> dict[str, FloatArray] | None:
+    """Draws of a device from its values and their errors; None where one that the law needs is missing."""
+    rng = np.random.default_rng([seed, index])
+    out = {}
+    for q in ("K", "Fy", "beta", "gamma", "ratio"):
+        point = group.points.get(q, ())
+        if index >= len(point) or not np.isfinite(point[index]):
+            continue
+        error = group.errors.get(q, (0.0,) * len(point))[index]
+        drawn = QUANTITIES[q].natural(point[index] + np.nan_to_num(error) * rng.standard_normal(N_DRAWS))
+        out[q] = np.clip(drawn, *BETA_RANGE) if q == "beta" else drawn
+    return out if {"K", "Fy", "beta", "gamma"} <= set(out) else None
+
+
+def largest_ranges(specimens: Sequence[Specimen]) -> dict[str, float]:
+    """Range of every coordinate that all devices went through."""
+    return {name: min(s.ranges[name] for s in specimens) for name in specimens[0].ranges}

@@ -1,0 +1,258 @@
+"""The virtual test of every device of a campaign, beside what was measured, as devices to be pooled.
+
+Each device gives one value of each design quantity with its own uncertainty. A quantity that bounds the force from
+below is the least of what the device showed, of what its best model predicts and of what the law alone predicts, one
+that bounds it from above the largest; typical quantities are those of the best model brought to what was measured. So
+neither a wrong model nor a missing one makes a bound less safe than the recordings themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins.asked import Asked, courses
+from shj_bayes.margins.quantities import TABLE, counted_from, of_readings, pooled, side_of
+from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.margins.specimen import Belief, Specimen
+from shj_bayes.margins.virtual_test import Readings, drive, read_off
+from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
+from shj_bayes.population.measurement import Condensed, Likelihood
+
+LEAST_ERROR = 1e-3
+"""Least standard deviation of the logarithm with which a value is taken to be known."""
+Runs = tuple[Readings, ...]
+Values = dict[str, FloatArray]
+Loop = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A device after its virtual test.
+
+    Parameters
+    ----------
+    name, set_name : str
+        The device and its set.
+    table : tuple of dict
+        Per run and quantity of ``quantities.TABLE``: 5, 50 and 95 % of the best model's draws, and the measured value
+        (NaN where none).
+    values : mapping of str to float
+        Pooled quantities: value of this device, natural unit.
+    errors : mapping of str to float
+        Standard deviation of the logarithm with which it is known.
+    model_errors : mapping of str to float
+        Logarithm of measured over predicted, in its own test; empty without recordings.
+    cycle_errors : array, shape (n,)
+        The same of the plateau force of each half-cycle that slides, predicted without it.
+    loops : tuple of (up, down)
+        Per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n).
+    laws : tuple of str
+        Laws of what was not tested; "tested" alone where all was.
+    carried : bool
+        Whether the history is another one than that of its own test, so that the error of the model is carried over.
+    """
+
+    name: str
+    set_name: str
+    table: tuple[dict[str, tuple[float, float, float, float]], ...]
+    values: Mapping[str, float]
+    errors: Mapping[str, float]
+    model_errors: Mapping[str, float]
+    cycle_errors: FloatArray
+    loops: tuple[Loop, ...] = field(repr=False, default=())
+    laws: tuple[str, ...] = ("tested",)
+    carried: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a value without a logarithm."""
+        wrong = {name: value for name, value in self.values.items() if not (np.isfinite(value) and value > 0)}
+        if wrong:
+            raise PopulationError(
+                f"{self.set_name}, {self.name}: {', '.join(f'{k} = {v:.4g}' for k, v in wrong.items())} in the virtual "
+                "test; a force or energy must be above zero. Look at the fit of this device"
+            )
+
+    def estimate(self, tags: Tags = NO_TAGS) -> DeviceEstimate:
+        """As a device of a population."""
+        known = {
+            name: Condensed(
+                float(np.log(value)),
+                Likelihood(False, np.log([value]), np.array([self.errors[name]]), np.ones(1)),
+            )
+            for name, value in self.values.items()
+        }
+        return DeviceEstimate(self.name, self.set_name, known, tags)
+
+
+def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: bool = False) -> tuple[Trial, ...]:
+    """Put every device through the virtual test.
+
+    Parameters
+    ----------
+    specimens : sequence of Specimen
+        The devices.
+    asked : Asked or None
+        The history; None for the test that each went through.
+    extrapolate : bool
+        Whether what was not tested may be spoken of.
+
+    Returns
+    -------
+    tuple of Trial
+
+    Raises
+    ------
+    PopulationError
+        If the history leaves what was tested, or nothing slides in it.
+    """
+    driven = [_driven(s, courses(asked, s, extrapolate=extrapolate)) for s in specimens]
+    least = [counted_from(next(iter(found.values()))[0]) for found, _ in driven]
+    common = max((a for a in least if np.isfinite(a)), default=np.inf)
+    own_least = common
+    if asked is not None:
+        own_least = max(counted_from(readings_of(s, s.histories)) for s in specimens)
+    return tuple(
+        _trial(s, found, loops, _from(found, common), own_least if asked is not None else None)
+        for s, (found, loops) in zip(specimens, driven, strict=True)
+    )
+
+
+def _driven(
+    specimen: Specimen, histories: Mapping[str, tuple[History, ...]]
+) -> tuple[dict[str, list[Runs]], tuple[Loop, ...]]:
+    """Drive a device: readings by law and model, and the widest cycle of the best model."""
+    found: dict[str, list[Runs]] = {}
+    loops: tuple[Loop, ...] = ()
+    for law, runs in histories.items():
+        found[law] = []
+        starts = specimen.start_force_kN if runs is specimen.histories else ()
+        for belief in specimen.beliefs:
+            forces = drive(belief.model, belief.theta, runs, starts)
+            found[law].append(tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)))
+            loops = loops or tuple(_widest(h, f) for h, f in zip(runs, forces, strict=True))
+    return found, loops
+
+
+def _widest(history: History, force: FloatArray) -> Loop:
+    """Cut a complete cycle of the largest amplitude out of a run, with a quarter of the draws."""
+    motion = history.motion
+    stroke = np.abs(np.diff(motion.turning_mm))
+    wide = np.flatnonzero((stroke[:-1] >= 0.99 * stroke.max()) & (stroke[1:] >= 0.99 * stroke.max()))
+    first = int(wide[-1]) if wide.size else int(np.argmax(stroke))
+    branches = []
+    for h in (first, min(first + 1, motion.n_half - 1)):
+        part = slice(motion.start[h], motion.start[h + 1])
+        branches.append((motion.displacement_mm[part], force[::4, part]))
+    up = 0 if motion.direction[first] > 0 else 1
+    return branches[up], branches[1 - up]
+
+
+def readings_of(specimen: Specimen, histories: Sequence[History], which: int = 0) -> Runs:
+    """Read the force that a model of a device (the best by default) gives in consecutive runs."""
+    belief = specimen.beliefs[which]
+    forces = drive(belief.model, belief.theta, histories, specimen.start_force_kN)
+    return tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, histories, strict=True))
+
+
+def _from(found: Mapping[str, list[Runs]], common: float) -> float:
+    """Amplitude from which half-cycles count: common to all devices, unless this one has none as wide."""
+    first = next(iter(found.values()))[0]
+    widest = max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for r in first)
+    return common if widest >= 0.99 * common else counted_from(first)
+
+
+def _trial(
+    specimen: Specimen,
+    found: Mapping[str, list[Runs]],
+    loops: tuple[Loop, ...],
+    least: float,
+    own_least: float | None,
+) -> Trial:
+    by_law = {law: [dict(pooled(_quantities(runs, least))) for runs in models] for law, models in found.items()}
+    first = next(iter(found.values()))[0]
+    tables = _quantities(first, least)
+    seen: list[Values] = []
+    gap: dict[str, float] = {}
+    cycles = np.empty(0)
+    noise, n = 0.0, 1
+    if specimen.measured_kN:
+        floor = least if own_least is None else own_least
+        own = first if own_least is None else readings_of(specimen, specimen.histories)
+        measured = tuple(
+            read_off(force[None], h.motion, h.travel_m, measured=True)
+            for force, h in zip(specimen.measured_kN, specimen.histories, strict=True)
+        )
+        seen = _quantities(measured, floor)
+        predicted = {q: float(np.median(v)) for q, v in pooled(_quantities(own, floor))}
+        gap = {q: float(np.log(v[0] / predicted[q])) for q, v in pooled(seen) if v[0] > 0 and predicted[q] > 0}
+        cycles, noise = _cycle_errors(measured, own, floor, specimen.beliefs[0])
+        n = max(cycles.size, 1)
+    values, errors = {}, {}
+    belief = specimen.beliefs[0]
+    for q, draws in by_law[next(iter(by_law))][0].items():
+        typical = [[float(np.median(model[q])) for model in models] for models in by_law.values()]
+        best = [models[0] for models in typical]
+        brought = [value * float(np.exp(gap[q])) for value in best] if q in gap else []
+        side = side_of(q)
+        if side in (LOW, HIGH):
+            values[q] = (min if side == LOW else max)([*np.ravel(typical), *brought])
+        else:
+            values[q] = float(np.median(brought or best))
+        shares = {"plateau": n, "energy": n, "ratio": n / 2, "third": 2}
+        reading = noise / np.sqrt(max(shares.get(q.partition("_")[0], 1), 1))
+        own_sd = float(np.std(np.log(np.maximum(draws, 1e-9))))
+        errors[q] = max(float(np.hypot(own_sd, reading)), LEAST_ERROR)
+    stiffness = np.log(belief.theta[:, belief.model.index("K")])
+    values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
+    shown = seen if own_least is None else []
+    table = tuple(_summary(run, shown[i] if shown else {}) for i, run in enumerate(tables))
+    laws, carried = tuple(found), own_least is not None
+    return Trial(specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
+
+
+def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, float]]:
+    """5, 50 and 95 % of every quantity of a run, and its measured value."""
+    out = {}
+    for name in TABLE:
+        low, middle, high = (float(x) for x in np.quantile(run[name], (0.05, 0.5, 0.95)))
+        out[name] = (low, middle, high, float(seen[name][0]) if name in seen else float("nan"))
+    return out
+
+
+def _quantities(runs: Runs, least: float) -> list[Values]:
+    return [of_readings(readings, least) for readings in runs]
+
+
+def _cycle_errors(measured: Runs, predicted: Runs, least: float, belief: Belief) -> tuple[FloatArray, float]:
+    """Log of measured over predicted plateau of every half-cycle that counts, and how much of it is noise.
+
+    Each half-cycle is predicted without it: draws are weighted with the inverse of its likelihood. The noise is that of
+    the difference between half-cycles of the same direction that follow each other: what the model misses changes
+    slowly from one to the next.
+    """
+    errors, apart = [], []
+    for run, (seen, said) in enumerate(zip(measured, predicted, strict=True), start=1):
+        counted = np.flatnonzero(seen.complete & (seen.amplitude_mm >= 0.99 * least))
+        left_out = [_without(said.plateau_kN[:, h], belief.likely.get((run, int(h)))) for h in counted]
+        ratio = seen.plateau_kN[0, counted] / np.array(left_out)
+        error = np.log(np.maximum(ratio, 1e-3))
+        errors.append(error)
+        apart.append(error[2:] - error[:-2])
+    steps = np.concatenate(apart)
+    noise = float(np.median(np.abs(steps)) / (0.6745 * np.sqrt(2.0))) if steps.size else 0.0
+    return np.concatenate(errors), noise
+
+
+def _without(plateau_kN: FloatArray, likely: FloatArray | None) -> float:
+    """Mean of a prediction over the draws as they would be without the half-cycle; weights are truncated."""
+    if likely is None:
+        return float(np.median(plateau_kN))
+    weight = np.exp(np.min(likely) - likely)
+    weight = np.minimum(weight, weight.mean() * np.sqrt(weight.size))
+    return float(np.average(plateau_kN, weights=weight))

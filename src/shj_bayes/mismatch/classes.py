@@ -1,0 +1,199 @@
+"""What a device may do beyond its base law: one class for each coordinate and way of acting."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shj_bayes.inference.squares import extended, start_values
+from shj_bayes.mismatch.scene import Scene
+from shj_bayes.mismatch.state import State
+from shj_bayes.model.coordinates import coordinate_named
+from shj_bayes.model.curve import SIZES, Curve
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.parameters import FloatArray
+
+PRESENT = 0.05  # probability of each class before the test: about one in a device
+TYPICAL, SPREAD = 0.04, 1.2  # of Fy, and of its logarithm: how large a curve is where there is one
+FORMS = 0.5  # probability that a dependence has one of the published formulas of its coordinate
+FEW_STARTS = 12  # formulas with more are tried in the place of a curve only
+HEATS = tuple(f"heat{i}" for i in range(1, 5))
+# How smooth a curve is before the test: probability of each correlation length. Wear and heating are smooth; clamping
+# that changes with time steps, swings or wanders.
+LENGTHS = {
+    "position": {0.05: 0.2, 0.15: 0.4, 0.5: 0.4},
+    "time": {0.05: 0.45, 0.15: 0.45, 0.5: 0.1},
+    "travel": {0.15: 0.2, 0.5: 0.8},
+    "slip": {0.15: 0.5, 0.5: 0.5},
+    "speed": {0.15: 0.5, 0.5: 0.5},
+    "distance": {0.15: 0.3, 0.5: 0.7},
+}
+CURVES = (
+    ("capacity", "position"), ("capacity", "distance"), ("capacity", "travel"), ("capacity", "time"),
+    ("capacity", "heat"), ("capacity", "amplitude"), ("capacity", "slip"), ("capacity", "speed"),
+    ("capacity", "acceleration"), ("added", "position"), ("added", "time"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """One way to write a class: a curve of some smoothness, or an effect of the catalogue.
+
+    Parameters
+    ----------
+    curve : Curve or None
+        The curve.
+    effect : Effect
+        The same as an effect, or the effect of the catalogue.
+    weight : float
+        Probability of the variant within its class.
+    """
+
+    curve: Curve | None
+    effect: Effect
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class Class:
+    """A dependence of the force on one coordinate.
+
+    Parameters
+    ----------
+    action : {"capacity", "added", "motion"}
+        How it acts.
+    coordinate : str
+        On what it depends.
+    unit : str
+        Unit of the coordinate.
+    variants : tuple of Variant
+        Ways to write it.
+    """
+
+    action: str
+    coordinate: str
+    unit: str
+    variants: tuple[Variant, ...]
+
+    @property
+    def id(self) -> str:
+        """Short word."""
+        return f"{self.action} over {self.coordinate}"
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A class that could be added to a model, to first order.
+
+    Parameters
+    ----------
+    of : Class
+        The class.
+    variant : Variant
+        How it is written.
+    start : array, shape (n_law,)
+        Parameters of the larger model to start from.
+    columns : array, shape (n, p)
+        What it could add to the force, kN, by unit of each of its coefficients.
+    model : DeviceModel
+        The larger model.
+    gain : float
+        Log Bayes factor over the smaller model to first order, with the weight of the variant; nats.
+    change : array, shape (n,)
+        What it is expected to add to the force, kN, to first order.
+    """
+
+    of: Class
+    variant: Variant
+    start: FloatArray
+    columns: FloatArray
+    model: DeviceModel
+    gain: float = 0.0
+    change: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+def classes(hidden: frozenset[str] = frozenset()) -> tuple[Class, ...]:
+    """All classes; effects of the catalogue that are not to be tried are left out.
+
+    Parameters
+    ----------
+    hidden : frozenset of str
+        Ids of effects. A curve is left out when all effects of its class are.
+    """
+    known = catalogue()
+    by_class: dict[tuple[str, str], list[Effect]] = {}
+    for effect in known.values():
+        for key in effect.acts:
+            by_class.setdefault(key, []).append(effect)
+    out = []
+    for key, effects in by_class.items():
+        if all(effect.mechanism in hidden for effect in effects):
+            continue
+        action, name = key
+        if key in CURVES:
+            names = HEATS if name == "heat" else (name,)
+            lengths = LENGTHS.get(name, {0.5: 1.0})
+            variants = tuple(
+                Variant(curve := Curve(action, n, length), curve.effect(), (1.0 - FORMS) * weight / len(names))
+                for n in names
+                for length, weight in lengths.items()
+            )
+            shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
+            few = [effect for effect in shown if math.prod(map(len, start_values(effect))) <= FEW_STARTS]
+            variants += tuple(Variant(None, effect, FORMS / len(shown)) for effect in few)
+            out.append(Class(action, name, coordinate_named(names[0]).unit, variants))
+        else:
+            shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
+            variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)
+            out.append(Class(action, name, "1", variants))
+    return tuple(out)
+
+
+def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candidate]:
+    """Everything that could be added to a model, with the columns of the first order.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recordings.
+    state : State
+        The smaller model.
+    of : tuple of Class
+        What to add, one at a time.
+
+    Returns
+    -------
+    list of Candidate
+    """
+    out = []
+    for one in of:
+        for variant in one.variants:
+            model = state.model.with_effects((*state.model.effects, variant.effect))
+            if variant.curve is not None:
+                n, step = len(variant.effect.parameters), 1e-2
+                zero = np.concatenate([state.z, np.zeros(n)])
+                points = zero + step * np.eye(n, zero.size, state.z.size)
+                columns = (state.residual - scene.residual(model, points)).T / step
+                out.append(Candidate(one, variant, zero, columns, model))
+                continue
+            starts = np.array(extended(state.z, state.model, model, variant.effect))
+            changes = (state.residual - scene.residual(model, starts)).T
+            finite = np.all(np.isfinite(changes), axis=0) & np.any(changes != 0.0, axis=0)
+            out += [Candidate(one, variant, starts[i], changes[:, i : i + 1], model) for i in np.flatnonzero(finite)]
+    return out
+
+
+def sized(curve: Curve, size: float) -> Curve:
+    """Give the same curve the standard deviation of `SIZES` that is nearest to a size, as a share of Fy."""
+    nearest = min(SIZES, key=lambda one: abs(np.log(one / size)))
+    return Curve(curve.action, curve.coordinate, curve.length, curve.sides, nearest)
+
+
+def size_weights() -> FloatArray:
+    """Probability of each of `curve.SIZES` before the test."""
+    weights = np.exp(-0.5 * (np.log(np.array(SIZES) / TYPICAL) / SPREAD) ** 2)
+    return np.asarray(weights / weights.sum())

@@ -1,0 +1,260 @@
+"""What a search says: which classes are there with what probability, how large, and by what name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.special import logsumexp
+
+from shj_bayes.mismatch.classes import Candidate
+from shj_bayes.mismatch.search import DOUBT, MATTERS, Hypothesis, Search
+from shj_bayes.mismatch.state import State, visible
+from shj_bayes.model.parameters import FloatArray
+
+NOISE_MOST = 0.03  # of Fy: slow noise beyond it is no noise of a load cell
+EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
+
+
+class Verdict(StrEnum):
+    """What a diagnosis found; words as in INTERFACE."""
+
+    ADEQUATE = "adequate"
+    NAMED = "named"
+    FAMILY = "family"
+    UNKNOWN = "unknown"
+
+
+class Reason(StrEnum):
+    """Why a verdict is what it is."""
+
+    NOTHING = "nothing of a size that matters"
+    SURE = "one set of coordinates holds all but 5 % of the probability"
+    SEVERAL = "no set of coordinates holds 95 % of the probability"
+    NO_FORM = "no known mechanism has the curve that was found"
+    LEFT_OVER = "beside what was found more is left than a model may miss"
+    SLOW_NOISE = "what is left changes slowly and is larger than noise can be"
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """One class of the answer.
+
+    Parameters
+    ----------
+    member : Candidate
+        The class, as a formula where one follows the curve.
+    probability : float
+        That the device holds it.
+    evidence : float
+        Log Bayes factor over the model without it, nats: over the base law where it is the only one.
+    size : float
+        Largest force that it makes and that nothing else could (99th percentile), as a share of Fy.
+    curve : Candidate or None
+        The same as a curve, where there is one.
+    curve_state : State or None
+        The model with that curve.
+    place : int
+        Its place among the effects of that model.
+    """
+
+    member: Candidate
+    probability: float
+    evidence: float
+    size: float
+    curve: Candidate | None
+    curve_state: State | None
+    place: int
+
+    @property
+    def named(self) -> bool:
+        """Whether a mechanism of the catalogue has it."""
+        return self.member.variant.curve is None
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a search says.
+
+    Parameters
+    ----------
+    verdict, reason : Verdict, Reason
+        The verdict.
+    shown : Hypothesis
+        The model that is shown: the most probable one, with formulas where they follow the curves.
+    findings : tuple of Finding
+        Its classes.
+    sets : tuple of (frozenset of str, float)
+        Sets of classes of a size that matters, with their probabilities, most probable first.
+    alternatives : dict of frozenset to Hypothesis
+        The best hypothesis of each of these sets.
+    p_value : float
+        Upper limit of the chance of such evidence if nothing were missing.
+    left_over : float
+        Size of the generic discrepancy, as a share of Fy.
+    inclusion : dict of str to float
+        Probability of every class that was fitted.
+    """
+
+    verdict: Verdict
+    reason: Reason
+    shown: Hypothesis
+    findings: tuple[Finding, ...]
+    sets: tuple[tuple[frozenset[str], float], ...]
+    alternatives: dict[frozenset[str], Hypothesis]
+    p_value: float
+    left_over: float
+    inclusion: dict[str, float]
+
+
+def answer_of(out: Search) -> Answer:
+    """Weigh what a search found.
+
+    Parameters
+    ----------
+    out : Search
+        A finished search.
+
+    Returns
+    -------
+    Answer
+    """
+    ranked = sorted(out.found.values(), key=lambda h: -h.log_weight)
+    weights = np.array([h.log_weight for h in ranked])
+    probability = np.exp(weights - logsumexp(weights))
+    # A set is what matters of a hypothesis; improbable hypotheses are taken as they are.
+    reduced: dict[frozenset[str], float] = {}
+    best: dict[frozenset[str], Hypothesis] = {}
+    for h, p in zip(ranked, probability, strict=True):
+        key = frozenset(h.members[i].of.id for i in range(len(h.members)) if p < 1e-6 or size_of(out, h, i) >= MATTERS)
+        reduced[key] = reduced.get(key, 0.0) + float(p)
+        best.setdefault(key, h)
+    sets = tuple(sorted(reduced.items(), key=lambda item: -item[1]))
+    nothing = reduced.get(frozenset(), 0.0)
+    inclusion: dict[str, float] = {}
+    for key, p in reduced.items():
+        for name in key:
+            inclusion[name] = inclusion.get(name, 0.0) + p
+    top = sets[0][0] if nothing < DOUBT else frozenset()
+    if not top and nothing < DOUBT:
+        top = next(key for key, _ in sets if key)
+    shown = best[top]
+    findings, shown = _findings(out, shown, top, inclusion)
+    # What a formula may miss of its curve comes back over another coordinate: that is its error, not a finding.
+    largest = max((f.size for f in findings), default=0.0)
+    findings = tuple(f for f in findings if f.named or f.size >= (1.0 - EXPLAINED) * largest)
+    inclusion = {k: p for k, p in inclusion.items() if k not in top or k in {f.member.of.id for f in findings}}
+    left = discrepancy_size(out, shown.state)
+    slow = out.metric.noise.get("sigma_slow", 0.0) / out.scene.scale_kN
+    if nothing >= DOUBT:
+        verdict, reason = Verdict.ADEQUATE, Reason.NOTHING
+    elif any(not f.named for f in findings):
+        verdict, reason = Verdict.UNKNOWN, Reason.NO_FORM
+    elif dict(sets)[top] < 1.0 - DOUBT:
+        verdict, reason = Verdict.FAMILY, Reason.SEVERAL
+    else:
+        verdict, reason = Verdict.NAMED, Reason.SURE
+    if left > MATTERS and left > largest / 3.0:
+        verdict, reason = Verdict.UNKNOWN, Reason.LEFT_OVER
+    elif slow > NOISE_MOST:
+        verdict, reason = Verdict.UNKNOWN, Reason.SLOW_NOISE
+    return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
+
+
+def size_of(out: Search, h: Hypothesis, place: int) -> float:
+    """Size of a member: its force where nothing else could make it, as a share of Fy."""
+    own = out.columns_of(h.state, place)
+    effect = h.members[place].variant.effect
+    rest = tuple(e for e in h.state.model.effects if e.id != effect.id)
+    others = np.setdiff1d(np.arange(h.state.z.size), own)
+    without = out.scene.residual(h.state.model.with_effects(rest), h.state.z[others][None])[0]
+    return visible(out.scene, h.state.jacobian[:, others], without - h.state.residual)
+
+
+def discrepancy_size(out: Search, state: State) -> float:
+    """Size of what the generic discrepancy takes up of a residual (99th percentile), as a share of Fy."""
+    taken = out.metric.discrepancy_of(state.residual)
+    return visible(out.scene, state.jacobian, taken)
+
+
+def _findings(
+    out: Search, h: Hypothesis, top: frozenset[str], inclusion: dict[str, float]
+) -> tuple[tuple[Finding, ...], Hypothesis]:
+    """Put formulas in the place of curves that they follow; give the findings, and the hypothesis with them."""
+    curves = out.curves.get(h.key, h)
+    for place, member in enumerate(h.members):
+        if member.variant.curve is not None and member.of.id in top:
+            h = _followed(out, h, place)
+    found = []
+    for place, member in enumerate(h.members):
+        if member.of.id not in top:
+            continue
+        rest = h.key - {member.of.id}
+        without = [other.log_weight for key, other in out.found.items() if key <= rest]
+        at = next((i for i, m in enumerate(curves.members) if m.of.id == member.of.id), None)
+        curve = curves.members[at] if at is not None and curves.members[at].variant.curve is not None else None
+        found.append(
+            Finding(
+                member,
+                inclusion[member.of.id],
+                h.log_weight - max(without, default=-math.inf),
+                size_of(out, h, place),
+                curve,
+                curves.state if curve is not None else None,
+                at if curve is not None and at is not None else place,
+            )
+        )
+    return tuple(sorted(found, key=lambda f: -f.size)), h
+
+
+def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
+    """Give the hypothesis with the formula that follows a curve best, or with the curve where none does."""
+    before = h.state.residual
+    allowed = max(MATTERS, (1.0 - EXPLAINED) * size_of(out, h, place))
+    best, score = h, -math.inf
+    for form in out.forms(h, place):
+        members = (*h.members[:place], form, *h.members[place + 1 :])
+        new = out.fitted(members, form.start)
+        if new is None:
+            continue
+        away = float(np.percentile(np.abs((new.state.residual - before)[out.scene.used > 0]), 99)) / out.scene.scale_kN
+        if away <= allowed and new.log_weight > score:
+            best, score = new, new.log_weight
+    return best
+
+
+def _p_value(out: Search) -> float:
+    """Bound on the chance of such evidence: under the null a Bayes factor of k has a chance of at most 1/k (Ville)."""
+    base = out.found[frozenset()].log_weight
+    rest = [h.log_weight for key, h in out.found.items() if key]
+    factor = logsumexp(rest) - base if rest else -math.inf
+    return float(min(1.0, math.exp(-factor))) if factor > 0 else 1.0
+
+
+def rivals_of(answer: Answer) -> list[tuple[frozenset[str], float]]:
+    """Find the smallest list of sets that holds all but `DOUBT` of the probability, most probable first."""
+    total, out = 0.0, []
+    for key, p in answer.sets:
+        out.append((key, p))
+        total += p
+        if total >= 1.0 - DOUBT:
+            break
+    return out
+
+
+def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | None:
+    """Curve of a finding over its coordinate with its 90 % band, per cent of Fy; None where there is none."""
+    if f.curve is None or f.curve_state is None or f.curve.variant.curve is None:
+        return None
+    curve, state = f.curve.variant.curve, f.curve_state
+    own = out.columns_of(state, f.place)
+    share = np.linspace(0.0, 1.0, n)
+    mean, cov = state.z[own], state.covariance[np.ix_(own, own)]
+    rows = curve.rows(share, np.ones(n))
+    centre = rows @ mean
+    half = 1.6449 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
+    history = out.scene.posterior.averages[0].history
+    at = curve.over.value_of(share, history)
+    return {"at": at, "mean": 100 * centre, "q05": 100 * (centre - half), "q95": 100 * (centre + half)}

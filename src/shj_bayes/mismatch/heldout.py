@@ -1,0 +1,86 @@
+"""What a model predicts for cycles that it was not fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.mismatch.state import State
+from shj_bayes.model.parameters import FloatArray
+
+FEW_CYCLES = 12  # with fewer cycles than this, half-cycles are left out
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Prediction of each cycle from the others.
+
+    Parameters
+    ----------
+    residual : array, shape (n,)
+        Of each block under the parameters without its cycle, kN.
+    log_density : array, shape (n_cycles,)
+        Log predictive density of each cycle, but for a constant that is the same for all models, nats.
+    """
+
+    residual: FloatArray
+    log_density: FloatArray
+
+    @property
+    def rmse_kN(self) -> float:
+        """Root mean square of the held-out residual, kN."""
+        return float(np.sqrt(np.mean(self.residual[self.residual != 0.0] ** 2)))
+
+
+def cycles_of(scene: Scene) -> NDArray[np.int64]:
+    """Cycle of each block, counted through all runs; half-cycles where there are few cycles."""
+    halves = [np.repeat(np.arange(p.timing.half.size - 1), np.diff(p.timing.half)) for p in scene.posterior.averages]
+    n_half = sum(p.timing.half.size - 1 for p in scene.posterior.averages)
+    width = 2 if n_half // 2 >= FEW_CYCLES else 1
+    out, count = [], 0
+    for half in halves:
+        own = np.maximum(half - 1, 0) // width  # the first half-cycle is a quarter and joins the cycle after it
+        out.append(count + own)
+        count += int(own[-1]) + 1
+    return np.concatenate(out)
+
+
+def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:
+    """Predict each cycle with the parameters fitted without it, to first order.
+
+    The state in which a test began stays as it is: only its first cycle tells of it.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recordings.
+    metric : Metric
+        Its noise; the discrepancy is left out, as it is no prediction.
+    state : State
+        The model.
+
+    Returns
+    -------
+    HeldOut
+    """
+    cycles = cycles_of(scene)
+    order = scene.used > 0
+    white, _ = metric.whitened(np.column_stack([state.residual, state.jacobian]))
+    cycle = cycles[order]
+    told = state.model.predicted[: state.z.size]
+    slopes = white[:, 1:][:, told]
+    gram = slopes.T @ slopes + np.eye(slopes.shape[1])
+    residual = state.residual.copy()
+    edges = [*np.flatnonzero(np.diff(cycle, prepend=-1)).tolist(), cycle.size]
+    density = np.empty(len(edges) - 1)
+    raw = np.flatnonzero(order)
+    for i, (a, b) in enumerate(pairwise(edges)):
+        own = slopes[a:b]
+        step = np.linalg.lstsq(gram - own.T @ own, own.T @ white[a:b, 0], rcond=1e-10)[0]
+        density[i] = -0.5 * float(np.sum((white[a:b, 0] + own @ step) ** 2))
+        residual[raw[a:b]] += state.jacobian[raw[a:b]][:, told] @ step
+    return HeldOut(residual * scene.used, density)

@@ -1,0 +1,249 @@
+"""The recordings of a device as all models of a search see them: blocks, their noise, and what any model may miss.
+
+Everything is held against one metric: white and slow noise, and beside it a generic discrepancy, smooth functions of
+position, slip and speed in each direction and of time whose size is inferred (Kennedy and O'Hagan 2001, J. R. Statist.
+Soc. B 63, 425). Both are linear, so they are integrated out in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.run import Run
+from shj_bayes.inference.start import law_starts
+from shj_bayes.model.curve import Curve
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.noise.filter import whiten
+from shj_bayes.model.parameters import FloatArray
+
+COARSER = 2.5  # blocks than those of a fit: many models are compared
+STEP = 1e-4  # of the standardised parameters, for derivatives
+MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device
+DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
+DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The recordings of a device in blocks.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Its base model, held against blocks that follow the bends of the force.
+    z : array, shape (n_law,)
+        Least squares of the base model, where the search begins.
+    """
+
+    posterior: Posterior
+    z: FloatArray
+
+    @property
+    def device(self) -> DeviceModel:
+        """The base model."""
+        return self.posterior.model
+
+    @cached_property
+    def scale_kN(self) -> float:
+        """Sliding force of the base model, kN: the unit of sizes."""
+        return self.device.law_values(self.z)["Fy"]
+
+    @cached_property
+    def base(self) -> Base:
+        """Base parameters for coordinates that need some."""
+        law = self.device.law_values(self.z)
+        return Base(law["K"], law["Fy"], law["beta"], law.get("gamma", 0.0), law["Fy"])
+
+    @cached_property
+    def used(self) -> FloatArray:
+        """1 for blocks that are evidence, 0 for the others, shape (n,)."""
+        return np.concatenate([part.count > 0 for part in self.posterior.averages]).astype(np.float64)
+
+    def finer(self) -> Scene:
+        """Give the same recordings in blocks as fine as those of a fit: for pictures and errors."""
+        theta = self.device.natural(np.append(self.z, np.zeros(len(self.device.names) - self.z.size))[None])[0]
+        return Scene(self.posterior.refined(theta), self.z)
+
+    def force(self, model: DeviceModel, z: FloatArray) -> FloatArray:
+        """Modelled force of all blocks, shape (m, n_law) to (m, n), kN; 0 where there is no evidence."""
+        return np.asarray((self.measured_kN - self.residual_and_slope(model, z)[0]) * self.used)
+
+    @cached_property
+    def measured_kN(self) -> FloatArray:
+        """Measured force of all blocks, kN."""
+        return np.concatenate([part.force_kN for part in self.posterior.averages])
+
+    def residual_and_slope(self, model: DeviceModel, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measured less modelled force of all blocks (kN) and its slope (kN/mm), shape (m, n_law) to (m, n)."""
+        rest = np.zeros((z.shape[0], len(model.names) - z.shape[1]))
+        theta = model.natural(np.concatenate([z, rest], axis=1))
+        pairs = [
+            part.residual_and_slope(model.force(theta, part.history, part.start_force_kN))
+            for part in self.posterior.averages
+        ]
+        return np.concatenate([a for a, _ in pairs], axis=1), np.concatenate([b for _, b in pairs], axis=1)
+
+    def residual(self, model: DeviceModel, z: FloatArray) -> FloatArray:
+        """Measured less modelled force of all blocks, shape (m, n_law) to (m, n), kN."""
+        return self.residual_and_slope(model, z)[0]
+
+    def jacobian(self, model: DeviceModel, z: FloatArray, residual: FloatArray) -> FloatArray:
+        """Give the derivatives of the force after the unbounded parameters of the law, shape (n, n_law)."""
+        return np.ascontiguousarray((residual - self.residual(model, z + STEP * np.eye(z.size))).T / STEP)
+
+    def blocks(self, columns: Sequence[FloatArray]) -> FloatArray:
+        """Means over blocks of functions at the points of each run, shapes (n_points, p) to (n, p)."""
+        out = []
+        for part, column in zip(self.posterior.averages, columns, strict=True):
+            residual, _ = part.residual_and_slope(np.ascontiguousarray(column.T))
+            out.append(np.where(part.count > 0, part.force_kN - residual, 0.0).T)
+        return np.concatenate(out)
+
+    def channel(self, name: str) -> FloatArray:
+        """Channel of the histories at the blocks, shape (n,)."""
+        return self.blocks([np.asarray(getattr(p.history, name))[:, None] for p in self.posterior.averages])[:, 0]
+
+    @cached_property
+    def discrepancy(self) -> FloatArray:
+        """Functions of the generic discrepancy, kN for a size of 1 kN, shape (n, p).
+
+        They have no mean in either direction: a difference of push and pull is physics with a name.
+        """
+        histories = [part.history for part in self.posterior.averages]
+        rows = self.blocks(
+            [
+                np.concatenate([c.rows(c.over.share(h, self.base), h.direction) for c in DISCREPANCY], axis=1)
+                for h in histories
+            ]
+        )
+        sense = self.channel("direction")
+        for sign in (-1.0, 1.0):
+            own = (np.sign(sense) == sign) & (self.used > 0)
+            rows[own] -= rows[own].mean(axis=0)
+        return rows
+
+
+@dataclass(frozen=True)
+class NoiseSetting:
+    """Noise and discrepancy of a device.
+
+    Parameters
+    ----------
+    z : tuple of float
+        Parameters of the noise model in their unbounded space.
+    model_error_kN : float
+        Size of the discrepancy.
+    """
+
+    z: tuple[float, ...]
+    model_error_kN: float
+
+
+class Metric:
+    """Scalar product in which noise and discrepancy count as they should; see the module.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recordings.
+    setting : NoiseSetting
+        Noise and discrepancy.
+    slope : array, shape (n,)
+        Slope of the modelled force in each block, through which the error of the displacement acts, kN/mm.
+    """
+
+    def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
+        self.scene, self.setting, self.slope = scene, setting, slope
+        laws = scene.device.laws_of_parameters[scene.device.n_law :]
+        self.noise = {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, setting.z, strict=True)}
+        white, log_det = self.whitened(scene.discrepancy)
+        self._other = white * setting.model_error_kN
+        inner = np.eye(white.shape[1]) + self._other.T @ self._other
+        self._root = cho_factor(inner, lower=True)
+        self.n = white.shape[0]
+        relative = setting.model_error_kN / (MODEL_ERROR * scene.scale_kN)
+        self.log_constant = -0.5 * (
+            self.n * math.log(2 * math.pi)
+            + log_det
+            + 2.0 * float(np.log(np.diag(self._root[0])).sum())
+            + float(np.dot(setting.z, setting.z))
+            + relative**2
+        ) + math.log(relative)
+
+    def whitened(self, columns: FloatArray) -> tuple[FloatArray, float]:
+        """Columns in units of what is new in the noise of each block, and the log determinant of the noise."""
+        out, total, first = [], 0.0, 0
+        for part in self.scene.posterior.averages:
+            own = slice(first, first + part.n)
+            white, log_det = whiten(
+                self.scene.device.noise, self.noise, np.ascontiguousarray(columns[own]), self.slope[own], part.timing
+            )
+            out.append(white)
+            total, first = total + log_det, first + part.n
+        return np.concatenate(out), total
+
+    def products(self, columns: FloatArray) -> FloatArray:
+        """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
+        white, _ = self.whitened(columns)
+        cross = self._other.T @ white
+        return np.asarray(white.T @ white - cross.T @ cho_solve(self._root, cross))
+
+    def discrepancy_of(self, residual: FloatArray) -> FloatArray:
+        """Give what the discrepancy takes up of a residual, shape (n,), kN."""
+        white, _ = self.whitened(residual[:, None])
+        mean = cho_solve(self._root, self._other.T @ white[:, 0])
+        return np.asarray(self.scene.discrepancy @ mean * self.setting.model_error_kN)
+
+
+def log_evidence(metric: Metric, products: FloatArray, variances: FloatArray | None = None) -> float:
+    """Log density of the data with all parameters integrated out.
+
+    Parameters
+    ----------
+    metric : Metric
+        Noise and discrepancy.
+    products : array, shape (1 + p, 1 + p)
+        Of the data (residual and what the parameters contribute to it) and the derivatives after the p parameters,
+        whose priors are standard normal.
+    variances : array, shape (p,), optional
+        Prior variances where they are not 1.
+    """
+    root = np.ones(products.shape[0] - 1) if variances is None else np.sqrt(variances)
+    g, b = products[1:, 1:] * np.outer(root, root), products[0, 1:] * root
+    factor = cho_factor(np.eye(root.size) + g, lower=True)
+    left = products[0, 0] - b @ cho_solve(factor, b)
+    return float(metric.log_constant - 0.5 * float(left) - float(np.log(np.diag(factor[0])).sum()))
+
+
+def solve(products: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Posterior mean and covariance of parameters with standard normal priors, from `Metric.products`."""
+    inverse = np.asarray(np.linalg.inv(np.eye(products.shape[0] - 1) + products[1:, 1:]), dtype=np.float64)
+    return inverse @ products[0, 1:], inverse
+
+
+def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:
+    """Average the runs of a device in blocks that follow the bends of its base model.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Consecutive runs.
+    device : DeviceModel
+        The base model.
+
+    Returns
+    -------
+    Scene
+    """
+    posterior = make_posterior(runs, device)
+    z = law_starts(posterior)[0]
+    theta = device.natural(np.append(z, np.zeros(len(device.names) - z.size))[None])[0]
+    return Scene(posterior.refined(theta, coarser=COARSER), z)

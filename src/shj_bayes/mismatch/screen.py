@@ -1,0 +1,72 @@
+"""Which classes a residual speaks for, to first order: the log Bayes factor of each, all in one sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from shj_bayes.mismatch.classes import Candidate, size_weights, sized
+from shj_bayes.mismatch.scene import Metric
+from shj_bayes.mismatch.state import State
+from shj_bayes.model.curve import SIZES
+from shj_bayes.model.parameters import FloatArray
+
+SIZES_OF_STARTS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of an effect at the values that a search starts from
+
+
+def screen(metric: Metric, state: State, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Give candidates their gain, best first, with curves of the size that fits.
+
+    Parameters
+    ----------
+    metric : Metric
+        Noise and discrepancy.
+    state : State
+        The model that they would be added to.
+    candidates : sequence of Candidate
+        As from `classes.candidates`.
+
+    Returns
+    -------
+    list of Candidate
+    """
+    d = state.z.size
+    wide = np.column_stack(
+        [state.residual + state.jacobian @ state.z, state.jacobian, *(c.columns for c in candidates)]
+    )
+    p = metric.products(wide)
+    root = cho_factor(np.eye(d) + p[1 : 1 + d, 1 : 1 + d], lower=True)
+    cross = p[1 : 1 + d, 1 + d :]
+    inner = p[1 + d :, 1 + d :] - cross.T @ cho_solve(root, cross)
+    along = p[0, 1 + d :] - cross.T @ cho_solve(root, p[0, 1 : 1 + d])
+    out, first = [], 0
+    for c in candidates:
+        own = slice(first, first + c.columns.shape[1])
+        first = own.stop
+        out.append(_gained(c, inner[own, own], along[own]))
+    return sorted(out, key=lambda c: -c.gain)
+
+
+def _gained(c: Candidate, inner: FloatArray, along: FloatArray) -> Candidate:
+    """Candidate with its gain, averaged over its size before the test."""
+    curve = c.variant.curve
+    sizes = SIZES_OF_STARTS if curve is None else np.array(SIZES) / curve.size
+    weights = np.full(sizes.size, 1.0 / sizes.size) if curve is None else size_weights()
+    values, vectors = np.linalg.eigh(inner)
+    values, squares = np.maximum(values, 0.0), (vectors.T @ along) ** 2
+    v = sizes[:, None] ** 2
+    gains = 0.5 * np.sum(v * squares / (1.0 + v * values) - np.log1p(v * values), axis=1) + np.log(weights)
+    top = float(gains.max())
+    gain = top + float(np.log(np.exp(gains - top).sum())) + float(np.log(c.variant.weight))
+    best = v[np.argmax(gains), 0]
+    mean = vectors @ (best / (1.0 + best * values) * (vectors.T @ along))
+    c = replace(c, change=c.columns @ mean)
+    if curve is None:
+        return replace(c, gain=gain)
+    curve = sized(curve, curve.size * float(sizes[np.argmax(gains)]))
+    effect = curve.effect()
+    model = c.model.with_effects((*c.model.effects[:-1], effect))
+    return replace(c, gain=gain, model=model, variant=replace(c.variant, curve=curve, effect=effect))

@@ -1,0 +1,169 @@
+"""A model at its most probable parameters, and how it gets there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import minimize
+
+from shj_bayes.inference.squares import orthogonal_to
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.parameters import FloatArray
+
+Z_LIMIT = 12.0
+ROUNDS = 12
+CLOSE = 1e-2  # square of the last step, in posterior standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A model at its most probable parameters under a metric.
+
+    Parameters
+    ----------
+    model : DeviceModel
+        The model.
+    z : array, shape (n_law,)
+        Parameters of its law in the unbounded space.
+    residual, slope : array, shape (n,)
+        Measured less modelled force (kN) of each block; slope of the latter (kN/mm).
+    jacobian : array, shape (n, n_law)
+        Derivatives of the force.
+    products : array, shape (1 + n_law, 1 + n_law)
+        Scalar products of the linearised data and the derivatives.
+    covariance : array, shape (n_law, n_law)
+        Of the parameters.
+    evidence : float
+        Log density of the data, parameters integrated out (Laplace).
+    """
+
+    model: DeviceModel
+    z: FloatArray
+    residual: FloatArray
+    slope: FloatArray
+    jacobian: FloatArray
+    products: FloatArray
+    covariance: FloatArray
+    evidence: float
+
+
+def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> State:
+    """Go to the most probable parameters by Gauss-Newton steps, and linearise there.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recordings.
+    metric : Metric
+        Noise and discrepancy.
+    model : DeviceModel
+        What is fitted.
+    z : array, shape (n_law,)
+        Where to start.
+
+    Returns
+    -------
+    State
+    """
+
+    def height(residual: FloatArray, at: FloatArray) -> float:
+        if not np.all(np.isfinite(residual)):
+            return math.inf
+        return float(metric.products(residual[:, None])[0, 0] + at @ at)
+
+    both = scene.residual_and_slope(model, z[None])
+    residual, slope = both[0][0], both[1][0]
+    now = height(residual, z)
+    for _ in range(ROUNDS):
+        columns = scene.jacobian(model, z, residual)
+        products = metric.products(np.column_stack([residual + columns @ z, columns]))
+        goal, covariance = solve(products)
+        step, length = goal - z, 1.0
+        if float(step @ np.linalg.solve(covariance, step)) < CLOSE:
+            break
+        while length > 1e-3:
+            trial = np.clip(z + length * step, -Z_LIMIT, Z_LIMIT)
+            moved = scene.residual_and_slope(model, trial[None])
+            then = height(moved[0][0], trial)
+            if then <= now - CLOSE:
+                break
+            length *= 0.4
+        else:
+            break
+        now, z, residual, slope = then, trial, moved[0][0], moved[1][0]
+    # At the top itself: Gauss-Newton may have stopped beside it.
+    laplace = metric.log_constant - 0.5 * now + 0.5 * float(np.linalg.slogdet(covariance)[1])
+    return State(model, z, residual, slope, columns, products, covariance, laplace)
+
+
+def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> float:
+    """Size of a change of the force that no change of the parameters can make up for, as a share of Fy.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recordings.
+    jacobian : array, shape (n, d)
+        Derivatives after the parameters that could.
+    change_kN : array, shape (n,)
+        The change.
+
+    Returns
+    -------
+    float
+        99th percentile of what is left.
+    """
+    used = scene.used > 0
+    left = orthogonal_to(jacobian[used], change_kN[used, None])[:, 0]
+    return float(np.percentile(np.abs(left), 99)) / scene.scale_kN
+
+
+def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSetting | None = None) -> NoiseSetting:
+    """Find the noise of a device beside everything that a set of columns can take up.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recordings.
+    state : State
+        A model; only its residual and derivatives count.
+    columns : array, shape (n, p)
+        Further functions with standard normal coefficients.
+    start : NoiseSetting, optional
+        Where to begin; by default the best of a grid.
+
+    Returns
+    -------
+    NoiseSetting
+    """
+    wide = np.column_stack([state.residual + state.jacobian @ state.z, state.jacobian, columns])
+    unit = MODEL_ERROR * scene.scale_kN
+
+    def negative(u: FloatArray) -> float:
+        if np.any(np.abs(u[:-1]) > 8.0) or abs(u[-1]) > 6.0:
+            return 1e12
+        metric = Metric(scene, NoiseSetting(tuple(u[:-1].tolist()), unit * math.exp(u[-1])), state.slope)
+        value = log_evidence(metric, metric.products(wide))
+        return -value if math.isfinite(value) else 1e12
+
+    if start is None:
+        laws = scene.device.laws_of_parameters[scene.device.n_law :]
+        grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law.name, scene)] for law in laws]
+        points = [np.array([*point, 0.0]) for point in product(*grids)]
+        first = min(points, key=negative)
+    else:
+        first = np.array([*start.z, math.log(start.model_error_kN / unit)])
+    found = minimize(negative, first, method="BFGS", options={"maxiter": 15, "gtol": 0.5, "eps": 1e-3})
+    return NoiseSetting(tuple(found.x[:-1].tolist()), unit * math.exp(float(found.x[-1])))
+
+
+def _grid(name: str, scene: Scene) -> tuple[float, ...]:
+    """Values of a noise parameter to begin with."""
+    shares = {"sigma": (0.003, 0.01), "sigma_white": (0.003, 0.01), "sigma_slow": (0.002, 0.01)}
+    if name in shares:
+        return tuple(share * scene.scale_kN for share in shares[name])
+    return {"tau_slow": (0.5, 5.0), "phi": (0.1, 0.8), "nu": (5.0,)}[name]

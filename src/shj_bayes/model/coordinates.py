@@ -1,0 +1,219 @@
+"""What the force may depend on: each state coordinate with its unit, how it follows from a history, and its words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numba import njit
+
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes.errors import ModelError
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm
+from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
+
+LOW_SPEED = 0.02  # of the peak speed, below which the logarithmic scale of the speed is linear
+SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid
+REST_S = 1.0  # likewise for a rest
+FASTEST = 1.15  # of the peak speed (a 95th percentile)
+STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinate:
+    """One state of the device that a force may depend on.
+
+    Parameters
+    ----------
+    id, unit, title : str
+        Word in files, unit of the values, and words for sentences.
+    values : callable
+        ``values(history, base)`` gives the coordinate at the points of a history, in its unit, shape (n,).
+    reach : callable
+        ``reach(history)`` gives the lowest and the highest value that the tests of a device could reach.
+    scale : float or None
+        Value below which the scale is linear and above which it is logarithmic, as a share of the highest; None for a
+        linear scale.
+    zero : {"low", "middle", "high"}
+        Where a curve over the coordinate is 0: there the base law holds as it is.
+    lengths : tuple of float
+        Correlation lengths of the curves, as shares of the range.
+    family : str
+        Family of the effects that a curve over it belongs to, as in INTERFACE.
+    """
+
+    id: str
+    unit: str
+    title: str
+    values: Callable[[History, Base], FloatArray]
+    reach: Callable[[History], tuple[float, float]]
+    scale: float | None = None
+    zero: str = "low"
+    lengths: tuple[float, ...] = (0.15, 0.5)
+    family: str = "slow_change"
+
+    def share(self, history: History, base: Base) -> FloatArray:
+        """Coordinate as a share of its range on its scale, 0 to 1, shape (n,)."""
+        return self.share_of(self.values(history, base), history)
+
+    def share_of(self, values: FloatArray, history: History) -> FloatArray:
+        """Values in their unit as shares of the range, 0 to 1."""
+        low, high = self.reach(history)
+        part = (np.asarray(values) - low) / (high - low)
+        if self.scale is not None:
+            part = np.log1p(np.maximum(part, 0.0) / self.scale) / np.log1p(1.0 / self.scale)
+        return np.asarray(np.clip(part, 0.0, 1.0))
+
+    def value_of(self, share: FloatArray, history: History) -> FloatArray:
+        """Shares of the range as values in their unit."""
+        part = np.asarray(share, dtype=np.float64)
+        if self.scale is not None:
+            part = self.scale * np.expm1(part * np.log1p(1.0 / self.scale))
+        low, high = self.reach(history)
+        return np.asarray(low + part * (high - low))
+
+    @property
+    def zero_share(self) -> float:
+        """Where a curve is 0, as a share of the range."""
+        return {"low": 0.0, "middle": 0.5, "high": 1.0}[self.zero]
+
+
+@njit(cache=True)
+def _low_pass(heat: FloatArray, step: FloatArray, tau: float) -> FloatArray:
+    """Solve T' + T / tau = P from cold, exactly for heat that comes evenly over each step."""
+    out = np.zeros_like(heat)
+    for i in range(1, heat.size):
+        left = np.exp(-step[i - 1] / tau)
+        out[i] = left * out[i - 1] + (1.0 - left) * tau * heat[i] / max(step[i - 1], 1e-12)
+    return out
+
+
+def _heat(cooling: float) -> Callable[[History, Base], FloatArray]:
+    """Heat state that fades with a time constant, in units of sliding `STROKES` half strokes at the full force."""
+
+    def values(history: History, base: Base) -> FloatArray:
+        heat = base.Fy / base.Fy_first * slid_since_mm(history, base) / (STROKES * history.half_stroke_mm)
+        tau = cooling * STROKES * history.half_stroke_mm / history.peak_speed_mm_s
+        return np.asarray(_low_pass(heat, np.diff(history.time_s), tau))
+
+    return values
+
+
+def _heat_reach(cooling: float, history: History) -> tuple[float, float]:
+    """Heat state that sliding at full speed and force ends at."""
+    return 0.0, min(cooling, 1.0)
+
+
+def _signed_acceleration(history: History, base: Base) -> FloatArray:
+    """Acceleration along the motion: positive while speeding up, in mm/s^2."""
+    return np.asarray(history.direction * history.acceleration_mm_s2)
+
+
+def _acceleration_reach(history: History) -> tuple[float, float]:
+    largest = 2.0 * history.peak_speed_mm_s**2 / history.half_stroke_mm
+    return -largest, largest
+
+
+SMOOTH_AND_FINE = (0.05, 0.15, 0.5)
+ALL = (
+    Coordinate(
+        "position",
+        "mm",
+        "the position",
+        lambda h, b: h.position_mm,
+        lambda h: (-h.half_stroke_mm, h.half_stroke_mm),
+        zero="middle",
+        lengths=SMOOTH_AND_FINE,
+        family="odd_in_position",
+    ),
+    Coordinate(
+        "distance",
+        "mm",
+        "the distance from mid-stroke",
+        lambda h, b: np.abs(h.position_mm),
+        lambda h: (0.0, h.half_stroke_mm),
+        family="even_in_position",
+    ),
+    Coordinate("travel", "m", "the distance travelled", lambda h, b: h.travel_m, lambda h: (0.0, h.tested_m)),
+    Coordinate(
+        "time",
+        "s",
+        "the time",
+        lambda h, b: h.begun_s + h.time_s,
+        lambda h: (0.0, h.tested_s),
+        lengths=SMOOTH_AND_FINE,
+    ),
+    *(
+        Coordinate(
+            f"heat{i}",
+            "1",
+            f"the heat state (cooling in {c:g} times the time that {STROKES:g} half strokes take)",
+            _heat(c),
+            partial(_heat_reach, c),
+            lengths=(0.5,),
+        )
+        for i, c in enumerate((0.03, 0.1, 0.3, 1.0), start=1)
+    ),
+    Coordinate(
+        "amplitude",
+        "mm",
+        "the amplitude",
+        lambda h, b: h.amplitude_mm,
+        lambda h: (0.0, h.half_stroke_mm),
+        zero="high",
+        lengths=(0.5,),
+    ),
+    Coordinate(
+        "slip",
+        "mm",
+        "the distance slid since the reversal",
+        slid_mm,
+        lambda h: (0.0, 2.0 * h.half_stroke_mm),
+        scale=SHORT_SLIP / 2.0,
+        zero="high",
+        family="start_of_stroke",
+    ),
+    Coordinate(
+        "speed",
+        "mm/s",
+        "the speed",
+        lambda h, b: h.speed_mm_s,
+        lambda h: (0.0, FASTEST * h.peak_speed_mm_s),
+        scale=LOW_SPEED / FASTEST,
+        zero="low",
+        family="low_speed",
+    ),
+    Coordinate(
+        "acceleration",
+        "mm/s^2",
+        "the acceleration along the motion",
+        _signed_acceleration,
+        _acceleration_reach,
+        zero="middle",
+        lengths=(0.5,),
+        family="odd_in_position",
+    ),
+)
+
+
+def coordinates() -> dict[str, Coordinate]:
+    """All coordinates by id."""
+    return {one.id: one for one in ALL}
+
+
+def coordinate_named(word: str) -> Coordinate:
+    """Coordinate of a word.
+
+    Raises
+    ------
+    ModelError
+        If there is none of that name.
+    """
+    known = coordinates()
+    if word not in known:
+        raise ModelError(f"'{word}' is not a coordinate; known are {', '.join(known)}{did_you_mean(word, known)}")
+    return known[word]

@@ -1,0 +1,159 @@
+"""Smooth functions of one coordinate as effects: what is found before anybody knows a formula for it.
+
+A curve is a Gaussian process over the share of a coordinate's range, with a squared-exponential kernel, pinned to 0
+where the base law holds as it is (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, chapters 2 and
+4). It is written in its principal components on a grid (Karhunen-Loeve), so it is linear in a few coefficients with
+standard normal priors, and is an `Effect` like any other.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PPoly
+
+from shj_bayes.model.coordinates import Coordinate, coordinate_named, coordinates
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior
+
+ACTIONS = ("capacity", "added")
+SIZES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)  # of Fy: standard deviations that a curve may have before the test
+KEPT = 1e-4  # of the variance: smaller components are left out
+
+
+@lru_cache(maxsize=256)
+def components(length: float, zero: float) -> CubicSpline:
+    """Principal components of a pinned Gaussian process on 0 to 1, each times its standard deviation.
+
+    Parameters
+    ----------
+    length : float
+        Correlation length.
+    zero : float
+        Where it is 0.
+
+    Returns
+    -------
+    CubicSpline
+        Of shape (r,) at each place.
+    """
+    n = int(np.clip(np.ceil(4.0 / length), 16, 96)) + 1
+    at = np.linspace(0.0, 1.0, n)
+    whole = np.append(at, zero)
+    k = np.exp(-0.5 * ((whole[:, None] - whole[None, :]) / length) ** 2)
+    pinned = k[:n, :n] - k[:n, n:] - k[n:, :n] + k[n, n]
+    values, vectors = np.linalg.eigh(pinned)
+    order = np.argsort(-values)
+    kept = order[values[order] > KEPT * values.sum()]
+    # A sign that does not hang on the library.
+    sign = np.sign(vectors[np.argmax(np.abs(vectors[:, kept]), axis=0), kept])
+    return CubicSpline(at, vectors[:, kept] * sign * np.sqrt(values[kept]))
+
+
+IDS = re.compile(rf"({'|'.join(ACTIONS)})_over_([a-z]+[0-9]?)(_by_direction)?_([0-9]{{2}})_([0-9]{{2}})")
+
+
+def curve_named(word: str) -> Curve | None:
+    """Curve of an effect's id; None where it is no curve's."""
+    found = IDS.fullmatch(word)
+    if found is None or found[2] not in coordinates():
+        return None
+    return Curve(found[1], found[2], int(found[4]) / 100.0, found[3] is not None, int(found[5]) / 100.0)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A smooth function of one coordinate that multiplies the capacity or adds a force.
+
+    Parameters
+    ----------
+    action : {"capacity", "added"}
+        How it acts.
+    coordinate : str
+        Over what.
+    length : float
+        Correlation length, as a share of the range.
+    sides : bool
+        Whether push and pull have curves of their own.
+    size : float
+        Standard deviation before the test, as a share of Fy.
+    """
+
+    action: str
+    coordinate: str
+    length: float
+    sides: bool = False
+    size: float = 0.05
+
+    @property
+    def over(self) -> Coordinate:
+        """The coordinate."""
+        return coordinate_named(self.coordinate)
+
+    @property
+    def id(self) -> str:
+        """Word of the curve as an effect."""
+        own = "_by_direction" if self.sides else ""
+        return f"{self.action}_over_{self.coordinate}{own}_{round(100 * self.length):02d}_{round(100 * self.size):02d}"
+
+    @property
+    def spline(self) -> CubicSpline:
+        """Components at a share of the range."""
+        return components(self.length, self.over.zero_share)
+
+    @property
+    def n(self) -> int:
+        """Number of coefficients."""
+        return int(self.spline.c.shape[-1]) * (2 if self.sides else 1)
+
+    def rows(self, share: FloatArray, direction: FloatArray) -> FloatArray:
+        """Basis functions, shape (n, r): what each coefficient adds, as a share of Fy."""
+        basis = self.size * self.spline(share)
+        if not self.sides:
+            return np.asarray(basis)
+        push = (direction > 0)[:, None]
+        return np.concatenate([np.where(push, basis, 0.0), np.where(push, 0.0, basis)], axis=1)
+
+    def act(self, history: History, values: Values, base: Base) -> Contribution:
+        """Clamping 1 + f, or Fy_first f added to the force."""
+        coefficients = self.size * np.array([values[f"c{i}"] for i in range(1, self.n + 1)])
+        share = self.over.share(history, base)
+        if self.sides:
+            push, pull = np.split(coefficients, 2)
+            f = np.where(history.direction > 0, self._sum(push)(share), self._sum(pull)(share))
+        else:
+            f = self._sum(coefficients)(share)
+        if self.action == "capacity":
+            return Contribution(clamping=1.0 + f)
+        return Contribution(added_kN=base.Fy_first * f)
+
+    def _sum(self, coefficients: FloatArray) -> PPoly:
+        """Curve of given coefficients."""
+        spline = self.spline
+        return PPoly.construct_fast(spline.c @ coefficients, spline.x)
+
+    def effect(self) -> Effect:
+        """Give the curve as an effect of the device model."""
+        what = "Sliding force" if self.action == "capacity" else "A force that is added"
+        return Effect(
+            id=self.id,
+            family=self.over.family,
+            title=f"{what} over {self.over.title.removeprefix('the ')}",
+            statement=f"{what} changes with {self.over.title}: see the curve.",
+            equation="Fy -> Fy (1 + f(u))" if self.action == "capacity" else "F -> F + Fy f(u)",
+            cause="No known mechanism has this curve.",
+            shows=f"Alike wherever {self.over.title} is alike.",
+            next_test=f"A test in which {self.over.title} changes on its own.",
+            parameters=tuple(
+                Prior(f"c{i}", "1", "normal", 0.0, 1.0, "Coefficient of a principal component.")
+                for i in range(1, self.n + 1)
+            ),
+            neutral={f"c{i}": 0.0 for i in range(1, self.n + 1)},
+            act=self.act,
+            source="Gaussian process in its principal components.",
+        )

@@ -1,0 +1,98 @@
+"""Local polynomials through evenly spaced samples, in numpy alone.
+
+The same numbers as `scipy.signal.savgol_filter` and `scipy.interpolate.CubicHermiteSpline`, whose imports take longer
+than reading and checking a recording.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import factorial
+
+import numpy as np
+
+from shj_bayes._util.frozen_arrays import frozen
+from shj_bayes.recording.recording import FloatArray
+
+
+@lru_cache(maxsize=256)
+def weights(window: int, degree: int, derivative: int = 0, step: float = 1.0) -> FloatArray:
+    """Weights whose sum of products with a window of samples is the polynomial's derivative at its middle.
+
+    Savitzky and Golay 1964, Analytical Chemistry 36, 1627-1639.
+
+    Parameters
+    ----------
+    window, degree : int
+        Odd number of samples; degree of the polynomial, below it.
+    derivative : int
+        0 for the value.
+    step : float
+        Spacing of the samples.
+
+    Returns
+    -------
+    array, shape (window,)
+    """
+    solve = _powers(window, degree)[1]
+    return frozen(solve[derivative] * (factorial(derivative) / (window // 2 * step) ** derivative))
+
+
+def filtered(values: FloatArray, window: int, degree: int, step: float) -> tuple[FloatArray, FloatArray]:
+    """Value and first derivative of the local polynomial at every sample; the ends use the last whole window.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+        At least `window` samples.
+    window, degree, step
+        As for `weights`.
+
+    Returns
+    -------
+    value, slope : array, shape (n,)
+    """
+    (powers, solve), half = _powers(window, degree), window // 2
+    slopes = np.column_stack([k * powers[:, max(k - 1, 0)] for k in range(degree + 1)])
+    value, slope = np.empty(values.size), np.empty(values.size)
+    inner = slice(half, values.size - half)
+    value[inner] = np.correlate(values, weights(window, degree), "valid")
+    slope[inner] = np.correlate(values, weights(window, degree, 1, step), "valid")
+    for piece, rows, at in (
+        (values[:window], slice(None, half), slice(None, half)),
+        (values[-window:], slice(half + 1, None), slice(values.size - half, None)),
+    ):
+        found = solve @ piece
+        value[at], slope[at] = powers[rows] @ found, slopes[rows] @ found / (half * step)
+    return value, slope
+
+
+@lru_cache(maxsize=64)
+def _powers(window: int, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Powers of the places in a window from -1 to 1, shape (window, degree + 1), and their pseudo-inverse."""
+    half = window // 2
+    powers = np.vander(np.arange(-half, half + 1) / half, degree + 1, increasing=True)
+    return frozen(powers), frozen(np.linalg.pinv(powers))
+
+
+def hermite(knots: FloatArray, values: FloatArray, slopes: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Value and slope of the cubic between neighbouring knots that has their values and slopes.
+
+    Parameters
+    ----------
+    knots, values, slopes : array, shape (n,)
+        Increasing knots, at least two.
+    at : array, shape (m,)
+        Where to evaluate; beyond the ends the last cubic goes on.
+
+    Returns
+    -------
+    value, slope : array, shape (m,)
+    """
+    k = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, knots.size - 2)
+    width = (knots[1:] - knots[:-1])[k]
+    u = (at - knots[k]) / width
+    rise, first, last = values[k + 1] - values[k], width * slopes[k], width * slopes[k + 1]
+    bend, twist = 3 * rise - 2 * first - last, first + last - 2 * rise
+    value = values[k] + u * (first + u * (bend + u * twist))
+    return np.asarray(value), np.asarray((first + u * (2 * bend + u * 3 * twist)) / width)

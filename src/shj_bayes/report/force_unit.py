@@ -1,0 +1,46 @@
+"""Newton for devices of less than a kilonewton: 0.26 kN is no number that a laboratory reads off its load cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+SMALL_KN = 1.0
+
+
+@dataclass(frozen=True)
+class ForceUnit:
+    """Unit in which forces are shown.
+
+    Parameters
+    ----------
+    name : {"kN", "N"}
+        As printed.
+    factor : float
+        Of it in a kilonewton.
+    """
+
+    name: str
+    factor: float
+
+    def of(self, unit: str) -> tuple[str, float]:
+        """Give the unit in which one of a parameter is shown (N for kN, N/mm for kN/mm), and the factor to it."""
+        if unit.split("/", maxsplit=1)[0] != "kN":
+            return unit, 1.0
+        return self.name + unit[2:], self.factor
+
+    def row(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Row of a parameter table in the unit that is shown."""
+        unit, factor = self.of(str(row["unit"]))
+        keys = ("mean", "sd", "q05", "q50", "q95")
+        return {**row, "unit": unit} | {k: row[k] * factor for k in keys if row.get(k) is not None}
+
+
+KN, N = ForceUnit("kN", 1.0), ForceUnit("N", 1000.0)
+
+
+def force_unit(record: Mapping[str, Any]) -> ForceUnit:
+    """Choose the unit for a device by its sliding force in ``fit.json``."""
+    sliding = [row["q50"] for row in record["parameters"] if row["name"] == "Fy"]
+    return N if sliding and sliding[0] is not None and abs(sliding[0]) < SMALL_KN else KN

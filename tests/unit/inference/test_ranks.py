@@ -1,0 +1,27 @@
+"""R-hat and effective sample sizes are ArviZ's, and nothing of a fit imports ArviZ."""
+
+import numpy as np
+import pytest
+
+from shj_bayes.inference import ranks
+from shj_bayes.inference.quiet_arviz import az
+
+
+@pytest.mark.parametrize("kind", ["white", "slow", "apart", "ties", "odd", "alternating", "short"])
+def test_numbers_are_those_of_arviz(kind):
+    rng = np.random.default_rng(4)
+    n = {"odd": 501, "short": 9}.get(kind, 600)
+    chains = rng.standard_normal((6, n))
+    if kind == "slow":
+        for k in range(1, n):
+            chains[:, k] = 0.95 * chains[:, k - 1] + 0.3 * chains[:, k]
+    if kind == "apart":
+        chains += np.arange(6)[:, None]
+    if kind == "ties":
+        chains = np.round(chains)
+    if kind == "alternating":
+        chains[:, ::2] = -chains[:, 1::2] + 0.1 * chains[:, ::2]
+    assert ranks.rhat(chains) == pytest.approx(float(az.rhat(chains)), rel=1e-10)
+    assert ranks.ess_bulk(chains) == pytest.approx(float(az.ess(chains, method="bulk")), rel=1e-10)
+    tail = float(az.ess(chains, method="tail", prob=(0.05, 0.95)))
+    assert ranks.ess_tail(chains) == pytest.approx(tail, rel=1e-10)

@@ -1,0 +1,120 @@
+"""A device with wear through its virtual test: what is read off, what it depends on; no diagnosis makes it unsafe."""
+
+import numpy as np
+import pytest
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins.asked import depends, sine
+from shj_bayes.margins.quantities import counted_from, of_readings
+from shj_bayes.margins.sheet import pool
+from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
+from shj_bayes.margins.trial import try_all
+from shj_bayes.margins.virtual_test import drive, read_off
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.history import histories
+from shj_bayes.model.priors import read_priors
+from shj_bayes.population.device import Tags
+from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.recording.protocol import exact_motion, table_1
+
+LAW = {"K": 15.0, "Fy": 80.0, "beta": 15.0, "gamma": 0.0, "ratio": 0.95}
+WEAR, BEDDING = {"wear.size": 0.06}, {"bedding_in.size": 0.2, "bedding_in.length": 0.5}
+ALONE_LAW = {"Fy": 71.0, "ratio": 0.76}  # what the law alone makes of such a device
+TIME, MOTION = exact_motion(table_1(), 10.0)
+
+
+def belief(label, effects, **values):
+    model = DeviceModel(2, read_priors(), effects=effects_named(effects))
+    told = LAW | values
+    rng = np.random.default_rng(3)
+    theta = np.array([[told.get(name, 1.0) for name in model.names]] * 16)
+    theta[:, model.index("Fy")] *= np.exp(0.004 * rng.standard_normal(16))
+    return Belief(label, model, theta)
+
+
+def specimen(*beliefs, scale=1.0, name="d"):
+    tested = histories([TIME] * 2, [MOTION] * 2)
+    worn = belief(FOUND, ["wear"], **WEAR)
+    rng = np.random.default_rng(4)
+    forces = drive(worn.model, worn.typical, tested)
+    measured = tuple(scale * f[0] + 0.3 * rng.standard_normal(TIME.size) for f in forces)
+    return Specimen(name, "set", beliefs, tested, (0.0, 0.0), measured)
+
+
+def test_what_is_read_off_a_force_of_known_shape():
+    """A force of 50 kN in push and 40 in pull that loses 5 % a metre: cycles and sides by hand."""
+    (history,) = histories([TIME], [MOTION])
+    lost = 1.0 - 0.05 * history.travel_m
+    force = np.where(history.direction > 0, 50.0, -40.0) * lost
+    readings = read_off(force[None], MOTION, history.travel_m)
+    assert counted_from([readings]) == pytest.approx(6.0)
+    found = {name: float(value[0]) for name, value in of_readings(readings, 48.0).items()}
+    last = float(lost[MOTION.start[-2] - 1])
+    assert found["most"] == pytest.approx(50.0, rel=1e-3)
+    assert found["least"] == pytest.approx(40.0 * last, rel=0.01)
+    assert found["push"] / found["pull"] == pytest.approx(1.25, rel=0.01)
+    assert found["loss_per_m"] == pytest.approx(0.055, abs=0.005)
+    assert found["first"] > found["third"] > found["last"]
+    assert found["energy"] == pytest.approx(2 * 0.095 * 90 * float(np.mean(lost[MOTION.start[-11] :])), rel=0.02)
+
+
+def test_only_half_cycles_that_slide_fully_count():
+    """2 F / K = 10.7 mm: the middle half of a stroke of 24 mm begins before the device slides, that of 48 mm not."""
+    law = belief(ALONE, ())
+    (history,) = histories([TIME], [MOTION])
+    readings = read_off(drive(law.model, law.typical, [history])[0], MOTION, history.travel_m)
+    assert counted_from([readings]) == pytest.approx(24.0)
+    with pytest.raises(PopulationError, match="slides fully"):
+        of_readings(readings, np.inf)
+
+
+@pytest.mark.parametrize(
+    "beliefs",
+    [
+        (belief(FOUND, ["wear"], **WEAR), belief(ALONE, (), **ALONE_LAW)),
+        (belief(ALONE, (), **ALONE_LAW),),
+        (belief(FOUND, ["bedding_in"], **BEDDING, Fy=70.0, ratio=0.74), belief(ALONE, (), **ALONE_LAW)),
+    ],
+    ids=["rightly", "not", "wrongly"],
+)
+def test_no_diagnosis_makes_a_bound_less_safe_than_the_recording(beliefs):
+    """Run 2 ends at 80 x 0.95 x exp(-0.06 x 7.6) = 48 kN; the product of the parameters with wear would be 76 kN."""
+    (trial,) = try_all([specimen(*beliefs)], None)
+    measured = min(run["least"][3] for run in trial.table)
+    assert measured == pytest.approx(48.5, abs=1.0)
+    assert trial.values["lowest"] <= 1.0001 * measured
+    assert trial.values["highest"] >= 0.9999 * max(run["most"][3] for run in trial.table)
+    assert trial.values["plateau_2"] == pytest.approx(trial.table[1]["plateau"][3], rel=1e-6)
+
+
+def test_the_error_of_the_model_is_seen_and_carried_to_another_history():
+    alone = belief(ALONE, (), **ALONE_LAW)
+    devices = [specimen(alone, scale=scale, name=f"d{scale}") for scale in (0.95, 1.0, 1.05)]
+    (trial, *_) = own = try_all(devices, None)
+    assert np.exp(trial.model_errors["least_2"]) < 0.95
+    assert trial.cycle_errors.std() > 0.05
+    right = try_all([specimen(belief(FOUND, ["wear"], **WEAR), alone)], None)[0]
+    assert right.cycle_errors.std() < 0.01
+    other = try_all(devices, sine(60.0, 9.0, 3))
+    assert all(t.carried for t in other)
+    assert not trial.carried
+    groups = PopulationResult((DeviceSet("set", tuple(t.name for t in own), Tags(), {}),), {}, {}, {}, {}, 1)
+    spread = [float(np.std(pool(t, groups).fit("least_2").mu)) for t in (own, other)]
+    assert spread[1] > spread[0]
+
+
+def test_what_a_model_depends_on_is_found_by_trying():
+    history = histories([TIME] * 2, [MOTION] * 2)[1]
+    law, worn = belief(ALONE, (), gamma=0.01), belief(FOUND, ["wear"], **WEAR)
+    assert [depends(law, history, name) for name in ("speed", "travel", "time")] == [True, False, False]
+    assert [depends(worn, history, name) for name in ("speed", "travel", "time")] == [False, True, False]
+
+
+def test_travel_beyond_the_test_is_refused_where_the_force_depends_on_it():
+    long = sine(60.0, 9.0, 40)
+    worn = specimen(belief(FOUND, ["wear"], **WEAR), belief(ALONE, (), **ALONE_LAW))
+    with pytest.raises(PopulationError, match=r"travel of .* m, which was not tested.*--extrapolate"):
+        try_all([worn], long)
+    (beyond,) = try_all([worn], long, extrapolate=True)
+    (law,) = try_all([specimen(belief(ALONE, (), **ALONE_LAW))], long)
+    assert 0 < beyond.values["lowest"] < law.values["lowest"]

@@ -1,0 +1,227 @@
+"""The metric of a search against covariances that are written out, and the ways to the most probable parameters."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from shj_bayes.mismatch.classes import Class, candidates, classes, size_weights, sized
+from shj_bayes.mismatch.heldout import cycles_of, held_out
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
+from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
+from shj_bayes.mismatch.state import State, settle, visible
+from shj_bayes.model.curve import SIZES
+
+NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
+
+
+@pytest.fixture(scope="module")
+def scene(small_device, as_vector) -> Scene:
+    """Two short runs, at the parameters that they were simulated from."""
+    z = small_device.unbounded(as_vector(small_device))[0, : small_device.model.n_law]
+    return Scene(small_device, z)
+
+
+@pytest.fixture(scope="module")
+def metric(scene: Scene) -> Metric:
+    laws = scene.device.laws_of_parameters[scene.device.n_law :]
+    z = tuple(float(law.to_free(np.asarray(NOISE[law.name]))) for law in laws)
+    slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
+    return Metric(scene, NoiseSetting(z, 0.7), slope)
+
+
+@pytest.fixture(scope="module")
+def covariance(scene: Scene, metric: Metric) -> np.ndarray:
+    """Of noise and discrepancy, of the blocks that are evidence; `whiten` itself is tested with the noise."""
+    root, _ = metric.whitened(np.eye(scene.used.size))
+    used = scene.used > 0
+    noise = np.linalg.inv(root[:, used].T @ root[:, used])
+    functions = metric.setting.model_error_kN * scene.discrepancy[used]
+    return np.asarray(noise + functions @ functions.T)
+
+
+@pytest.fixture(scope="module")
+def state(scene: Scene, metric: Metric) -> State:
+    return settle(scene, metric, scene.device, scene.z)
+
+
+def test_the_parameters_of_the_noise_are_read_back(metric: Metric) -> None:
+    assert metric.noise == pytest.approx(NOISE)
+
+
+def test_products_are_those_of_the_covariance(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
+    columns = np.random.default_rng(1).normal(0, 3, (scene.used.size, 4))
+    own = columns[scene.used > 0]
+    np.testing.assert_allclose(metric.products(columns), own.T @ np.linalg.solve(covariance, own), rtol=1e-7)
+    assert metric.products(columns)[0, 0] < np.sum(metric.whitened(columns)[0][:, 0] ** 2)
+
+
+def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
+    scene: Scene, metric: Metric, covariance: np.ndarray
+) -> None:
+    rng = np.random.default_rng(2)
+    used = scene.used > 0
+    for variances in (None, np.array([0.3, 4.0, 1.0])):
+        y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
+        v = np.ones(3) if variances is None else variances
+        whole = covariance + columns[used] @ np.diag(v) @ columns[used].T
+        relative = 0.7 / (MODEL_ERROR * scene.scale_kN)
+        prior = -0.5 * float(np.dot(metric.setting.z, metric.setting.z)) - 0.5 * relative**2 + math.log(relative)
+        expected = multivariate_normal(np.zeros(used.sum()), whole).logpdf(y[used]) + prior
+        got = log_evidence(metric, metric.products(np.column_stack([y, columns])), variances)
+        assert got == pytest.approx(float(expected), rel=1e-9)
+
+
+def test_solving_gives_mean_and_covariance_of_the_parameters(
+    scene: Scene, metric: Metric, covariance: np.ndarray
+) -> None:
+    rng = np.random.default_rng(3)
+    used = scene.used > 0
+    y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
+    mean, spread = solve(metric.products(np.column_stack([y, columns])))
+    a = columns[used]
+    inverse = np.linalg.inv(np.eye(3) + a.T @ np.linalg.solve(covariance, a))
+    np.testing.assert_allclose(spread, inverse, rtol=1e-7)
+    np.testing.assert_allclose(mean, inverse @ a.T @ np.linalg.solve(covariance, y[used]), rtol=1e-7)
+
+
+def test_the_discrepancy_takes_up_what_is_most_probable(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
+    used = scene.used > 0
+    residual = np.random.default_rng(4).normal(0, 2, used.size)
+    functions = scene.discrepancy
+    expected = 0.7**2 * functions @ functions[used].T @ np.linalg.solve(covariance, residual[used])
+    np.testing.assert_allclose(metric.discrepancy_of(residual), expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_difference_of_push_and_pull_is_no_discrepancy(scene: Scene) -> None:
+    for sign in (-1.0, 1.0):
+        own = (np.sign(scene.channel("direction")) == sign) & (scene.used > 0)
+        assert np.abs(scene.discrepancy[own].mean(axis=0)).max() < 1e-12
+    assert np.abs(scene.discrepancy).max() > 0.1
+
+
+def test_derivatives_are_those_of_the_force(scene: Scene) -> None:
+    residual = scene.residual(scene.device, scene.z[None])[0]
+    columns = scene.jacobian(scene.device, scene.z, residual)
+    step = 1e-3
+    for i in range(scene.z.size):
+        away = np.stack([scene.z, scene.z])
+        away[:, i] += [step, -step]
+        force = scene.measured_kN - scene.residual(scene.device, away)
+        used = scene.used > 0
+        middle = (force[0] - force[1]) / (2 * step)
+        assert np.abs(columns[:, i] - middle)[used].max() < 0.01 * np.abs(middle).max()
+
+
+def test_settling_reaches_the_least_squares_of_a_law(
+    scene: Scene, metric: Metric, covariance: np.ndarray, state: State
+) -> None:
+    """From afar, against a general minimiser with the covariance written out; and the truth lies near."""
+    used = scene.used > 0
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
+
+    def misfit(z: np.ndarray) -> np.ndarray:
+        return np.concatenate([root @ scene.residual(scene.device, z[None])[0][used], z])
+
+    best = least_squares(misfit, scene.z, method="lm", diff_step=1e-4).x
+    far = settle(scene, metric, scene.device, scene.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: scene.z.size]))
+    sd = np.sqrt(np.diag(state.covariance))
+    for one in (state, far):
+        assert np.all(np.abs(one.z - best) < 0.2 * sd)
+        assert np.all(np.abs(one.z - scene.z) < 4.0 * sd)
+        assert one.evidence == pytest.approx(log_evidence(metric, one.products), abs=0.05)
+    np.testing.assert_allclose(state.residual, scene.residual(scene.device, state.z[None])[0])
+
+
+def test_what_parameters_can_make_up_for_is_not_visible(scene: Scene, state: State) -> None:
+    follow = state.jacobian @ np.arange(1.0, state.z.size + 1)
+    assert visible(scene, state.jacobian, follow) < 1e-9
+    wave = np.sin(scene.channel("position_mm")) * scene.scale_kN * 0.1
+    assert 0.05 < visible(scene, state.jacobian, wave + follow) < 0.15
+
+
+WANTED = ("capacity over travel", "capacity over position", "added over time", "motion over slack",
+          "capacity over direction")  # fmt: skip
+
+
+def wanted() -> tuple[Class, ...]:
+    return tuple(one for one in classes() if one.id in WANTED)
+
+
+def test_the_gain_of_a_candidate_is_a_difference_of_evidence(scene: Scene, metric: Metric, state: State) -> None:
+    """Averaged over sizes before the test, with the weight of the variant; each on its own."""
+    looked = candidates(scene, state, wanted())
+    wide = [state.residual + state.jacobian @ state.z, state.jacobian]
+    without = log_evidence(metric, metric.products(np.column_stack(wide)))
+    screened = {id(c.columns): c for c in screen(metric, state, looked)}
+    assert {c.of.id for c in looked} == set(WANTED)
+    assert len(screened) == len(looked)
+    for c in looked:
+        curve = c.variant.curve
+        sizes = SIZES_OF_STARTS if curve is None else np.array(SIZES) / curve.size
+        weights = np.full(sizes.size, 1 / sizes.size) if curve is None else size_weights()
+        with_it = [
+            log_evidence(metric, metric.products(np.column_stack([*wide, size * c.columns]))) + math.log(w)
+            for size, w in zip(sizes, weights, strict=True)
+        ]
+        expected = float(logsumexp(with_it)) - without + math.log(c.variant.weight)
+        got = screened[id(c.columns)]
+        assert got.gain == pytest.approx(expected, abs=1e-6), c.variant.effect.id
+        if curve is not None:
+            best = SIZES[int(np.argmax(with_it))]
+            assert got.variant.curve == sized(curve, best)
+            assert got.variant.effect.id == got.model.effects[-1].id == sized(curve, best).id
+    gains = [c.gain for c in screen(metric, state, looked)]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_a_change_is_what_the_larger_model_would_add(scene: Scene, metric: Metric, state: State) -> None:
+    """Of a residual that holds a known curve, to first order."""
+    looked = [c for c in candidates(scene, state, wanted()) if c.of.id == "added over time" and c.variant.curve]
+    one = min(looked, key=lambda c: c.columns.shape[1])
+    truth = one.columns @ np.array([2.0, -1.0, *np.zeros(one.columns.shape[1] - 2)])
+    got = screen(metric, replace(state, residual=state.residual + truth), [one])[0]
+    assert got.gain > 50.0
+    assert np.percentile(np.abs(got.change - truth)[scene.used > 0], 90) < 0.35 * np.abs(truth).max()
+
+
+def test_weights_of_sizes_and_variants_are_probabilities() -> None:
+    assert size_weights().sum() == pytest.approx(1.0)
+    for one in classes():
+        smooth = [v.weight for v in one.variants if v.curve is not None]
+        formulas = [v.weight for v in one.variants if v.curve is None]
+        assert sum(smooth or formulas) == pytest.approx(1.0), one.id
+        assert sum(formulas) <= 1.0 + 1e-12
+
+
+def test_a_class_goes_when_all_its_mechanisms_are_hidden() -> None:
+    whole = {one.id for one in classes()}
+    assert {"capacity over travel", "motion over slack", "capacity over heat"} <= whole
+    assert whole - {one.id for one in classes(frozenset({"slack"}))} == {"motion over slack"}
+    assert whole == {one.id for one in classes(frozenset({"wear"}))}
+    assert whole - {one.id for one in classes(frozenset({"wear", "bedding_in"}))} == {"capacity over travel"}
+
+
+def test_held_out_cycles_are_those_of_a_refit(scene: Scene, metric: Metric, state: State) -> None:
+    """For a linear model it is exact: here the parameters without each cycle are found anew."""
+    rng = np.random.default_rng(5)
+    used = scene.used > 0
+    y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, state.jacobian.shape) * used[:, None]
+    white, _ = metric.whitened(np.column_stack([y, columns]))
+    z = np.linalg.solve(white[:, 1:].T @ white[:, 1:] + np.eye(columns.shape[1]), white[:, 1:].T @ white[:, 0])
+    got = held_out(scene, metric, replace(state, z=z, residual=y - columns @ z, jacobian=columns))
+    cycle = cycles_of(scene)
+    assert got.log_density.size == np.unique(cycle[used]).size > 4
+    for i, one in enumerate(np.unique(cycle[used])):
+        own = cycle[used] == one
+        rest = white[~own]
+        gram = rest[:, 1:].T @ rest[:, 1:] + np.eye(columns.shape[1])
+        refit = np.linalg.solve(gram, rest[:, 1:].T @ rest[:, 0])
+        left = white[own, 0] - white[own, 1:] @ refit
+        assert got.log_density[i] == pytest.approx(-0.5 * float(left @ left), rel=1e-6)
+        raw = np.flatnonzero(used)[own]
+        np.testing.assert_allclose(got.residual[raw], y[raw] - columns[raw] @ refit, rtol=1e-6, atol=1e-9)

@@ -1,0 +1,57 @@
+"""Local polynomials are those of scipy, whose import ``check`` need not wait for."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from shj_bayes.recording import polynomial, units
+
+
+@pytest.mark.parametrize(("window", "degree"), [(5, 3), (9, 5), (41, 5), (201, 5)])
+def test_weights_and_filter(window, degree):
+    values = np.random.default_rng(1).standard_normal(500).cumsum()
+    for derivative in (0, 1):
+        wanted = savgol_coeffs(window, degree, derivative, 0.1, use="dot")
+        assert polynomial.weights(window, degree, derivative, 0.1) == pytest.approx(wanted, abs=1e-9)
+    found = polynomial.filtered(values, window, degree, 0.1)
+    for derivative, got in enumerate(found):
+        wanted = savgol_filter(values, window, degree, derivative, 0.1, mode="interp")
+        assert got == pytest.approx(wanted, abs=1e-5)  # scipy loses digits in powers of sample numbers
+
+
+def test_hermite():
+    rng = np.random.default_rng(2)
+    knots, values, slopes = np.sort(rng.uniform(0, 9, 12)), rng.standard_normal(12), rng.standard_normal(12)
+    at = np.linspace(-0.1, 9.1, 300)
+    wanted = CubicHermiteSpline(knots, values, slopes)
+    value, slope = polynomial.hermite(knots, values, slopes, at)
+    assert value == pytest.approx(wanted(at), rel=1e-6, abs=1e-6)
+    assert slope == pytest.approx(wanted(at, 1), rel=1e-6, abs=1e-6)
+
+
+def test_usual_units_are_those_of_pint():
+    registry = units._registry()
+    for name, (role, factor) in units._USUAL.items():
+        assert float(registry(name).to(units.TARGET[role]).magnitude) == pytest.approx(factor, rel=1e-12)
+
+
+HEAVY = "scipy pandas xarray pint numba matplotlib arviz emcee h5py"
+CASES = {
+    "check": ("shj_bayes.recording.check", HEAVY),
+    "finished": ("shj_bayes.finished", HEAVY),
+    "compare": ("shj_bayes.comparison", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
+    "fit": ("shj_bayes.pipeline", "scipy.stats scipy.signal matplotlib arviz pint"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_command_starts_without_what_it_does_not_need(case):
+    """A second of imports is a second that every user waits for at every command."""
+    module, heavy = CASES[case]
+    code = f"import sys, {module}; print(*(name for name in '{heavy}'.split() if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""

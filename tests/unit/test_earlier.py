@@ -1,0 +1,60 @@
+"""Yesterday's posterior as today's prior, with a warning where a recording would count twice."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shj_bayes.earlier import Earlier, earlier
+from shj_bayes.errors import PriorError
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.priors import read_priors
+from shj_bayes.recording.recording import Recording, Source
+
+BANDS = {
+    "K": (16.0, 17.0, 18.0),
+    "Fy": (78.0, 80.0, 82.0),
+    "gamma": (-0.001, 0.001, 0.003),
+    "ratio": (0.8, 0.85, 0.9),
+}
+KNOWN = Earlier("device d", BANDS, "digest", frozenset({"a" * 64}))
+
+
+def test_laws_have_the_quantiles_of_the_earlier_posterior():
+    family = read_priors()
+    priors = KNOWN.on(family)
+    for name in ("K", "Fy", "gamma", "ratio"):
+        found = priors.of(name).quantile(np.array([0.05, 0.5, 0.95]))
+        assert found == pytest.approx(BANDS[name], rel=0.01), name
+    assert [priors.of(name) for name in ("beta", "sigma_white")] == [
+        family.of(name) for name in ("beta", "sigma_white")
+    ]
+    assert priors.sha256 != family.sha256
+    assert DeviceModel(2, priors).laws_of_parameters
+    assert "device d" in priors.family
+
+
+def test_a_recording_that_the_prior_rests_on_is_told():
+    t = np.arange(100) / 10.0
+    mine, other = (Recording(t, np.sin(t), np.cos(t), source=Source("r.csv", d * 64)) for d in "ab")
+    warned, silent = KNOWN.remarked([mine, other])
+    assert [f.code for f in warned.findings] == ["recording-in-prior"]
+    assert warned.findings[0].severity == "warning"
+    assert silent.findings == ()
+
+
+def test_a_set_of_a_campaign_is_chosen_by_name(tmp_path: Path):
+    rows = ["set,n_devices,quantity,unit,q05,q50,q95"]
+    rows += [f"{name},3,{q},1,{','.join(map(str, BANDS[q]))}" for name in ("Bare", "Zinc 70") for q in BANDS]
+    rows += ["(any set),0,Fy,kN,1,2,3"]
+    (tmp_path / "population.csv").write_text("\n".join(rows), encoding="utf-8")
+    assert earlier(f"{tmp_path}#zinc 70").bands == BANDS
+    with pytest.raises(PriorError, match="holds several sets; there are Bare, Zinc 70"):
+        earlier(str(tmp_path))
+    with pytest.raises(PriorError, match="no set 'Zink 70'; there are Bare, Zinc 70; did you mean 'Zinc 70'"):
+        earlier(f"{tmp_path}#Zink 70")
+    (tmp_path / "population.csv").write_text("nothing", encoding="utf-8")
+    with pytest.raises(PriorError, match=r"several sets|no set|damaged"):
+        earlier(str(tmp_path))
+    with pytest.raises(PriorError, match="there is no fit and no campaign in it"):
+        earlier(str(tmp_path / "none"))
