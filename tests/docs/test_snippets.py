@@ -95,6 +95,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "own.csv").write_text("Time [ms];Hub [cm];Kraft [N]\n" + "\n".join(german) + "\n", encoding="utf-8")
     heads = "time (s),LVDT 2 (mm),Load A (kN)\n"
     (folder / "test.csv").write_text(heads + "\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
+    bolts = [f"{t},{x},{f},180,21.5" for t, x, f in rows]
+    heads = "Time (s),Displacement (mm),Force (kN),Bolt load (kN),Plate (degC)\n"
+    (folder / "bolts.csv").write_text(heads + "\n".join(bolts) + "\n", encoding="utf-8")
     np.savetxt(folder / "seal.txt", np.loadtxt(folder / "test.txt", delimiter=","), fmt="%.9g")
     emps = {"t": table[:, 0], "qm": table[:, 1] / 1e3, "gtau": np.array([[35.0]]), "vir": table[:, 2] * 1e3 / 35}
     savemat(folder / "DATA_EMPS.mat", emps)

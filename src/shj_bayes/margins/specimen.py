@@ -7,7 +7,7 @@ parameters. A device known by printed parameters alone has no recordings: the re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -93,12 +93,6 @@ class Specimen:
         return len(self.histories)
 
     @cached_property
-    def middle_mm(self) -> float:
-        """Displacement in the middle of its stroke."""
-        first = self.histories[0]
-        return float(first.motion.displacement_mm[0] - first.position_mm[0])
-
-    @cached_property
     def ranges(self) -> dict[str, float]:
         """Largest value of every coordinate in its test: position (mm), speed (mm/s), travel (m), time (s)."""
         last = self.histories[-1]
@@ -112,18 +106,8 @@ class Specimen:
 
     def driven_through(self, time_s: FloatArray, motion: Motion) -> tuple[History, ...]:
         """Histories of the same motion run after run, with the middle and the scales of the device's own test."""
-        own = self.histories[-1]
         drawn = histories([time_s] * self.n_runs, [motion] * self.n_runs)
-        return tuple(
-            replace(
-                history,
-                position_mm=motion.displacement_mm,
-                half_stroke_mm=own.half_stroke_mm,
-                peak_speed_mm_s=own.peak_speed_mm_s,
-                tested_s=own.tested_s,
-            )
-            for history in drawn
-        )
+        return tuple(history.on_scales_of(self.histories[-1], motion.displacement_mm) for history in drawn)
 
 
 def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = None) -> Specimen:

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from shj_bayes._util.files import write_text
+from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
@@ -55,6 +56,7 @@ class Diagnosis:
         write_text(folder / "diagnosis.json", json.dumps(self.record, indent=1, allow_nan=False))
 
 
+@one_blas_thread
 def diagnose(
     runs: Sequence[Run],
     device: DeviceModel,

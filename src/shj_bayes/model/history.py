@@ -87,6 +87,23 @@ class History:
                 raise ModelError(f"{name} has shape {values.shape}; it needs ({n},)")
             object.__setattr__(self, name, values)
 
+    def on_scales_of(self, tested: History, position_mm: FloatArray) -> History:
+        """Give the same motion with the scales that a device's parameters and curves are stated on: those of its tests.
+
+        Parameters
+        ----------
+        tested : History
+            Any run of the device's own tests.
+        position_mm : array, shape (n_samples,)
+            Distance from the middle of the stroke of those tests, mm.
+
+        Returns
+        -------
+        History
+        """
+        scales = {name: getattr(tested, name) for name in SCALES}
+        return replace(self, position_mm=position_mm, **scales)
+
     @property
     def speed_mm_s(self) -> FloatArray:
         """Speed, mm/s."""
@@ -184,6 +201,7 @@ class History:
 
 
 ARRAYS = ("time_s", "position_mm", *ROWS[3:])
+SCALES = ("half_stroke_mm", "peak_speed_mm_s", "n_runs", "tested_s", "tested_m")
 
 
 def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple[History, ...]:

@@ -110,7 +110,7 @@ class QuantityPosterior:
         return mu, np.exp(rng.normal(np.log(spread), unequal))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PopulationResult:
     """A fitted population.
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
+from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.priors import ASSUMED
@@ -92,14 +94,19 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
         levels.append(mu)
         spreads.append(tau)
         apart.append(rng.standard_normal(mu.size))
-    tied = np.linalg.cholesky(correlation_draws(result, levels[0].size, prior))
-    together = np.einsum("nij,jn->in", tied, np.array(apart))
+    together = np.einsum("nij,jn->in", _ties(result, levels[0].size, prior), np.array(apart))
     draws: dict[str, FloatArray] = {
         q: quantity(q).natural(levels[i] + spreads[i] * together[i]) for i, q in enumerate(result.posteriors)
     }
     draws |= {force: draws["Fy"] * draws[q] for force, q in RUN_FORCES.items() if "Fy" in draws and q in draws}
     n = 0 if index is None else len(result.sets[index].devices)
     return NewDevice(name, n, prior, draws)
+
+
+@lru_cache(maxsize=4)
+def _ties(result: PopulationResult, n_draws: int, prior: str) -> FloatArray:
+    """Lower triangular roots of the correlations, shape (n_draws, k, k); all sets share them."""
+    return frozen(np.linalg.cholesky(correlation_draws(result, n_draws, prior)))
 
 
 def sets_suffice(n_sets: int) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,15 +42,7 @@ def predict(
     scales = histories([time for time, _ in tested], [motion for _, motion in tested])[0]
     last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
     middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
-    history = replace(
-        last,
-        position_mm=new[1].displacement_mm - middle,
-        half_stroke_mm=scales.half_stroke_mm,
-        peak_speed_mm_s=scales.peak_speed_mm_s,
-        n_runs=scales.n_runs,
-        tested_s=scales.tested_s,
-        tested_m=scales.tested_m,
-    )
+    history = last.on_scales_of(scales, new[1].displacement_mm - middle)
     values = {name: float(row[when]["mean"]) for name, row in record["shift"].items()}
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
     base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])

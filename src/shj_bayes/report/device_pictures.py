@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import NOISE_PARAMETERS, FloatArray, base_and_run
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
 from shj_bayes.report import numbers as n
@@ -227,12 +227,13 @@ def _densities(device: DeviceData, unit: ForceUnit) -> Picture:
 
 def _corner(device: DeviceData, unit: ForceUnit) -> Picture:
     draws, units = _shown(device, unit)
+    physical = {n: v.ravel() for n, v in draws.items() if "." in n or base_and_run(n)[0] not in NOISE_PARAMETERS}
     return Picture(
-        posterior.corner({name: values.ravel() for name, values in draws.items()}, units),
-        "Corner plot: how likely the values of each parameter are, and of each pair together.",
+        posterior.corner(physical, units),
+        "Corner plot of the device's parameters: how likely the values of each are, and of each pair together.",
         "On the diagonal, how likely each value is; below it, each pair together (lines hold 50 and 90 %). A slanted "
         "ellipse means that the test fixes a combination of the two better than either alone. Under gamma stands "
-        "dep = 1/gamma in brackets.",
+        "dep = 1/gamma in brackets. The parameters of the noise stand under Prior and posterior.",
         wide=True,
     )
 

@@ -11,7 +11,7 @@ from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
 from shj_bayes.margins.trial import try_all
 from shj_bayes.margins.virtual_test import drive, read_off
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.history import histories
+from shj_bayes.model.history import SCALES, histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import DeviceSet, PopulationResult
@@ -118,3 +118,13 @@ def test_travel_beyond_the_test_is_refused_where_the_force_depends_on_it():
     (beyond,) = try_all([worn], long, extrapolate=True)
     (law,) = try_all([specimen(belief(ALONE, (), **ALONE_LAW))], long)
     assert 0 < beyond.values["lowest"] < law.values["lowest"]
+
+
+def test_another_motion_keeps_the_scales_of_the_devices_own_test():
+    """A curve over travel is stated over the travel of the test; a shorter history walks a part of it."""
+    device = specimen(belief(FOUND, ["wear"], **WEAR))
+    time, motion = exact_motion(table_1()[:1], 10.0)
+    for history in device.driven_through(time, motion):
+        for name in SCALES:
+            assert getattr(history, name) == getattr(device.histories[-1], name), name
+        assert history.tested_m > np.ptp(history.travel_m)

@@ -169,7 +169,7 @@ def test_prediction_carries_the_device_on_from_its_last_run():
     shift = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.01, "ratio": 0.8}
     record = {
         "shift": {name: {"before": {"mean": v}, "after": {"mean": v}} for name, v in shift.items()},
-        "effects": [{"id": "wear", "parameters": {"size": {"mean": 0.1}}}],
+        "modelled": {"wear": {"size": 0.1}},
         "model": {"variant": "seed"},
     }
     tested = [(time, motion), (time, motion)]

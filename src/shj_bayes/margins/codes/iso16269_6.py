@@ -13,12 +13,13 @@ from collections.abc import Callable, Iterator
 from functools import cache
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, TOLERANCE, Margin
 from shj_bayes.margins.spread import COMMON, LOGNORMAL, NORMAL, UNKNOWN, limit, remarks
+from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.quantities import quantity as described
 
 CLAUSE = "ISO 16269-6"
@@ -86,22 +87,25 @@ def two_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     nu = n - 1 if degrees is None else degrees
     _check(n, nu, coverage, confidence)
     z = np.abs(_NODES) / math.sqrt(n)
-    half = np.array([_half_width(float(value), coverage) for value in z])
+    half = _half_widths(z, coverage)
 
     def short_by(k: float) -> float:
-        return float(_WEIGHTS @ stats.chi2.sf(nu * (half / k) ** 2, nu)) - confidence
+        return float(_WEIGHTS @ special.chdtrc(nu, nu * (half / k) ** 2)) - confidence
 
     return float(optimize.brentq(short_by, 1e-3, 1e6, xtol=1e-9, rtol=1e-12))
 
 
-@cache
-def _half_width(z: float, coverage: float) -> float:
-    """Half-width r with Phi(z + r) - Phi(z - r) = coverage."""
+def _half_widths(z: FloatArray, coverage: float) -> FloatArray:
+    """Half-widths r with Phi(z + r) - Phi(z - r) = coverage, from above, where Newton's steps never overshoot."""
 
-    def short_by(r: float) -> float:
-        return float(stats.norm.cdf(z + r) - stats.norm.cdf(z - r)) - coverage
+    def short_by(r: FloatArray) -> FloatArray:
+        return np.asarray(special.ndtr(z + r) - special.ndtr(z - r) - coverage)
 
-    return float(optimize.brentq(short_by, 0.0, z + 40.0, xtol=1e-12))
+    def slope(r: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(-0.5 * (z + r) ** 2) + np.exp(-0.5 * (z - r) ** 2)) / math.sqrt(2.0 * math.pi)
+
+    first = z + float(special.ndtri(0.5 * (1.0 + coverage)))
+    return np.asarray(optimize.newton(short_by, first, slope, tol=1e-12, maxiter=100))
 
 
 def _rows(given: Given) -> Iterator[Margin]:

@@ -102,7 +102,7 @@ def energy(energies: Sequence[CycleEnergy]) -> str:
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     label(axes, "cycle, in the order they were made", f"energy of the cycle ({unit})")
-    legend(axes, 3)
+    legend(axes, 2)
     return svg(figure)
 
 
