@@ -142,9 +142,8 @@ def answer_of(out: Search) -> Answer:
         top = next(key for key, _ in sets if key)
     shown = best[top]
     findings, shown = _findings(out, shown, top, inclusion)
-    # What a formula may miss of its curve comes back over another coordinate: that is its error, not a finding.
+    findings = tuple(f for f in findings if f.named or not _is_error_of_others(out, shown, f))
     largest = max((f.size for f in findings), default=0.0)
-    findings = tuple(f for f in findings if f.named or f.size >= (1.0 - EXPLAINED) * largest)
     inclusion = {k: p for k, p in inclusion.items() if k not in top or k in {f.member.of.id for f in findings}}
     left = discrepancy_size(out, shown.state)
     slow = out.metric.noise.get("sigma_slow", 0.0) / out.scene.scale_kN
@@ -171,6 +170,16 @@ def size_of(out: Search, h: Hypothesis, place: int) -> float:
     others = np.setdiff1d(np.arange(h.state.z.size), own)
     without = out.scene.residual(h.state.model.with_effects(rest), h.state.z[others][None])[0]
     return visible(out.scene, h.state.jacobian[:, others], without - h.state.residual)
+
+
+def _is_error_of_others(out: Search, h: Hypothesis, f: Finding) -> bool:
+    """Whether a curve may be what a formula over another coordinate misses, by its size beside that of the formula.
+
+    The others are taken at their size without the curve, which may stand for a part of them.
+    """
+    rest = out.found.get(h.key - {f.member.of.id})
+    sizes = [size_of(out, rest, i) for i in range(len(rest.members))] if rest is not None else []
+    return f.size < (1.0 - EXPLAINED) * max(sizes, default=0.0)
 
 
 def discrepancy_size(out: Search, state: State) -> float:
@@ -210,17 +219,21 @@ def _findings(
 
 
 def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
-    """Give the hypothesis with the formula that follows a curve best, or with the curve where none does."""
+    """Give the hypothesis with the formula that follows a curve best, or with the curve where none does.
+
+    A small curve is within what matters of everything: a formula in its place must be better than nothing, and matter.
+    """
     before = h.state.residual
+    rest = h.key - {h.members[place].of.id}
     allowed = max(MATTERS, (1.0 - EXPLAINED) * size_of(out, h, place))
-    best, score = h, -math.inf
+    best, score = h, max((other.log_weight for key, other in out.found.items() if key <= rest), default=-math.inf)
     for form in out.forms(h, place):
         members = (*h.members[:place], form, *h.members[place + 1 :])
         new = out.fitted(members, form.start)
         if new is None:
             continue
         away = float(np.percentile(np.abs((new.state.residual - before)[out.scene.used > 0]), 99)) / out.scene.scale_kN
-        if away <= allowed and new.log_weight > score:
+        if away <= allowed and new.log_weight > score and size_of(out, new, place) >= MATTERS:
             best, score = new, new.log_weight
     return best
 
