@@ -1,6 +1,7 @@
 """A small simulated device that fits in well under a second, for every test that needs data."""
 
-from collections.abc import Callable
+import base64
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.report.figures import canvas
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 RATE_HZ = 6.0
@@ -80,3 +82,19 @@ def truth() -> Truth:
 def as_vector() -> Callable[..., np.ndarray]:
     """Truth as a parameter set of a posterior, shape (1, d)."""
     return vector_of
+
+
+EMPTY = {
+    "svg": b'<svg xmlns="http://www.w3.org/2000/svg"/>',
+    "png": base64.b64decode(
+        "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def empty_pictures() -> Iterator[None]:
+    """Leave the pictures of pages empty where tests are about something else; those of tests/report draw them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(canvas, "_drawn", lambda figure, kind, dpi, metadata: EMPTY[kind])
+        yield

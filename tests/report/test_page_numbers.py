@@ -1,5 +1,6 @@
 """Numbers behind the figures against hand calculation."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.report import numbers, words
 from shj_bayes.report.data import RunData
 from shj_bayes.report.device import freed_words
+from shj_bayes.report.figures import loops
 
 K, FY, AMPLITUDE = 20.0, 80.0, 40.0
 
@@ -152,3 +154,11 @@ def test_freed_parameters_are_answered_in_words() -> None:
     assert "does not show that K changed" in same
     assert changed.startswith("gamma, run 2 less run 1: 90 % interval 0.004 to 0.004 s/mm")
     assert "gamma changed between the runs" in changed
+
+
+@pytest.mark.parametrize("n_runs", [1, 3, 6])
+def test_the_key_of_the_energy_picture_has_room_for_every_run(elastoplastic: RunData, n_runs: int) -> None:
+    """Matplotlib warns, and warnings are errors here, where the key leaves no room for the diagram."""
+    energy = numbers.cycle_energy(elastoplastic)
+    picture = loops.energy([replace(energy, run=number) for number in range(1, n_runs + 1)])
+    assert picture.startswith("data:image/svg+xml;base64,")

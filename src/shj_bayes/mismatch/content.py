@@ -85,8 +85,8 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
     for finding in answer.findings:
         if finding.member.of.id == name and finding.named:
             return [finding.member.variant.effect.mechanism]
-    action, _, coordinate = name.partition(" over ")
-    known = [e for e in catalogue().values() if (action, coordinate) in e.acts and not e.form]
+    of = out.classes[name]
+    known = [e for e in catalogue().values() if (of.action, of.coordinate) in e.acts and not e.form]
     return [e.id for e in known if e.id not in out.hidden]
 
 
@@ -111,11 +111,11 @@ def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
         finding = found.get(name)
         if finding is None and probability < 0.01:
             continue
-        action, _, coordinate = name.partition(" over ")
+        of = out.classes[name]
         row: dict[str, Any] = {
-            "coordinate": coordinate,
-            "unit": next((c.of.unit for c in out.looked if c.of.id == name), "1"),
-            "action": action,
+            "coordinate": of.coordinate,
+            "unit": of.unit,
+            "action": of.action,
             "direction": "both",
             "probability": float(probability),
             "evidence": finding.evidence if finding and np.isfinite(finding.evidence) else None,

@@ -11,7 +11,7 @@ import numpy as np
 
 from shj_bayes.inference.squares import start_values
 from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant, candidates, size_weights
-from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
+from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.state import State, find_noise, settle, visible
 from shj_bayes.model.curve import SIZES
@@ -93,6 +93,11 @@ class Search:
     screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
 
     @property
+    def classes(self) -> dict[str, Class]:
+        """Classes that are looked for, by their ids."""
+        return {c.of.id: c.of for c in self.looked}
+
+    @property
     def best(self) -> Hypothesis:
         """The most probable hypothesis."""
         return max(self.found.values(), key=lambda h: h.log_weight)
@@ -130,8 +135,8 @@ class Search:
         for size in SIZES:
             v = np.ones(p.shape[0] - 1)
             v[own] = (size / curve.size) ** 2
-            gains.append(_relative(p, v))
-        base = _relative(p, np.ones(p.shape[0] - 1))
+            gains.append(log_evidence(self.metric, p, v))
+        base = log_evidence(self.metric, p)
         logs = np.array(gains) - base + np.log(size_weights())
         top = float(logs.max())
         return extra + top + math.log(float(np.exp(logs - top).sum()))
@@ -324,14 +329,6 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
         columns.append(WIDE * c.columns)
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return Metric(scene, find_noise(scene, state, wide, start), state.slope)
-
-
-def _relative(p: FloatArray, variances: FloatArray) -> float:
-    """Log evidence but for what does not hang on the prior variances."""
-    root = np.sqrt(variances)
-    g, b = p[1:, 1:] * np.outer(root, root), p[0, 1:] * root
-    inner = np.eye(root.size) + g
-    return float(0.5 * b @ np.linalg.solve(inner, b) - 0.5 * np.linalg.slogdet(inner)[1])
 
 
 def _joined(h: Hypothesis, c: Candidate) -> FloatArray:

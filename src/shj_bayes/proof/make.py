@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,8 +102,3 @@ def _record(path: Course, force: FloatArray, key: Key, rng: np.random.Generator,
     moved = np.round((x + wobble) / n.displacement_step_mm) * n.displacement_step_mm
     recording = Recording(np.round(time, 6), moved, measured, source=Source(name))
     return Made(recording, clean, measured - clean, x)
-
-
-def without_effects(key: Key) -> Key:
-    """Take out what is concealed, and keep the rest of the trial."""
-    return replace(key, effects=(), kind="nothing")

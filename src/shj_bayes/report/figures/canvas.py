@@ -67,19 +67,21 @@ def _lay_out(figure: Figure) -> None:
 
 def svg(figure: Figure) -> str:
     """Picture as a scalable data address; the same drawing gives the same text."""
-    buffer = BytesIO()
-    _lay_out(figure)
     with mpl.rc_context({"svg.hashsalt": "shj-bayes", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", transparent=True, dpi=DPI, metadata={"Date": None, "Creator": None})
-    return _address("svg+xml", buffer.getvalue())
+        content = _drawn(figure, "svg", DPI, {"Date": None, "Creator": None})
+    return _address("svg+xml", content)
 
 
 def png(figure: Figure, dpi: int = DPI) -> str:
     """Picture as a data address of pixels, for drawings of very many elements."""
+    return _address("png", _drawn(figure, "png", dpi, {"Software": None}))
+
+
+def _drawn(figure: Figure, kind: str, dpi: int, metadata: dict[str, str | None]) -> bytes:
     buffer = BytesIO()
     _lay_out(figure)
-    figure.savefig(buffer, format="png", transparent=True, dpi=dpi, metadata={"Software": None})
-    return _address("png", buffer.getvalue())
+    figure.savefig(buffer, format=kind, transparent=True, dpi=dpi, metadata=metadata)
+    return buffer.getvalue()
 
 
 def _address(kind: str, content: bytes) -> str:
