@@ -23,7 +23,7 @@ from shj_bayes.recording.writer import write_csv
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
-N = 4
+N = 2
 PATIENCE_S = 60
 
 
@@ -56,7 +56,7 @@ def scheduler(processes, tmp_path) -> Path:
 
 @pytest.fixture
 def manifest(tmp_path) -> Manifest:
-    """Four good devices and one without a displacement."""
+    """Two good devices and one without a displacement."""
     text = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n[[set]]\nname = "bare"\n'
     for number in range(N):
         runs = simulate_device(Truth(Fy=70.0 + 5 * number, phi=0.3), seed=number, rate_Hz=4.0, blocks=BLOCKS)

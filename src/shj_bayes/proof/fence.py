@@ -62,10 +62,14 @@ def raise_fence(folder: Path) -> None:
 
 
 def _roots(folder: Path) -> list[str]:
-    """Folders that may be read: the data, the interpreter, its packages, this package, its priors."""
+    """Places that may be read: the data, the interpreter, its packages, this package, its priors, its loaded libraries.
+
+    The last are listed to keep BLAS to one thread.
+    """
     places = [folder, shipped("priors"), Path(shj_bayes.__file__).parent, Path(sys.prefix), Path(sys.base_prefix)]
     places += [Path(path) for path in sysconfig.get_paths().values()]
-    return [os.path.realpath(place) for place in places if str(place) != os.path.sep] + [os.devnull]
+    real = [os.path.realpath(place) for place in places if str(place) != os.path.sep]
+    return [*real, os.path.realpath("/proc/self/maps"), os.devnull]
 
 
 def _within(path: str | bytes | os.PathLike[str], event: str, inside: Sequence[str]) -> bool:
