@@ -14,7 +14,7 @@ from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion
-from shj_bayes.report.figures import canvas
+from shj_bayes.report.figures import canvas, posterior
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 RATE_HZ = 6.0
@@ -97,4 +97,6 @@ def empty_pictures() -> Iterator[None]:
     """Leave the pictures of pages empty where tests are about something else; those of tests/report draw them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(canvas, "_drawn", lambda figure, kind, dpi, metadata: EMPTY[kind])
+        for name in ("corner", "densities", "traces"):  # of dozens of panels
+            patch.setattr(posterior, name, lambda *_: canvas._address("svg+xml", EMPTY["svg"]))
         yield

@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.io import savemat
 
+from shj_bayes import campaign
 from shj_bayes.cli import main
 from shj_bayes.examples import EXAMPLES
 from shj_bayes.population import hierarchy
@@ -112,6 +113,8 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hierarchy, "fit_quantity", partial(hierarchy.fit_quantity, **short))
         patch.setattr(hierarchy, "_SHORT", short)
+        # In this process, where pictures are left empty; tests/unit/test_campaign.py runs the workers.
+        patch.setattr(campaign, "_fit_all", lambda devices, out, _: (campaign._fit_one(d, out) for d in devices))
         patch.chdir(folder)
         yield folder
 

@@ -80,6 +80,7 @@ def worker(processes, scheduler, name):
     return processes("worker", "--scheduler-file", scheduler, "--name", name, *options)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_changes_nothing(processes, scheduler, manifest, tmp_path):
     victim, _ = worker(processes, scheduler, "victim"), worker(processes, scheduler, "other")
     out, lost = tmp_path / "cluster", []
