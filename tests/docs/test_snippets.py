@@ -109,7 +109,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "my-device.toml").write_text(priors, encoding="utf-8")
     (folder / "made").mkdir()
     (folder / "made" / "campaign.toml").write_text(MANIFEST.replace('"run', '"../run').replace('"plain', '"../plain'))
-    short = {"n_warm": 150, "n_keep": 300, "thin": 1}  # of populations: a sixth of the time, and bands all the same
+    short = {"n_warm": 75, "n_keep": 150, "thin": 1}  # of populations: a tenth of the time, and bands all the same
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hierarchy, "fit_quantity", partial(hierarchy.fit_quantity, **short))
         patch.setattr(hierarchy, "_SHORT", short)
