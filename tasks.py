@@ -37,12 +37,14 @@ QUIET = ("--quiet", "--disable-pip-version-check")
 
 TASKS: dict[str, list[list[str]]] = {
     "demo": [[str(TOOL), "demo", "--out", "shj-bayes-demo"]],
-    "test": [[str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2", "--dist", "loadfile"]],
+    "test": [
+        [str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
+    ],
     "check": [
         [str(PYTHON), "-m", "ruff", "check", "."],
         [str(PYTHON), "-m", "ruff", "format", "--check", "."],
         [str(PYTHON), "-m", "mypy"],
-        [str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2", "--dist", "loadfile"],
+        [str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"],
     ],
     "docs": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--require-hashes", "-r", "requirements-docs.txt"],
