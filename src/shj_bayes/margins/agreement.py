@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from shj_bayes.margins.delivered import FORCES
-from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
+from shj_bayes.margins.row import BANDS, FACTORS, HIGH, LOW, MIDDLE, Margin
 
 SLACK = 0.02
 """Share of the typical value by which two numbers may differ before they count as contradicting: noise of draws."""
-LOWER, UPPER = ("ASCE 7 lower bound force", "EN 15129 LBDP"), ("ASCE 7 upper bound force", "EN 15129 UBDP")
 
 
 @dataclass(frozen=True)
@@ -54,8 +53,8 @@ def agreement(rows: Sequence[Margin]) -> Agreement:
 
 
 def _of_set(name: str, rows: Sequence[Margin]) -> Iterator[str]:
-    lower = [row for row in rows if row.kind.startswith(LOWER)]
-    upper = [row for row in rows if row.kind.startswith(UPPER)]
+    forces = [row for row in rows if row.method == FACTORS and row.unit == "kN"]  # that codes bound by factors
+    lower, upper = ([row for row in forces if row.side == side] for side in (LOW, HIGH))
     scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
     ends = [row for row in rows if row.method == BANDS and row.quantity.partition("_")[0] in FORCES]
     for bound in lower:

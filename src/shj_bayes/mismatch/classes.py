@@ -22,16 +22,6 @@ TYPICAL, SPREAD = 0.04, 1.2  # of Fy, and of its logarithm: how large a curve is
 FORMS = 0.5  # probability that a dependence has one of the published formulas of its coordinate
 FEW_STARTS = 12  # formulas with more are tried in the place of a curve only
 HEATS = tuple(f"heat{i}" for i in range(1, 5))
-# How smooth a curve is before the test: probability of each correlation length. Wear and heating are smooth; clamping
-# that changes with time steps, swings or wanders.
-LENGTHS = {
-    "position": {0.05: 0.2, 0.15: 0.4, 0.5: 0.4},
-    "time": {0.05: 0.45, 0.15: 0.45, 0.5: 0.1},
-    "travel": {0.15: 0.2, 0.5: 0.8},
-    "slip": {0.15: 0.5, 0.5: 0.5},
-    "speed": {0.15: 0.5, 0.5: 0.5},
-    "distance": {0.15: 0.3, 0.5: 0.7},
-}
 CURVES = (
     ("capacity", "position"), ("capacity", "distance"), ("capacity", "travel"), ("capacity", "time"),
     ("capacity", "heat"), ("capacity", "amplitude"), ("capacity", "slip"), ("capacity", "speed"),
@@ -136,7 +126,7 @@ def classes(hidden: frozenset[str] = frozenset()) -> tuple[Class, ...]:
         action, name = key
         if key in CURVES:
             names = HEATS if name == "heat" else (name,)
-            lengths = LENGTHS.get(name, {0.5: 1.0})
+            lengths = coordinate_named(names[0]).lengths
             variants = tuple(
                 Variant(curve := Curve(action, n, length), curve.effect(), (1.0 - FORMS) * weight / len(names))
                 for n in names

@@ -162,10 +162,11 @@ def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
         finding = strange[0]
         band = curve_band(out, finding)
         assert band is not None
+        assert finding.curve is not None
+        assert finding.curve.variant.curve is not None
         of = finding.member.of
-        formula = formula_of(
-            band["at"], band["mean"], band["q05"], band["q95"], SYMBOLS.get(of.coordinate, "u"), of.unit
-        )
+        symbol = finding.curve.variant.curve.over.symbol
+        formula = formula_of(band["at"], band["mean"], band["q05"], band["q95"], symbol, of.unit)
         rows = [
             {"centre": float(x), "push_kN": float(y) * fy / 100, "pull_kN": float(y) * fy / 100 * _mirrored(of.action)}
             for x, y in zip(band["at"], band["mean"], strict=True)
@@ -188,15 +189,6 @@ def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
     }
 
 
-SYMBOLS = {
-    "position": "x",
-    "distance": "|x|",
-    "travel": "s",
-    "time": "t",
-    "speed": "|v|",
-    "slip": "d",
-    "amplitude": "A",
-}
 TERM = {"capacity": "change of Fy [%]", "added": "added force [% of Fy]", "motion": "change of the motion"}
 
 

@@ -200,15 +200,13 @@ def _findings(
     for place, member in enumerate(h.members):
         if member.of.id not in top:
             continue
-        rest = h.key - {member.of.id}
-        without = [other.log_weight for key, other in out.found.items() if key <= rest]
         at = next((i for i, m in enumerate(curves.members) if m.of.id == member.of.id), None)
         curve = curves.members[at] if at is not None and curves.members[at].variant.curve is not None else None
         found.append(
             Finding(
                 member,
                 inclusion[member.of.id],
-                h.log_weight - max(without, default=-math.inf),
+                h.log_weight - out.best_within(h.key - {member.of.id}),
                 size_of(out, h, place),
                 curve,
                 curves.state if curve is not None else None,
@@ -224,9 +222,8 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
     A small curve is within what matters of everything: a formula in its place must be better than nothing, and matter.
     """
     before = h.state.residual
-    rest = h.key - {h.members[place].of.id}
     allowed = max(MATTERS, (1.0 - EXPLAINED) * size_of(out, h, place))
-    best, score = h, max((other.log_weight for key, other in out.found.items() if key <= rest), default=-math.inf)
+    best, score = h, out.best_within(h.key - {h.members[place].of.id})
     for form in out.forms(h, place):
         members = (*h.members[:place], form, *h.members[place + 1 :])
         new = out.fitted(members, form.start)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.mismatch.scene import Metric, Scene, beside
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.parameters import FloatArray
@@ -121,11 +121,5 @@ def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray
 
 def _p_values(metric: Metric, base: State, table: FloatArray) -> FloatArray:
     """Two-sided chance of each column's product with the residual, beside the parameters of the law."""
-    d = base.z.size
-    p = metric.products(np.column_stack([base.residual + base.jacobian @ base.z, base.jacobian, table]))
-    inner = np.eye(d) + p[1 : 1 + d, 1 : 1 + d]
-    cross = p[1 : 1 + d, 1 + d :]
-    solved = np.linalg.solve(inner, cross)
-    along = p[0, 1 + d :] - p[0, 1 : 1 + d] @ solved
-    variance = np.diag(p)[1 + d :] - np.sum(cross * solved, axis=0)
-    return np.asarray(2.0 * norm.sf(np.abs(along) / np.sqrt(np.maximum(variance, 1e-300))))
+    along, inner = beside(metric.products(base.beside(table)), base.z.size)
+    return np.asarray(2.0 * norm.sf(np.abs(along) / np.sqrt(np.maximum(np.diag(inner), 1e-300))))

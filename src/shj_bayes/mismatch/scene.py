@@ -229,6 +229,26 @@ def solve(products: FloatArray) -> tuple[FloatArray, FloatArray]:
     return inverse @ products[0, 1:], inverse
 
 
+def beside(products: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
+    """Products of further columns with the data and with one another, once the parameters are integrated out.
+
+    Parameters
+    ----------
+    products : array, shape (1 + d + p, 1 + d + p)
+        Of the data, the derivatives after d parameters with standard normal priors, and p further columns.
+    d : int
+        Number of parameters.
+
+    Returns
+    -------
+    array, shape (p,), and array, shape (p, p)
+    """
+    root = cho_factor(np.eye(d) + products[1 : 1 + d, 1 : 1 + d], lower=True)
+    cross = products[1 : 1 + d, 1 + d :]
+    solved = cho_solve(root, cross)
+    return products[0, 1 + d :] - products[0, 1 : 1 + d] @ solved, products[1 + d :, 1 + d :] - cross.T @ solved
+
+
 def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:
     """Average the runs of a device in blocks that follow the bends of its base model.
 

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from shj_bayes.mismatch.classes import Candidate, size_weights, sized
-from shj_bayes.mismatch.scene import Metric
+from shj_bayes.mismatch.scene import Metric, beside
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.parameters import FloatArray
@@ -33,15 +32,8 @@ def screen(metric: Metric, state: State, candidates: Sequence[Candidate]) -> lis
     -------
     list of Candidate
     """
-    d = state.z.size
-    wide = np.column_stack(
-        [state.residual + state.jacobian @ state.z, state.jacobian, *(c.columns for c in candidates)]
-    )
-    p = metric.products(wide)
-    root = cho_factor(np.eye(d) + p[1 : 1 + d, 1 : 1 + d], lower=True)
-    cross = p[1 : 1 + d, 1 + d :]
-    inner = p[1 + d :, 1 + d :] - cross.T @ cho_solve(root, cross)
-    along = p[0, 1 + d :] - cross.T @ cho_solve(root, p[0, 1 : 1 + d])
+    wide = state.beside(*(c.columns for c in candidates))
+    along, inner = beside(metric.products(wide), state.z.size)
     out, first = [], 0
     for c in candidates:
         own = slice(first, first + c.columns.shape[1])

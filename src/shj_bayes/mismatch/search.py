@@ -102,6 +102,10 @@ class Search:
         """The most probable hypothesis."""
         return max(self.found.values(), key=lambda h: h.log_weight)
 
+    def best_within(self, key: frozenset[str]) -> float:
+        """Largest log weight of the hypotheses that hold no other classes than these."""
+        return max((h.log_weight for own, h in self.found.items() if own <= key), default=-math.inf)
+
     def add(self, members: tuple[Candidate, ...], start: FloatArray) -> Hypothesis | None:
         """Fit a hypothesis from a start, and keep it if it is better than what was known under its key."""
         new = self.fitted(members, start)

@@ -50,6 +50,10 @@ class State:
     covariance: FloatArray
     evidence: float
 
+    def beside(self, *columns: FloatArray) -> FloatArray:
+        """Give the linearised data, the derivatives and further columns, shape (n, 1 + n_law + p), for a product."""
+        return np.column_stack([self.residual + self.jacobian @ self.z, self.jacobian, *columns])
+
 
 def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> State:
     """Go to the most probable parameters by Gauss-Newton steps, and linearise there.
@@ -140,7 +144,7 @@ def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSett
     -------
     NoiseSetting
     """
-    wide = np.column_stack([state.residual + state.jacobian @ state.z, state.jacobian, columns])
+    wide = state.beside(columns)
     unit = MODEL_ERROR * scene.scale_kN
 
     def negative(u: FloatArray) -> float:

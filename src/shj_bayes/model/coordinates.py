@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numba import njit
@@ -21,6 +22,9 @@ SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid
 REST_S = 1.0  # likewise for a rest
 FASTEST = 1.15  # of the peak speed (a 95th percentile)
 STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
+# How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or
+# wanders.
+SMOOTH, EITHER = MappingProxyType({0.5: 1.0}), MappingProxyType({0.15: 0.5, 0.5: 0.5})
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +44,12 @@ class Coordinate:
         linear scale.
     zero : {"low", "middle", "high"}
         Where a curve over the coordinate is 0: there the base law holds as it is.
-    lengths : tuple of float
-        Correlation lengths of the curves, as shares of the range.
+    lengths : mapping of float to float
+        Correlation lengths of the curves, as shares of the range, each with its probability before the test.
     family : str
         Family of the effects that a curve over it belongs to, as in INTERFACE.
+    symbol : str
+        Letter in formulas.
     """
 
     id: str
@@ -53,8 +59,9 @@ class Coordinate:
     reach: Callable[[History], tuple[float, float]]
     scale: float | None = None
     zero: str = "low"
-    lengths: tuple[float, ...] = (0.15, 0.5)
+    lengths: Mapping[float, float] = field(default_factory=lambda: SMOOTH)
     family: str = "slow_change"
+    symbol: str = "u"
 
     def share(self, history: History, base: Base) -> FloatArray:
         """Coordinate as a share of its range on its scale, 0 to 1, shape (n,)."""
@@ -118,7 +125,6 @@ def _acceleration_reach(history: History) -> tuple[float, float]:
     return -largest, largest
 
 
-SMOOTH_AND_FINE = (0.05, 0.15, 0.5)
 ALL = (
     Coordinate(
         "position",
@@ -127,8 +133,9 @@ ALL = (
         lambda h, b: h.position_mm,
         lambda h: (-h.half_stroke_mm, h.half_stroke_mm),
         zero="middle",
-        lengths=SMOOTH_AND_FINE,
+        lengths=MappingProxyType({0.05: 0.2, 0.15: 0.4, 0.5: 0.4}),
         family="odd_in_position",
+        symbol="x",
     ),
     Coordinate(
         "distance",
@@ -136,16 +143,27 @@ ALL = (
         "the distance from mid-stroke",
         lambda h, b: np.abs(h.position_mm),
         lambda h: (0.0, h.half_stroke_mm),
+        lengths=MappingProxyType({0.15: 0.3, 0.5: 0.7}),
         family="even_in_position",
+        symbol="|x|",
     ),
-    Coordinate("travel", "m", "the distance travelled", lambda h, b: h.travel_m, lambda h: (0.0, h.tested_m)),
+    Coordinate(
+        "travel",
+        "m",
+        "the distance travelled",
+        lambda h, b: h.travel_m,
+        lambda h: (0.0, h.tested_m),
+        lengths=MappingProxyType({0.15: 0.2, 0.5: 0.8}),
+        symbol="s",
+    ),
     Coordinate(
         "time",
         "s",
         "the time",
         lambda h, b: h.begun_s + h.time_s,
         lambda h: (0.0, h.tested_s),
-        lengths=SMOOTH_AND_FINE,
+        lengths=MappingProxyType({0.05: 0.45, 0.15: 0.45, 0.5: 0.1}),
+        symbol="t",
     ),
     *(
         Coordinate(
@@ -154,7 +172,6 @@ ALL = (
             f"the heat state (cooling in {c:g} times the time that {STROKES:g} half strokes take)",
             _heat(c),
             partial(_heat_reach, c),
-            lengths=(0.5,),
         )
         for i, c in enumerate((0.03, 0.1, 0.3, 1.0), start=1)
     ),
@@ -165,7 +182,7 @@ ALL = (
         lambda h, b: h.amplitude_mm,
         lambda h: (0.0, h.half_stroke_mm),
         zero="high",
-        lengths=(0.5,),
+        symbol="A",
     ),
     Coordinate(
         "slip",
@@ -175,7 +192,9 @@ ALL = (
         lambda h: (0.0, 2.0 * h.half_stroke_mm),
         scale=SHORT_SLIP / 2.0,
         zero="high",
+        lengths=EITHER,
         family="start_of_stroke",
+        symbol="d",
     ),
     Coordinate(
         "speed",
@@ -184,8 +203,9 @@ ALL = (
         lambda h, b: h.speed_mm_s,
         lambda h: (0.0, FASTEST * h.peak_speed_mm_s),
         scale=LOW_SPEED / FASTEST,
-        zero="low",
+        lengths=EITHER,
         family="low_speed",
+        symbol="|v|",
     ),
     Coordinate(
         "acceleration",
@@ -194,7 +214,6 @@ ALL = (
         _signed_acceleration,
         _acceleration_reach,
         zero="middle",
-        lengths=(0.5,),
         family="odd_in_position",
     ),
 )

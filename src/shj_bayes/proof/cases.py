@@ -16,7 +16,7 @@ from shj_bayes.proof.protocols import PEAK_SPEED_MM_S
 from shj_bayes.proof.simulators.rig import RULES
 from shj_bayes.proof.simulators.simulator import Simulator, simulators_by_id
 
-# Shares of the trials; at least half hold nothing (issue 4).
+# Shares of the trials; half hold nothing: false alarms are rare, and counted on these.
 NOTHING, OUTSIDE, TWO = 0.50, 0.15, 0.15
 # Sampling rate in Hz, and the share of the trials that are recorded at it; the fast one costs the most time.
 RATES = {5.0: 0.40, 20.0: 0.45, 200.0: 0.15}

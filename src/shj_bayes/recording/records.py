@@ -10,9 +10,9 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.headers import split_header
-from shj_bayes.recording.limits import MAX_COLUMNS, MAX_JSON_BYTES
+from shj_bayes.recording.limits import MAX_JSON_BYTES
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.tables import Column, Table, as_floats
+from shj_bayes.recording.tables import Column, Table, as_floats, bounded_columns
 
 _SHAPES = '[{"time_s": 0, ...}, ...], {"time_s": [0, ...], ...} or [[0, ...], ...]'
 
@@ -87,23 +87,16 @@ def _columns(content: Any, name: str) -> tuple[list[str], list[list[Any]]] | Non
     if isinstance(content, dict):
         lists = {key: value for key, value in content.items() if isinstance(value, list) and len(value) > 1}
         lists = {key: cells for key, cells in lists.items() if not any(isinstance(c, dict | list) for c in cells)}
-        return (_bounded(list(lists), name), list(lists.values())) if lists else None
+        return (bounded_columns(list(lists), name), list(lists.values())) if lists else None
     if not isinstance(content, list) or len(content) < 2:
         return None
     if all(isinstance(record, dict) for record in content):
-        keys = _bounded(list(dict.fromkeys(key for record in content for key in record)), name)
+        keys = bounded_columns(list(dict.fromkeys(key for record in content for key in record)), name)
         return (keys, [[record.get(key) for record in content] for key in keys]) if keys else None
     if all(isinstance(row, list) for row in content):
-        names = _bounded([""] * max(map(len, content)), name)
+        names = bounded_columns([""] * max(map(len, content)), name)
         return names, [[row[i] if i < len(row) else None for row in content] for i in range(len(names))]
     return None
-
-
-def _bounded(keys: list[str], name: str) -> list[str]:
-    """Refuse more columns than any recording has, before their cells are laid out."""
-    if len(keys) > MAX_COLUMNS:
-        raise RecordingError(f"{name}: {len(keys)} columns; allowed are {MAX_COLUMNS}; export fewer")
-    return keys
 
 
 def _numbers(cells: list[Any]) -> tuple[FloatArray, int]:

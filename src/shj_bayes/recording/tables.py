@@ -209,6 +209,13 @@ def _plain(column: Column) -> Column:
     return replace(column, name=name, header=header, unit=None if column.unit is None else plain_text(column.unit))
 
 
+def bounded_columns(names: list[str], name: str) -> list[str]:
+    """Refuse more columns than any recording has, before their cells are laid out."""
+    if len(names) > MAX_COLUMNS:
+        raise RecordingError(f"{name}: {len(names)} columns; allowed are {MAX_COLUMNS}; export fewer")
+    return names
+
+
 def as_floats(values: object) -> FloatArray:
     """Copy to float64; infinities and absurd sizes become NaN, since no sensor measures them and sums overflow."""
     array = np.array(values, dtype=np.float64)

@@ -16,10 +16,10 @@ from typing import IO
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.dialect import LOOK, find_dialect, header_of
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_EMPTY, MAX_LINE
+from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE
 from shj_bayes.recording.numerals import numbers
 from shj_bayes.recording.recording import Finding
-from shj_bayes.recording.tables import Column, Table
+from shj_bayes.recording.tables import Column, Table, bounded_columns
 
 _HEAD = 4096  # bytes in which the zeros of UTF-16 are looked for
 
@@ -68,8 +68,7 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
     names, units, headers = header_of(head[: dialect.first], dialect)
     if not any(names) and comments:  # numpy and gnuplot write the header as a comment
         names, units, headers = header_of([line.lstrip("#% ") for line in comments], dialect)
-    if len(names) > MAX_COLUMNS:
-        raise RecordingError(f"{name}: {len(names)} columns; allowed are {MAX_COLUMNS}; export fewer")
+    bounded_columns(names, name)
     values, findings = numbers(chain(head[dialect.first :], stream), dialect, names, name)
     if any("simulated" in line.lower() for line in comments):
         findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))

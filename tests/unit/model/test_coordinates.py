@@ -56,6 +56,7 @@ def test_words(one: Coordinate) -> None:
     assert one.title.startswith("the ")
     assert one.zero_share in (0.0, 0.5, 1.0)
     assert all(0.0 < length < 1.0 for length in one.lengths)
+    assert sum(one.lengths.values()) == pytest.approx(1.0)
 
 
 def test_travel_and_time_go_on_from_run_to_run(runs: tuple[History, ...]) -> None:

@@ -100,10 +100,6 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
         Natural-log density of each half-cycle given those before it; they add up to the log likelihood.
     """
     parts = noise.parts(values)
-    seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
-    decay = noise.decay(values, seconds, timing.step_s)
-    within, before = np.split(decay, 2)
-    table = _coefficients(timing.kinds[:, 0], within, before)
     out = np.empty((residual.shape[0], timing.half.size - 1))
     _filter(
         out,
@@ -111,7 +107,7 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
         slope,
         timing.kind,
         1.0 / timing.kinds[:, 0],
-        table,
+        _table(noise, values, timing),
         timing.half,
         np.stack([parts.white_kN**2, parts.slow_kN**2, parts.nu, _student_constant(parts.nu)], axis=1),
         timing.displacement_noise_mm**2,
@@ -148,10 +144,7 @@ def whiten(
     """
     rows = {name: np.array([value]) for name, value in values.items()}
     parts = noise.parts(rows)
-    within, before = np.split(
-        noise.decay(rows, np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]]), timing.step_s), 2
-    )
-    table = _coefficients(timing.kinds[:, 0], within, before)[0]
+    table = _table(noise, rows, timing)[0]
     out = np.empty((int(np.count_nonzero(timing.kind >= 0)), columns.shape[1]))
     half_of = np.repeat(np.arange(timing.half.size - 1), np.diff(timing.half))
     white = (parts.white_kN[0] ** 2 + (timing.displacement_noise_mm * slope) ** 2) / np.maximum(
@@ -200,6 +193,13 @@ def simulate(
             draw = rng.standard_t(nu, n) if math.isfinite(nu) else rng.standard_normal(n)
             out += scale * _recurse(memory, draw)
     return out
+
+
+def _table(noise: Noise, values: Values, timing: Timing) -> FloatArray:
+    """Coefficients of each kind of block, as `_coefficients`."""
+    seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
+    within, before = np.split(noise.decay(values, seconds, timing.step_s), 2)
+    return np.asarray(_coefficients(timing.kinds[:, 0], within, before))
 
 
 def _student_constant(nu: FloatArray) -> FloatArray:
