@@ -73,6 +73,12 @@ class Finding:
         """Whether a mechanism of the catalogue has it."""
         return self.member.variant.curve is None
 
+    @property
+    def period(self) -> float | None:
+        """After what the curve comes again, in the unit of its coordinate; None where it does not."""
+        curve = self.curve.variant.curve if self.curve is not None else None
+        return curve.period if curve is not None else None
+
 
 @dataclass(frozen=True, eq=False)
 class Answer:
@@ -255,7 +261,7 @@ def rivals_of(answer: Answer) -> list[tuple[frozenset[str], float]]:
 
 
 def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | None:
-    """Curve of a finding over its coordinate with its 90 % band, per cent of Fy; None where there is none."""
+    """Curve of a finding over its coordinate or its period, with its 90 % band, % of Fy; None where there is none."""
     if f.curve is None or f.curve_state is None or f.curve.variant.curve is None:
         return None
     curve, state = f.curve.variant.curve, f.curve_state
@@ -266,5 +272,5 @@ def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | 
     centre = rows @ mean
     half = 1.6449 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
     history = out.scene.posterior.averages[0].history
-    at = curve.over.value_of(share, history)
+    at = curve.over.value_of(share, history) if curve.period is None else curve.period * share
     return {"at": at, "mean": 100 * centre, "q05": 100 * (centre - half), "q95": 100 * (centre + half)}

@@ -120,7 +120,7 @@ class Scene:
         histories = [part.history for part in self.posterior.averages]
         rows = self.blocks(
             [
-                np.concatenate([c.rows(c.over.share(h, self.base), h.direction) for c in DISCREPANCY], axis=1)
+                np.concatenate([c.rows(c.place(h, self.base), h.direction) for c in DISCREPANCY], axis=1)
                 for h in histories
             ]
         )
@@ -192,9 +192,23 @@ class Metric:
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
+        white, reduced = self.factors(columns)
+        return np.asarray(white.T @ reduced)
+
+    def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Give whitened columns, and the same less what the discrepancy takes up: products are of one with the other.
+
+        Parameters
+        ----------
+        columns : array, shape (n, p)
+            In kN.
+
+        Returns
+        -------
+        two arrays, shape (n, p)
+        """
         white, _ = self.whitened(columns)
-        cross = self._other.T @ white
-        return np.asarray(white.T @ white - cross.T @ cho_solve(self._root, cross))
+        return white, np.asarray(white - self._other @ cho_solve(self._root, self._other.T @ white))
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""

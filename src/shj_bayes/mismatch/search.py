@@ -14,6 +14,7 @@ from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.state import State, find_noise, settle, visible
+from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
@@ -154,7 +155,9 @@ class Search:
         """Candidates to add to a hypothesis, the best of each class, best first."""
         if h.key not in self.screened:
             rest = [c for c in self.looked if c.of.id not in h.key and not _same_place(c.of, h)]
-            self.screened[h.key] = screen(self.metric, h.state, rest)
+            free = {c.of.id: c.of for c in rest}.values()
+            again = [wave for of in free for wave in waves(self.scene, self.metric, h.state, of)]
+            self.screened[h.key] = screen(self.metric, h.state, [*rest, *again])
         return self.screened[h.key]
 
     def grow(self, h: Hypothesis) -> None:
@@ -288,8 +291,14 @@ def search(
     start = NoiseSetting(tuple(_middle(scene)), 0.003 * scene.scale_kN)
     slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
     rough = settle(scene, Metric(scene, start, slope), scene.device, scene.z)
+    shown = resolved(scene, Metric(scene, start, slope), rough, classes)
+    if shown is not scene:
+        scene = shown
+        slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
+        rough = settle(scene, Metric(scene, start, slope), scene.device, scene.z)
     looked = candidates(scene, rough, tuple(classes))
-    metric = noise_beside(scene, rough, looked, None)
+    again = [w for of in classes for w in waves(scene, Metric(scene, start, slope), rough, of)]
+    metric = noise_beside(scene, rough, [*looked, *again], None)
     out = Search(scene, looked, metric, hidden, tell)
     base = out.add((), scene.z)
     assert base is not None
@@ -327,9 +336,10 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
     for c in looked:
         curve = c.variant.curve
         smooth = curve is None or curve.length == max(0.15, min(v.curve.length for v in c.of.variants if v.curve))
-        if c.of.id in seen or not smooth:
+        kind = (c.of.id, curve is not None and curve.period is not None)
+        if kind in seen or not smooth:
             continue
-        seen.add(c.of.id)
+        seen.add(kind)
         columns.append(WIDE * c.columns)
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return Metric(scene, find_noise(scene, state, wide, start), state.slope)

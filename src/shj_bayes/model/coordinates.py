@@ -46,6 +46,8 @@ class Coordinate:
         Where a curve over the coordinate is 0: there the base law holds as it is.
     lengths : mapping of float to float
         Correlation lengths of the curves, as shares of the range, each with its probability before the test.
+    repeats : float
+        Probability that a curve over it comes again and again: threads and clocks do, wear and heat do not.
     family : str
         Family of the effects that a curve over it belongs to, as in INTERFACE.
     symbol : str
@@ -60,6 +62,7 @@ class Coordinate:
     scale: float | None = None
     zero: str = "low"
     lengths: Mapping[float, float] = field(default_factory=lambda: SMOOTH)
+    repeats: float = 0.0
     family: str = "slow_change"
     symbol: str = "u"
 
@@ -134,6 +137,7 @@ ALL = (
         lambda h: (-h.half_stroke_mm, h.half_stroke_mm),
         zero="middle",
         lengths=MappingProxyType({0.05: 0.2, 0.15: 0.4, 0.5: 0.4}),
+        repeats=0.2,
         family="odd_in_position",
         symbol="x",
     ),
@@ -163,6 +167,7 @@ ALL = (
         lambda h, b: h.begun_s + h.time_s,
         lambda h: (0.0, h.tested_s),
         lengths=MappingProxyType({0.05: 0.45, 0.15: 0.45, 0.5: 0.1}),
+        repeats=0.2,
         symbol="t",
     ),
     *(
