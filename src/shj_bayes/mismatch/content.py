@@ -14,7 +14,7 @@ from shj_bayes.mismatch.heldout import HeldOut, cycles_of
 from shj_bayes.mismatch.regions import Region, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import SCHEMA
-from shj_bayes.mismatch.search import Search
+from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.effects.catalogue import catalogue
@@ -131,7 +131,31 @@ def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
             row["period"] = finding.period if finding else None
             row["curve"] = {key: values.tolist() for key, values in band.items()} | {"unit": "% of Fy"}
         rows.append(row)
+    if answer.reason is Reason.FLUCTUATES:
+        rows.insert(0, fluctuation(out))
     return rows
+
+
+STICK_SLIP = ("motion", "stick-slip")
+
+
+def fluctuation(out: Search) -> dict[str, Any]:
+    """Describe a force that fluctuates as a dependence: of the motion, as where surfaces stick, load up and jump."""
+    return {
+        "coordinate": "stick-slip",
+        "unit": "1",
+        "action": "motion",
+        "direction": "both",
+        "probability": 1.0,
+        "evidence": None,
+        "size_percent": 100 * LARGEST_OF * out.metric.fluctuation,
+        "range_percent": None,
+        "curve": None,
+        "period": None,
+        "matches": [
+            e.id for e in catalogue().values() if ("motion", "stick-slip") in e.acts and e.id not in out.hidden
+        ],
+    }
 
 
 def locations(regions: list[Region]) -> list[dict[str, Any]]:

@@ -10,12 +10,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import Candidate
-from shj_bayes.mismatch.search import DOUBT, MATTERS, Hypothesis, Search
+from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, NOISE_MOST, Hypothesis, Search
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.parameters import FloatArray
-
-NOISE_MOST = 0.03  # of Fy: slow noise beyond it is no noise of a load cell
-EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
 
 
 class Verdict(StrEnum):
@@ -35,6 +32,7 @@ class Reason(StrEnum):
     SEVERAL = "no set of coordinates holds 95 % of the probability"
     NO_FORM = "no known mechanism has the curve that was found"
     LEFT_OVER = "beside what was found more is left than a model may miss"
+    FLUCTUATES = "the force fluctuates within a stroke by more than noise can"
     SLOW_NOISE = "what is left changes slowly and is larger than noise can be"
 
 
@@ -134,7 +132,9 @@ def answer_of(out: Search) -> Answer:
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
     for h, p in zip(ranked, probability, strict=True):
-        key = frozenset(h.members[i].of.id for i in range(len(h.members)) if p < 1e-6 or size_of(out, h, i) >= MATTERS)
+        key = frozenset(
+            h.members[i].of.id for i in range(len(h.members)) if p < 1e-6 or size_of(out, h, i) >= out.matters
+        )
         reduced[key] = reduced.get(key, 0.0) + float(p)
         best.setdefault(key, h)
     sets = tuple(sorted(reduced.items(), key=lambda item: -item[1]))
@@ -152,7 +152,6 @@ def answer_of(out: Search) -> Answer:
     largest = max((f.size for f in findings), default=0.0)
     inclusion = {k: p for k, p in inclusion.items() if k not in top or k in {f.member.of.id for f in findings}}
     left = discrepancy_size(out, shown.state)
-    slow = out.metric.noise.get("sigma_slow", 0.0) / out.scene.scale_kN
     if nothing >= DOUBT:
         verdict, reason = Verdict.ADEQUATE, Reason.NOTHING
     elif any(not f.named for f in findings):
@@ -161,10 +160,10 @@ def answer_of(out: Search) -> Answer:
         verdict, reason = Verdict.FAMILY, Reason.SEVERAL
     else:
         verdict, reason = Verdict.NAMED, Reason.SURE
-    if left > MATTERS and left > largest / 3.0:
+    if left > out.matters and left > largest / 3.0:
         verdict, reason = Verdict.UNKNOWN, Reason.LEFT_OVER
-    elif slow > NOISE_MOST:
-        verdict, reason = Verdict.UNKNOWN, Reason.SLOW_NOISE
+    if out.metric.fluctuation > NOISE_MOST:
+        verdict, reason = Verdict.UNKNOWN, Reason.SLOW_NOISE if out.metric.is_slow else Reason.FLUCTUATES
     return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
 
 

@@ -21,11 +21,14 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
-PROMISING = 0.7 * MATTERS  # to first order; less is not followed
+NOISE_MOST = 0.03  # of Fy: noise beyond it is no noise of a load cell
+EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
+PROMISING = 0.7  # of what matters, to first order; less is not followed
 DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
 BEAM = 2
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
 DEPTH = 4
+LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
 LARGEST = 70  # parameters of a model that is grown further
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
@@ -97,6 +100,12 @@ class Search:
     def classes(self) -> dict[str, Class]:
         """Classes that are looked for, by their ids."""
         return {c.of.id: c.of for c in self.looked}
+
+    @property
+    def matters(self) -> float:
+        """Size that a class must have, as a share of Fy: beside a force that fluctuates a fifth of what that makes."""
+        noise = self.metric.fluctuation
+        return max(MATTERS, (1.0 - EXPLAINED) * LARGEST_OF * noise) if noise > NOISE_MOST else MATTERS
 
     @property
     def best(self) -> Hypothesis:
@@ -177,7 +186,7 @@ class Search:
                 continue
             if len(followed) >= MOST and c.of.id not in followed:
                 continue
-            if visible(self.scene, h.state.jacobian, c.change) < PROMISING:
+            if visible(self.scene, h.state.jacobian, c.change) < PROMISING * self.matters:
                 continue
             tried[kind] = tried.get(kind, 0) + 1
             followed.add(c.of.id)
@@ -242,16 +251,27 @@ class Search:
         ranked += [h for h in (self.found[frozenset()],) if h not in ranked]
         search_metric, found = self.metric, {}
         for h in ranked:
-            none = np.zeros((h.state.residual.size, 0))
-            self.metric = Metric(
-                self.scene, find_noise(self.scene, h.state, none, search_metric.setting), h.state.slope
-            )
-            new = self.fitted(h.members, h.state.z)
+            new = self._with_own_noise(h, search_metric.setting)
             if new is not None:
-                found[h.key] = replace(new, metric=self.metric)
+                found[h.key] = new
+        # The noise of one is where another's search for its own may have to begin.
+        first = max(found.values(), key=lambda h: h.log_weight)
+        assert first.metric is not None
+        for h in list(found.values()):
+            rival = h is not first and h.log_weight > first.log_weight - RIVAL
+            new = self._with_own_noise(h, first.metric.setting) if rival else None
+            if new is not None and new.log_weight > h.log_weight:
+                found[h.key] = new
         self.found = found
         self.metric = self.best.metric or search_metric
         self.screened = {}
+
+    def _with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
+        """Fit a hypothesis under the noise that is most probable beside it."""
+        none = np.zeros((h.state.residual.size, 0))
+        self.metric = Metric(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)
+        new = self.fitted(h.members, h.state.z)
+        return replace(new, metric=self.metric) if new is not None else None
 
     def retune(self) -> None:
         """Find the noise beside the best hypothesis and everything that could be added; fit the best anew."""

@@ -57,13 +57,15 @@ def waves(scene: Scene, metric: Metric, state: State, of: Class, most: int = 2) 
     if frequencies.size < 3:
         return []
     response = _response(scene, state, of.action)
-    gains = _gains(scene, metric, state, over, response, frequencies)
+    if (of.action, over.id) not in scene.waves:  # what more capacity gives differs little from model to model
+        scene.waves[of.action, over.id] = _columns(scene, over, response, frequencies)
+    gains = _gains(metric, state, scene.waves[of.action, over.id])
     peaks = np.flatnonzero((gains >= np.append(gains[1:], -np.inf)) & (gains >= np.append(-np.inf, gains[:-1])))
     weight = (1.0 - FORMS) * over.repeats / frequencies.size
     out = []
     for peak in peaks[np.argsort(-gains[peaks], kind="stable")][:most]:
         near = frequencies[peak] + spacing * np.linspace(-0.75, 0.75, 13)
-        best = near[np.argmax(_gains(scene, metric, state, over, response, near))]
+        best = near[np.argmax(_gains(metric, state, _columns(scene, over, response, near)))]
         period = round(PERIODS_PER_UNIT / best) / PERIODS_PER_UNIT
         curve = Curve(of.action, over.id, LENGTH, period=period)
         variant = Variant(curve, curve.effect(), weight)
@@ -137,31 +139,28 @@ def _response(scene: Scene, state: State, action: str) -> list[FloatArray]:
     return [np.asarray((f[1] - f[0]) / rise) for f in forces]
 
 
-def _gains(
-    scene: Scene,
-    metric: Metric,
-    state: State,
-    over: Coordinate,
-    response: list[FloatArray],
-    frequencies: FloatArray,
-) -> FloatArray:
+def _columns(scene: Scene, over: Coordinate, response: list[FloatArray], frequencies: FloatArray) -> FloatArray:
+    """Force of each block by a cosine and a sine of each frequency, shape (n, n_frequencies, 2), kN."""
+    places = [over.values(part.history, scene.base) for part in scene.posterior.averages]
+    parts = []
+    for some in np.array_split(frequencies, -(-frequencies.size // AT_ONCE)):
+        angles = [2.0 * np.pi * place[:, None] * some for place in places]
+        points = [np.concatenate([np.cos(a), np.sin(a)], axis=1) for a in angles]
+        blocks = scene.blocks([p * r[:, None] for p, r in zip(points, response, strict=True)])
+        parts.append(np.stack(np.split(blocks, 2, axis=1), axis=2))
+    return np.concatenate(parts, axis=1)
+
+
+def _gains(metric: Metric, state: State, columns: FloatArray) -> FloatArray:
     """Log Bayes factor of a plain wave of each frequency, to first order, shape (n_frequencies,)."""
     white, reduced = metric.factors(state.beside())
     data, model = reduced[:, :1], reduced[:, 1:]
     root = cho_factor(np.eye(state.z.size) + white[:, 1:].T @ model, lower=True)
     fitted = cho_solve(root, white[:, 1:].T @ data)
-    sizes, weights = np.array(SIZES), size_weights()
-    places = [over.values(part.history, scene.base) for part in scene.posterior.averages]
-    found = []
-    for some in np.array_split(frequencies, -(-frequencies.size // AT_ONCE)):
-        angles = [2.0 * np.pi * place[:, None] * some for place in places]
-        points = [np.concatenate([np.cos(a), np.sin(a)], axis=1) for a in angles]
-        wave, left = metric.factors(scene.blocks([p * r[:, None] for p, r in zip(points, response, strict=True)]))
-        cross = model.T @ wave
-        along = (data - model @ fitted).T @ wave
-        solved = cho_solve(root, cross)
-        pair = np.arange(some.size)[:, None] + np.array([0, some.size])
-        inner = np.einsum("nki,nkj->kij", wave[:, pair], left[:, pair], optimize=True)
-        inner -= np.einsum("nki,nkj->kij", cross[:, pair], solved[:, pair], optimize=True)
-        found.append(logsumexp(log_gain(inner, along[0, pair], sizes, weights), axis=-1))
-    return np.concatenate(found)
+    k = columns.shape[1]
+    wave, left = (f.reshape(-1, k, 2) for f in metric.factors(columns.reshape(columns.shape[0], 2 * k)))
+    cross = np.einsum("nd,nki->dki", model, wave, optimize=True)
+    solved = cho_solve(root, cross.reshape(-1, 2 * k)).reshape(cross.shape)
+    inner = np.einsum("nki,nkj->kij", wave, left, optimize=True) - np.einsum("dki,dkj->kij", cross, solved)
+    along = np.einsum("n,nki->ki", (data - model @ fitted)[:, 0], wave, optimize=True)
+    return np.asarray(logsumexp(log_gain(inner, along, np.array(SIZES), size_weights()), axis=-1))

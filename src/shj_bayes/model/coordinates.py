@@ -52,6 +52,8 @@ class Coordinate:
         Family of the effects that a curve over it belongs to, as in INTERFACE.
     symbol : str
         Letter in formulas.
+    of_base : bool
+        Whether it depends on the base parameters: sliding begins where the elastic branch ends.
     """
 
     id: str
@@ -65,6 +67,7 @@ class Coordinate:
     repeats: float = 0.0
     family: str = "slow_change"
     symbol: str = "u"
+    of_base: bool = False
 
     def share(self, history: History, base: Base) -> FloatArray:
         """Coordinate as a share of its range on its scale, 0 to 1, shape (n,)."""
@@ -177,6 +180,7 @@ ALL = (
             f"the heat state (cooling in {c:g} times the time that {STROKES:g} half strokes take)",
             _heat(c),
             partial(_heat_reach, c),
+            of_base=True,
         )
         for i, c in enumerate((0.03, 0.1, 0.3, 1.0), start=1)
     ),
@@ -200,6 +204,7 @@ ALL = (
         lengths=EITHER,
         family="start_of_stroke",
         symbol="d",
+        of_base=True,
     ),
     Coordinate(
         "speed",

@@ -25,6 +25,7 @@ from shj_bayes.model.priors import Prior
 ACTIONS = ("capacity", "added")
 SIZES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)  # of Fy: standard deviations that a curve may have before the test
 KEPT = 1e-4  # of the variance: smaller components are left out
+RECALLED_NUMBERS = 2_000_000  # components at the points of a longer history are worked out anew each time
 PERIODS_PER_UNIT = 1000  # to which a period is rounded, so that a word can hold it
 
 
@@ -137,9 +138,17 @@ class Curve:
             return self.over.share(history, base)
         return np.asarray(self.over.values(history, base) / self.period)
 
+    def components(self, place: FloatArray) -> FloatArray:
+        """Components at given places, shape (n, r); of a curve that comes again, the waves of its period and parts."""
+        if self.period is None:
+            return np.asarray(self._spline(place))
+        sd = harmonics(self.length)
+        angle = 2.0 * np.pi * place[:, None] * np.arange(1, sd.size + 1)
+        return np.concatenate([sd * np.cos(angle), sd * np.sin(angle)], axis=1)
+
     def rows(self, place: FloatArray, direction: FloatArray) -> FloatArray:
         """Basis functions, shape (n, r): what each coefficient adds, as a share of Fy."""
-        basis = self.size * (self._spline(place) if self.period is None else self._waves(place))
+        basis = self.size * self.components(place)
         if not self.sides:
             return np.asarray(basis)
         push = (direction > 0)[:, None]
@@ -148,12 +157,11 @@ class Curve:
     def act(self, history: History, values: Values, base: Base) -> Contribution:
         """Clamping 1 + f, or Fy_first f added to the force."""
         coefficients = self.size * np.array([values[f"c{i}"] for i in range(1, self.n + 1)])
-        place = self.place(history, base)
         if self.sides:
             push, pull = np.split(coefficients, 2)
-            f = np.where(history.direction > 0, self._sum(push, place), self._sum(pull, place))
+            f = np.where(history.direction > 0, self._at(history, base, push), self._at(history, base, pull))
         else:
-            f = self._sum(coefficients, place)
+            f = self._at(history, base, coefficients)
         if self.action == "capacity":
             return Contribution(clamping=1.0 + f)
         return Contribution(added_kN=base.Fy_first * f)
@@ -163,18 +171,18 @@ class Curve:
         """Components at a share of the range."""
         return components(self.length, self.over.zero_share)
 
-    def _waves(self, turns: FloatArray) -> FloatArray:
-        """Components at a number of periods: for each part of the period a cosine and a sine."""
-        sd = harmonics(self.length)
-        angle = 2.0 * np.pi * turns[:, None] * np.arange(1, sd.size + 1)
-        return np.concatenate([sd * np.cos(angle), sd * np.sin(angle)], axis=1)
-
-    def _sum(self, coefficients: FloatArray, place: FloatArray) -> FloatArray:
-        """Curve of given coefficients."""
-        if self.period is not None:
-            return np.asarray(self._waves(place) @ coefficients)
-        spline = self._spline
-        return np.asarray(PPoly.construct_fast(spline.c @ coefficients, spline.x)(place))
+    def _at(self, history: History, base: Base, coefficients: FloatArray) -> FloatArray:
+        """Curve of given coefficients at the points of a history."""
+        if self.over.of_base or history.time_s.size * self.n > RECALLED_NUMBERS:
+            place = self.place(history, base)
+            if self.period is not None:
+                return np.asarray(self.components(place) @ coefficients)
+            spline = self._spline
+            return np.asarray(PPoly.construct_fast(spline.c @ coefficients, spline.x)(place))
+        rows = history.recall(
+            (self.coordinate, self.period, self.length), lambda: self.components(self.place(history, base))
+        )
+        return np.asarray(rows @ coefficients)
 
     def effect(self) -> Effect:
         """Give the curve as an effect of the device model."""

@@ -12,6 +12,7 @@ _MIN_POINTS = 9
 _MANY_POINTS = 100
 _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
 _AT_REST = 5.0  # standard deviations of a sample from the level of a rest
+_STILL = 1e-5  # of the whole stroke: less is no motion, however exact the samples are
 _MOST = 0.5  # share of the samples near an extreme that stand still when it is a rest
 _POOR = 1.5  # a fit whose residual is this many times the noise is no smooth peak (a corner or a rest)
 
@@ -173,8 +174,9 @@ def _rest(
     """
     lo, index, hi = around
     level = float(smoothed[index])
+    near = max(_AT_REST * noise, _STILL * float(np.ptp(raw)))
     for _ in range(3):
-        away = np.flatnonzero(np.abs(smoothed[lo : hi + 1] - level) > _AT_REST * noise) + lo
+        away = np.flatnonzero(np.abs(smoothed[lo : hi + 1] - level) > near) + lo
         first = int(away[away < index][-1]) + 1 if np.any(away < index) else lo
         last = int(away[away > index][0]) - 1 if np.any(away > index) else hi
         level = float(np.median(raw[first : last + 1]))
