@@ -25,7 +25,7 @@ from shj_bayes.proof.score import score_trial
 from shj_bayes.proof.summary import summarise
 from shj_bayes.recording.writer import write_csv
 
-DEFAULT_SEED = 20261129  # of ``make prove``; development never used it
+DEFAULT_SEED = 20270117  # of ``make prove``; development never used it
 SCORE, TRANSCRIPT, TABLE = "score.json", "transcript.json", "trials.csv"
 
 

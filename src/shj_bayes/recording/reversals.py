@@ -113,10 +113,13 @@ def place(
         before, after = edges[k], edges[k + 2]
         lo, hi = _neighbourhood(smoothed, before, index, after)
         peak = bool(smoothed[index] > smoothed[before])
+        rest = _rest(time_s, raw, smoothed, (lo, index, hi), noise)
         if np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
             found = _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
+            if rest and (not found or np.count_nonzero((time_s > found[0]) & (time_s < rest[0])) >= _MIN_POINTS):
+                found = rest  # the corner is where it begins, or elsewhere
         else:
-            found = _quartic(time_s, raw, lo, hi, noise, peak) or _rest(time_s, raw, smoothed, (lo, index, hi), noise)
+            found = _quartic(time_s, raw, lo, hi, noise, peak) or rest
         times[k], places[k] = found or _between_samples(time_s, smoothed, velocity, (lo, index, hi), peak)
     return times, places
 
@@ -182,7 +185,20 @@ def _rest(
         level = float(np.median(raw[first : last + 1]))
     if last - first + 1 < _MIN_POINTS or last - first < _MOST * (hi - lo):
         return None
-    return float(time_s[last]), level
+    return _departure(time_s, raw, last, hi, level, near), level
+
+
+def _departure(time_s: FloatArray, raw: FloatArray, last: int, hi: int, level: float, near: float) -> float:
+    """When the motion back begins, s: its distance from the rest grows as the square of the time, from 0.
+
+    A smoothed displacement leaves the rest before the device does.
+    """
+    far = last + np.flatnonzero(np.abs(raw[last : hi + 1] - level) > near)[:_MAX_POINTS]
+    if far.size < _MIN_POINTS:
+        return float(time_s[last])
+    slope, root = np.polyfit(time_s[far] - time_s[last], np.sqrt(np.abs(raw[far] - level)), 1)
+    begins = float(time_s[last] - root / slope) if slope > 0.0 else float(time_s[last])
+    return float(np.clip(begins, time_s[last], time_s[far[0]]))
 
 
 def _between_samples(
