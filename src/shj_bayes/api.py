@@ -33,6 +33,7 @@ from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.summary import summarise_campaign, summarise_tables
+from shj_bayes.validation import paper_claims
 
 
 class _Held:
@@ -356,7 +357,7 @@ def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = Fal
     CampaignResult
     """
     folder, held = _place(out)
-    result = summarise_tables(folder, seed=seed, progress=progress)
+    result = summarise_tables(folder, paper_claims(), seed=seed, progress=progress)
     return CampaignResult(folder, result.record, held)
 
 

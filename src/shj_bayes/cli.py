@@ -340,8 +340,9 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     """Bands and comparisons from the published, rounded parameter tables alone."""
     make_writable(out)
     from shj_bayes.summary import summarise_tables
+    from shj_bayes.validation import paper_claims
 
-    result = summarise_tables(out, seed=seed, progress=not (quiet or as_json))
+    result = summarise_tables(out, paper_claims(), seed=seed, progress=not (quiet or as_json))
     if as_json:
         click.echo(json.dumps(result.record, indent=1))
     elif not quiet:
@@ -528,7 +529,7 @@ def prove(
     """Concealed-effect trials: sealed, diagnosed behind a fence, opened, scored; or --check of a finished proof."""
     speak = not (as_json or quiet)
     if checked is not None:
-        from shj_bayes.proof.check import check
+        from shj_bayes.validation import check
 
         lines = check(checked, workers=workers or 2, progress=speak)
         if as_json:
@@ -539,7 +540,7 @@ def prove(
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
     if recordings is not None:
-        from shj_bayes.proof.real import prove_recordings
+        from shj_bayes.validation import prove_recordings
 
         real = prove_recordings(recordings, out, workers=workers or 2, progress=speak)
         if as_json:
@@ -547,7 +548,7 @@ def prove(
         elif speak:
             click.echo(real.text)
         return
-    from shj_bayes.proof.run import prove as run_proof
+    from shj_bayes.validation import prove as run_proof
 
     proof = run_proof(out, n=n, seed=seed, workers=workers or 2, quick=not full, progress=speak)
     if as_json:

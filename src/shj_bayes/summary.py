@@ -13,10 +13,9 @@ from shj_bayes.campaign import Manifest, Outcome, campaign_record
 from shj_bayes.design import design_margins
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.paper_claims import paper_claims
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import RUN_FORCES, never_tested_words, new_device_table, sets_suffice
-from shj_bayes.population.published import published_devices
+from shj_bayes.population.published import Claim, published_devices
 from shj_bayes.population.results import to_json, write_population
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
@@ -92,11 +91,10 @@ def summarise_campaign(
 
 
 @alone_in("folder")
-def summarise_tables(folder: Path, *, seed: int, progress: bool = False) -> Summary:
-    """Pool the published tables and write their page; arguments as for `summarise_campaign`."""
+def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progress: bool = False) -> Summary:
+    """Pool the published tables and write their page with the paper's claims; the rest as for `summarise_campaign`."""
     make_writable(folder)
     population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
-    claims = paper_claims()
     write_population(population, folder)
     design = design_margins(folder, population=population, progress=progress)
     page = render_tables(folder, population, claims)

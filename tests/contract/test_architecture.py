@@ -14,7 +14,7 @@ import shj_bayes
 PACKAGE = Path(shj_bayes.__file__).resolve().parent
 TOP = Path(__file__).resolve().parents[2]
 ROOMS = ("recording", "model", "inference")  # in the order the data walk through them
-LATER = ("mismatch", "proof", "population", "report", "campaign", "pipeline", "cli")
+LATER = ("mismatch", "validation", "population", "report", "campaign", "pipeline", "cli")
 
 
 def modules(room: str) -> list[Path]:

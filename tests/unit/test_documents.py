@@ -134,7 +134,9 @@ def test_make_targets_exist(page: Path) -> None:
 def test_scripts_that_are_named_exist(page: Path) -> None:
     named = re.findall(r"`(?:[\w./-]*python\S*|py -3\.11) ([\w/]+\.py)", text(page))
     named += [
-        w for w in re.findall(r"`((?:src|tests|benchmarks|docs|data)/[\w./-]+\.\w+)`", text(page)) if "ID" not in w
+        w
+        for w in re.findall(r"`((?:src|validation|tests|benchmarks|docs|data)/[\w./-]+\.\w+)`", text(page))
+        if "ID" not in w
     ]
     assert [name for name in named if not (TOP / name).is_file()] == []
 

@@ -9,11 +9,11 @@ from click.testing import CliRunner
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
-from shj_bayes.proof import run, seal
-from shj_bayes.proof.blind import diagnose_blind
-from shj_bayes.proof.cases import draw_keys
-from shj_bayes.proof.check import check
-from shj_bayes.proof.run import prove, write_recordings
+from shj_validation.proof import run, seal
+from shj_validation.proof.blind import diagnose_blind
+from shj_validation.proof.cases import draw_keys
+from shj_validation.proof.check import check
+from shj_validation.proof.run import prove, write_recordings
 
 SEED, N = 51, 3  # of development
 

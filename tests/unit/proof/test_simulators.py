@@ -9,17 +9,17 @@ from scipy.integrate import solve_ivp, trapezoid
 from shj_bayes.errors import ModelError
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.law import force
-from shj_bayes.proof.cases import stated_key
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.make import make
-from shj_bayes.proof.noise import NOISES, force_noise
-from shj_bayes.proof.protocols import Course, course
-from shj_bayes.proof.simulators import bolt, forms, friction, heat
-from shj_bayes.proof.simulators.iwan import elements
-from shj_bayes.proof.simulators.mechanism import two_poles
-from shj_bayes.proof.simulators.rig import Acts, Drive, drives, rate_free
-from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.recording.protocol import Block, exact_motion
+from shj_validation.proof.cases import stated_key
+from shj_validation.proof.device import Device
+from shj_validation.proof.make import make
+from shj_validation.proof.noise import NOISES, force_noise
+from shj_validation.proof.protocols import Course, course
+from shj_validation.proof.simulators import bolt, forms, friction, heat
+from shj_validation.proof.simulators.iwan import elements
+from shj_validation.proof.simulators.mechanism import two_poles
+from shj_validation.proof.simulators.rig import Acts, Drive, drives, rate_free
+from shj_validation.proof.simulators.simulator import simulators_by_id
 
 DEVICE = Device(K=14.0, Fy=60.0, beta=12.0, gamma=0.0, ratio=0.8)
 

@@ -3,43 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from shj_bayes.population.contrasts import stratified_permutation, two_way_anova
-from shj_bayes.population.published import DEVICE_TABLES, PublishedRow, published_rows
+from shj_bayes.population.published import DEVICE_TABLES, Claim, PublishedRow, published_rows
 from shj_bayes.population.quantities import FloatArray
+from shj_validation.contrasts import stratified_permutation, two_way_anova
 
 COATINGS = ("Sweep blasted", "Alkyd 70", "Alkyd 100", "Zinc 70", "Zinc 100")
 PAIRS = ((4, 5), (6, 7))
-Value = float | int | tuple[float, ...] | tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One statement of the paper against its own numbers.
-
-    Parameters
-    ----------
-    id : str
-        Short name.
-    claim : str
-        What the paper says, in our words.
-    verdict : {"holds", "holds in part", "does not hold", "not settled"}
-        What its tables say.
-    values : mapping of str to number or tuple of numbers
-        The figures behind the verdict.
-    sentence : str
-        The same in plain words.
-    """
-
-    id: str
-    claim: str
-    verdict: str
-    values: Mapping[str, Value]
-    sentence: str
 
 
 def losses_percent(rows: Sequence[PublishedRow]) -> FloatArray:

@@ -10,13 +10,13 @@ from scipy import optimize, stats
 
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.cases import Key
-from shj_bayes.proof.make import make
-from shj_bayes.proof.predict import predict
-from shj_bayes.proof.simulators.simulator import simulators_by_id
-from shj_bayes.proof.truth import Truth, effect_truths, kept_base, truth_of
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
+from shj_validation.proof.cases import Key
+from shj_validation.proof.make import make
+from shj_validation.proof.predict import predict
+from shj_validation.proof.simulators.simulator import simulators_by_id
+from shj_validation.proof.truth import Truth, effect_truths, kept_base, truth_of
 
 LIKELY = 0.5  # a coordinate that is more likely there than not is claimed
 SHORT_LIST = 4  # ids for each concealed effect; a longer list holds the truth as a telephone book does

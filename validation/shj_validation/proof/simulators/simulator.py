@@ -12,9 +12,9 @@ import numpy as np
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof import simulators
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.simulators.rig import RULES, Acts, Drive
+from shj_validation.proof import simulators
+from shj_validation.proof.device import Device
+from shj_validation.proof.simulators.rig import RULES, Acts, Drive
 
 Shape = Mapping[str, float]
 BASE = ("K", "Fy", "beta", "gamma", "ratio")

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.simulators.rig import Acts, Drive
-from shj_bayes.proof.simulators.simulator import Shape, Simulator
+from shj_validation.proof.device import Device
+from shj_validation.proof.simulators.rig import Acts, Drive
+from shj_validation.proof.simulators.simulator import Shape, Simulator
 
 
 def _thread(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -> list[Acts]:

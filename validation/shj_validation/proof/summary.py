@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.proof.score import half_size, rate
+from shj_validation.proof.score import half_size, rate
 
 # Written down before the proof was run; see docs/decisions/0007-proof.md.
 FALSE_ALARMS, FALSE_ALARMS_LIMIT = 0.03, 0.05
@@ -30,7 +30,7 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
     Parameters
     ----------
     rows : sequence of dict
-        From `shj_bayes.proof.score.score_trial`.
+        From `shj_validation.proof.score.score_trial`.
 
     Returns
     -------

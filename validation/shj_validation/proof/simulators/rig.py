@@ -11,10 +11,10 @@ from numba import njit
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.protocols import Course
-from shj_bayes.proof.simulators.branch import branches
-from shj_bayes.proof.simulators.iwan import elements, in_series, move, try_move
+from shj_validation.proof.device import Device
+from shj_validation.proof.protocols import Course
+from shj_validation.proof.simulators.branch import branches
+from shj_validation.proof.simulators.iwan import elements, in_series, move, try_move
 
 RULES = ("published", "continuous")  # at a reversal: jump as Eq. (1) does, or unload from the force there is
 SLIP_MEMORY_S = 0.004  # contacts notice a change of the slip speed after some micrometres, not at once

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.cases import Concealed, Key
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.noise import force_noise
-from shj_bayes.proof.protocols import PEAK_SPEED_MM_S, Course, course
-from shj_bayes.proof.simulators.mechanism import two_poles
-from shj_bayes.proof.simulators.rig import Acts, Drive, drives, join, rate_free
-from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.recording.recording import Recording, Source
+from shj_validation.proof.cases import Concealed, Key
+from shj_validation.proof.device import Device
+from shj_validation.proof.noise import force_noise
+from shj_validation.proof.protocols import PEAK_SPEED_MM_S, Course, course
+from shj_validation.proof.simulators.mechanism import two_poles
+from shj_validation.proof.simulators.rig import Acts, Drive, drives, join, rate_free
+from shj_validation.proof.simulators.simulator import simulators_by_id
 
 FINE_HZ, FAST_HZ = 100.0, 1000.0  # steps a second, or one for each sample if that is more: quasi-static, with a mass
 STROKE_MM = 95.0

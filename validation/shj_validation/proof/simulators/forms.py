@@ -8,11 +8,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.simulators.bolt import tension, thinning
-from shj_bayes.proof.simulators.friction import REFERENCE_MM_S, follow
-from shj_bayes.proof.simulators.rig import Acts, Drive
-from shj_bayes.proof.simulators.simulator import Shape, Simulator, along
+from shj_validation.proof.device import Device
+from shj_validation.proof.simulators.bolt import tension, thinning
+from shj_validation.proof.simulators.friction import REFERENCE_MM_S, follow
+from shj_validation.proof.simulators.rig import Acts, Drive
+from shj_validation.proof.simulators.simulator import Shape, Simulator, along
 
 TESTED_M = 7.0  # slid in two runs by a device of middle size; powers of travel are anchored there
 LEAST = 0.3  # of the clamping that a wandering actuator leaves

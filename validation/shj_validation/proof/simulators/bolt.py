@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.simulators.rig import Acts, Drive
-from shj_bayes.proof.simulators.simulator import Shape, Simulator
+from shj_validation.proof.device import Device
+from shj_validation.proof.simulators.rig import Acts, Drive
+from shj_validation.proof.simulators.simulator import Shape, Simulator
 
 STRETCH_UM = 290.0  # shortening of the stack that takes all tension from an M16 bolt: 95 kN at 330 kN/mm (DOMAIN E06)
 TESTED_RUNS = 2

@@ -11,7 +11,7 @@ from typing import Any
 
 from shj_bayes._util.files import read_json, write_text
 from shj_bayes.errors import ProofError
-from shj_bayes.proof.cases import Key, canonical, draw_keys
+from shj_validation.proof.cases import Key, canonical, draw_keys
 
 COMMITMENT, SECRET, OPENED = "commitment.json", "secret.json", "keys.json"
 SCHEMA = "shj-bayes/proof/1"

@@ -45,7 +45,7 @@ class Nuisance:
     force_step_kN, displacement_step_mm : float
         Resolution of the two channels.
     noise : str
-        Kind of force noise, see `shj_bayes.proof.noise`.
+        Kind of force noise, see `shj_validation.proof.noise`.
     noise_kN : float
         Its standard deviation, kN.
     displacement_noise_mm : float

@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.simulators.rig import Acts, Drive
-from shj_bayes.proof.simulators.simulator import Shape, Simulator, along
+from shj_validation.proof.device import Device
+from shj_validation.proof.simulators.rig import Acts, Drive
+from shj_validation.proof.simulators.simulator import Shape, Simulator, along
 
 REFERENCE_MM_S = 10.0  # peak speed of the paper's protocol
 CREEP_MM_S = 1e-4  # a contact at rest still creeps; keeps logarithms finite

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.errors import ProofError
-from shj_bayes.proof.fence import scratch
+from shj_validation.proof.fence import scratch
 
 KEPT = ("SYSTEMROOT", "TEMP", "TMP", "TMPDIR")  # all that a process needs of the environment, Windows included
 
@@ -28,7 +28,7 @@ class Blind:
         Copies of the recordings; the process sees nothing else.
     """
 
-    def __init__(self, module: str = "shj_bayes.proof.worker") -> None:
+    def __init__(self, module: str = "shj_validation.proof.worker") -> None:
         self.folder = Path(scratch())
         environment = {name: os.environ[name] for name in KEPT if name in os.environ}
         environment |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -51,7 +51,7 @@ class Blind:
         recordings : sequence of Path
             Consecutive runs.
         **how
-            As for `shj_bayes.proof.blind.diagnose_blind`.
+            As for `shj_validation.proof.blind.diagnose_blind`.
 
         Returns
         -------

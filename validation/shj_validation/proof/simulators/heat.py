@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.simulators.rig import Acts, Drive
-from shj_bayes.proof.simulators.simulator import Shape, Simulator
+from shj_validation.proof.device import Device
+from shj_validation.proof.simulators.rig import Acts, Drive
+from shj_validation.proof.simulators.simulator import Shape, Simulator
 
 DIFFUSIVITY = 14.0  # of steel, mm^2/s
 CELLS = 24

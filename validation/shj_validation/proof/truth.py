@@ -13,10 +13,10 @@ from scipy.signal import lfilter
 from shj_bayes.inference.run import runs_of
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.proof.cases import Key
-from shj_bayes.proof.make import Made, make
-from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.recording.recording import Recording
+from shj_validation.proof.cases import Key
+from shj_validation.proof.make import Made, make
+from shj_validation.proof.simulators.simulator import simulators_by_id
 
 PRACTICAL = 0.01  # of Fy: the size that the tool calls negligible for design ; fixed here
 EVIDENCE = 25.0  # log-likelihood that the visible part must be worth under the trial's own noise

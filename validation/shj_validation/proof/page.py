@@ -12,11 +12,10 @@ import jinja2
 
 import shj_bayes
 from shj_bayes._util.files import write_text
-from shj_bayes.proof import pictures
-from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.report.page import TABLES, policy, script
+from shj_validation.proof import pictures
+from shj_validation.proof.simulators.simulator import simulators_by_id
 
-HERE = Path(__file__).parent
 PAGE, TABLE = "proof.html", "trials.csv"
 COLUMNS = (
     "number",
@@ -82,7 +81,9 @@ def render(folder: Path, score: Mapping[str, Any]) -> Path:
 def environment() -> jinja2.Environment:
     """Templates of the proof, on those of the reports, with escaping."""
     made = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([HERE / "templates", HERE.parent / "report" / "templates"]),
+        loader=jinja2.ChoiceLoader(
+            [jinja2.PackageLoader("shj_validation.proof"), jinja2.PackageLoader("shj_bayes.report")]
+        ),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

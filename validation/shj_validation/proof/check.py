@@ -11,10 +11,10 @@ from tqdm import tqdm
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ProofError
-from shj_bayes.proof import seal
-from shj_bayes.proof.cases import Key, draw_keys
-from shj_bayes.proof.run import SCORE, TRANSCRIPT, names, score_rows, write_recordings
-from shj_bayes.proof.summary import summarise
+from shj_validation.proof import seal
+from shj_validation.proof.cases import Key, draw_keys
+from shj_validation.proof.run import SCORE, TRANSCRIPT, names, score_rows, write_recordings
+from shj_validation.proof.summary import summarise
 
 
 def check(folder: Path, *, workers: int = 2, progress: bool = False) -> list[str]:

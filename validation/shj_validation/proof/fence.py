@@ -15,14 +15,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import shj_bayes
+import shj_validation
 from shj_bayes._util.shipped import shipped
 
 FORBIDDEN = (
-    "shj_bayes.proof.cases",
-    "shj_bayes.proof.make",
-    "shj_bayes.proof.seal",
-    "shj_bayes.proof.run",
-    "shj_bayes.proof.simulators",
+    "shj_validation.proof.cases",
+    "shj_validation.proof.make",
+    "shj_validation.proof.seal",
+    "shj_validation.proof.run",
+    "shj_validation.proof.simulators",
 )
 _STARTS_SOMETHING = ("os.system", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn", "os.startfile")
 _PATHS = ("open", "os.listdir", "os.scandir", "os.chdir", "os.rename", "os.remove", "os.link", "os.symlink", "shutil.")
@@ -62,11 +63,12 @@ def raise_fence(folder: Path) -> None:
 
 
 def _roots(folder: Path) -> list[str]:
-    """Places that may be read: the data, the interpreter, its packages, this package, its priors, its loaded libraries.
+    """Places that may be read: the data, the interpreter, its packages, these two, the priors, its loaded libraries.
 
     The last are listed to keep BLAS to one thread.
     """
-    places = [folder, shipped("priors"), Path(shj_bayes.__file__).parent, Path(sys.prefix), Path(sys.base_prefix)]
+    packages = [Path(place) for package in (shj_bayes, shj_validation) for place in package.__path__]
+    places = [folder, shipped("priors"), *packages, Path(sys.prefix), Path(sys.base_prefix)]
     places += [Path(path) for path in sysconfig.get_paths().values()]
     real = [os.path.realpath(place) for place in places if str(place) != os.path.sep]
     return [*real, os.path.realpath("/proc/self/maps"), os.devnull]

@@ -16,14 +16,14 @@ from shj_bayes._util.files import read_json, write_text
 from shj_bayes._util.lock import alone_in
 from shj_bayes.errors import ProofError
 from shj_bayes.inference.store import versions
-from shj_bayes.proof import seal
-from shj_bayes.proof.cases import Key, draw_keys
-from shj_bayes.proof.make import make
-from shj_bayes.proof.page import render
-from shj_bayes.proof.pool import in_parallel
-from shj_bayes.proof.score import score_trial
-from shj_bayes.proof.summary import summarise
 from shj_bayes.recording.writer import write_csv
+from shj_validation.proof import seal
+from shj_validation.proof.cases import Key, draw_keys
+from shj_validation.proof.make import make
+from shj_validation.proof.page import render
+from shj_validation.proof.pool import in_parallel
+from shj_validation.proof.score import score_trial
+from shj_validation.proof.summary import summarise
 
 DEFAULT_SEED = 20261129  # of ``make prove``; development never used it
 SCORE, TRANSCRIPT, TABLE = "score.json", "transcript.json", "trials.csv"

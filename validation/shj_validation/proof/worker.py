@@ -1,6 +1,6 @@
 """The process behind the fence: it gets folders of recordings on its standard input and answers with diagnoses.
 
-One line in, one line out, both JSON. It is started with ``python -I -m shj_bayes.proof.worker FOLDER`` in an empty
+One line in, one line out, both JSON. It is started with ``python -I -m shj_validation.proof.worker FOLDER`` in an empty
 environment; FOLDER holds copies of the recordings and nothing else.
 """
 
@@ -15,8 +15,8 @@ from queue import SimpleQueue
 from typing import Any
 
 from shj_bayes.errors import ShjError
-from shj_bayes.proof.blind import diagnose_blind
-from shj_bayes.proof.fence import raise_fence
+from shj_validation.proof.blind import diagnose_blind
+from shj_validation.proof.fence import raise_fence
 
 
 def main() -> None:

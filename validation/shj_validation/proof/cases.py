@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ModelError
-from shj_bayes.proof.device import Device, Nuisance
-from shj_bayes.proof.noise import MEMORIES_S, NOISES
-from shj_bayes.proof.protocols import PEAK_SPEED_MM_S
-from shj_bayes.proof.simulators.rig import RULES
-from shj_bayes.proof.simulators.simulator import Simulator, simulators_by_id
+from shj_validation.proof.device import Device, Nuisance
+from shj_validation.proof.noise import MEMORIES_S, NOISES
+from shj_validation.proof.protocols import PEAK_SPEED_MM_S
+from shj_validation.proof.simulators.rig import RULES
+from shj_validation.proof.simulators.simulator import Simulator, simulators_by_id
 
 # Shares of the trials; half hold nothing: false alarms are rare, and counted on these.
 NOTHING, OUTSIDE, TWO = 0.50, 0.15, 0.15

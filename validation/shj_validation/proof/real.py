@@ -12,12 +12,12 @@ import shj_bayes
 from shj_bayes._util.files import write_text
 from shj_bayes._util.lock import alone_in
 from shj_bayes.errors import ProofError
-from shj_bayes.proof.answers import CASES, Case, Judged
-from shj_bayes.proof.page import environment, head
-from shj_bayes.proof.pool import in_parallel
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.diagnosis_words import sentences
+from shj_validation.proof.answers import CASES, Case, Judged
+from shj_validation.proof.page import environment, head
+from shj_validation.proof.pool import in_parallel
 
 RECORD, PAGE = "recordings.json", "recordings.html"
 SCHEMA = "shj-bayes/proof-recordings/1"
