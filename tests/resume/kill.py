@@ -1,8 +1,8 @@
 """Kill fits and campaigns at random moments, resume them, compare with what was never stopped.
 
-``python benchmarks/kill.py [-n 20] [--seed 1] [--steps 600]`` prints one line for each kill: when, what lay there then,
-and whether the resumed result has the same bits. Exit status 1 if one has not. The last lines try a full disk, a folder
-that cannot be written to, and a folder that vanishes while the fit runs.
+``python tests/resume/kill.py [-n 20] [--seed 1] [--steps 600]`` prints one line for each kill: when, what lay there
+then, and whether the resumed result has the same bits. Exit status 1 if one has not. The last lines try a full disk, a
+folder that cannot be written to, and a folder that vanishes while the fit runs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Simulation-based calibration: ``python benchmarks/calibrate.py [noise|device|margins] -n 300``.
+"""Simulation-based calibration: ``python -m shj_validation.calibrate [noise|device|margins] -n 300``.
 
 noise
     Fits of devices under noises that the model may or may not know, at four sampling rates: see `calibrate_noise`.
@@ -35,8 +35,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from calibrate_noise import draw_noise, tables
-from calibrate_parts import N_RANKS, draw_margins, ranks_of
 from numpy.typing import NDArray
 from scipy import stats
 from tqdm import tqdm
@@ -56,9 +54,11 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
+from shj_validation.calibrate_noise import draw_noise, tables
+from shj_validation.calibrate_parts import N_RANKS, draw_margins, ranks_of
 
 Floats = NDArray[np.float64]
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 BROKEN = ("white", "jacobian", "signed")
 SHORT = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))  # for the tests of the test: half a minute of motion
 LEVELS = (0.50, 0.80, 0.90, 0.95)
@@ -397,7 +397,7 @@ def main() -> int:
         options = {"effects": asked.effects, "max_steps": asked.max_steps}
     stem = "-".join(word for word in ("calibration", *kinds) if word)
     rows = run(asked.n, asked.seed, asked.out / f"{stem}.jsonl", part=asked.part, workers=asked.workers, **options)
-    command = f"python benchmarks/calibrate.py {' '.join(sys.argv[1:])}".strip()
+    command = f"python -m shj_validation.calibrate {' '.join(sys.argv[1:])}".strip()
     if asked.part == "noise":
         text, good = noise_page(rows, command), True
     else:
