@@ -9,14 +9,14 @@ from typing import Any
 
 from shj_bayes._util.files import plain_name
 from shj_bayes._util.lock import alone_in
-from shj_bayes.earlier import earlier
+from shj_bayes.commands.earlier import earlier
+from shj_bayes.commands.finished import DeviceResult, default_name, device_result, finished_record, key_of, stale
+from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, shown
-from shj_bayes.finished import DeviceResult, default_name, device_result, finished_record, key_of, stale
 from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
 from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
-from shj_bayes.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.model.device import DeviceModel, effects_named, meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model

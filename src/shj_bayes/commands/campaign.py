@@ -20,11 +20,11 @@ from shj_bayes._util.dask_cluster import results_on
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import folder_name, make_writable, plain_name, read_toml, sealed, toml_line, write_text
 from shj_bayes._util.lock import alone_in
+from shj_bayes.commands.finished import DeviceResult, kept_result
+from shj_bayes.commands.mistaken import repeated
+from shj_bayes.commands.pipeline import Options, fit_device
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
-from shj_bayes.finished import DeviceResult, kept_result
-from shj_bayes.mistaken import repeated
 from shj_bayes.model.priors import read_priors
-from shj_bayes.pipeline import Options, fit_device
 from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.report.device import is_simulated
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from shj_bayes._util.files import make_writable
 from shj_bayes._util.lock import alone_in
-from shj_bayes.campaign import Manifest, Outcome, campaign_record
-from shj_bayes.design import design_margins
+from shj_bayes.commands.campaign import Manifest, Outcome, campaign_record
+from shj_bayes.commands.design import design_margins
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
