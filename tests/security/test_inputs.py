@@ -206,7 +206,7 @@ def test_a_cell_in_the_last_row_costs_no_time(tmp_path, row):
 def test_a_compressed_mat_file_is_counted_before_it_is_unpacked(tmp_path, monkeypatch):
     path = tmp_path / "run.mat"
     scipy.io.savemat(path, {"time_s": np.zeros(400_000)}, do_compression=True)
-    monkeypatch.setattr(hdf5, "MAX_BYTES", 1_000_000)
+    monkeypatch.setattr(tables, "MAX_BYTES", 1_000_000)
     with pytest.raises(RecordingError, match="MiB of numbers"):
         read_table(path)
     assert len(zlib.compress(bytes(3_200_000))) < path.stat().st_size < 100_000

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
+from shj_bayes._util.discover import constants
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_validation.proof import simulators
@@ -134,10 +133,7 @@ class Simulator:
 @cache
 def simulators_by_id() -> dict[str, Simulator]:
     """All simulators in alphabetical order."""
-    found = {}
-    for module in pkgutil.iter_modules(simulators.__path__):
-        for one in getattr(importlib.import_module(f"{simulators.__name__}.{module.name}"), "SIMULATORS", ()):
-            found[one.id] = one
+    found = {one.id: one for _, held in constants(simulators, "SIMULATORS") for one in held}
     return dict(sorted(found.items()))
 
 
