@@ -1,4 +1,4 @@
-"""The commands of INTERFACE. No logic lives here: each command reads its options, calls one room and prints.
+"""The commands. No logic lives here: each command reads its options, calls one room and prints.
 
 The rooms are imported inside the commands, so that ``shj-bayes --help`` answers at once.
 """

@@ -47,7 +47,7 @@ def write_simulated(
     digits : int
         Significant digits of the files.
     **truth : float
-        K, Fy, beta, ratio, sigma, phi, sigma_slow, tau_slow in the units of INTERFACE.
+        K, Fy, beta, ratio, sigma, phi, sigma_slow, tau_slow in kN, mm and s.
 
     Returns
     -------

@@ -16,6 +16,7 @@ from typing import Any
 from shj_bayes.errors import ProofError
 from shj_validation.proof.fence import scratch
 
+ENDED = "the process behind the fence has ended; what it printed stands above; run the same command again to go on"
 KEPT = ("SYSTEMROOT", "TEMP", "TMP", "TMPDIR")  # all that a process needs of the environment, Windows included
 
 
@@ -68,9 +69,9 @@ class Blind:
             self._process.stdin.flush()
             line = self._process.stdout.readline()
         except (BrokenPipeError, OSError) as error:
-            raise ProofError("the process behind the fence has ended; its last words stand above") from error
+            raise ProofError(ENDED) from error
         if not line:
-            raise ProofError("the process behind the fence has ended; its last words stand above")
+            raise ProofError(ENDED)
         answer: dict[str, Any] = json.loads(line)
         return dict(answer.get("record", answer))
 
