@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,22 @@ from shj_validation.proof.check import check
 from shj_validation.proof.run import prove, write_recordings
 
 SEED, N = 51, 3  # of development
+
+
+@pytest.fixture(scope="module", autouse=True)
+def scores():
+    """Scores by key and diagnosis, each made once: most tests here ask for the same three."""
+    kept, score = {}, run._score_one
+
+    def once(job):
+        name = json.dumps(job, sort_keys=True)
+        if name not in kept:
+            kept[name] = score(job)
+        return deepcopy(kept[name])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "_score_one", once)
+        yield kept
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +68,8 @@ def finished(whole, tmp_path):
     return Path(shutil.copytree(whole, tmp_path / "proof"))
 
 
-def test_a_finished_proof_checks(finished):
+def test_a_finished_proof_checks(finished, scores):
+    scores.clear()  # scored again, as a third party would
     lines = check(finished, workers=1)
     assert lines[0] == "3 keys follow from seed 51 and are those that were sealed before the diagnosis"
     assert "the same to the byte" in lines[1]
