@@ -52,10 +52,10 @@ TASKS: dict[str, list[list[str]]] = {
     ],
     "prove": [[str(TOOL), "prove", "-n", "200", "--workers", "2", "--out", "shj-bayes-proof"]],
     "fuzz": [[str(PYTHON), "tests/fuzz/run.py", "-n", "6000"]],
-    "kill": [[str(PYTHON), "benchmarks/kill.py"]],
+    "kill": [[str(PYTHON), "tests/resume/kill.py"]],
     "thousand": [[str(PYTHON), "benchmarks/thousand.py"]],
     "calibrate": [
-        [str(PYTHON), "benchmarks/calibrate.py", part, "-n", "300", "--seed", seed]
+        [str(PYTHON), "-m", "shj_validation.calibrate", part, "-n", "300", "--seed", seed]
         for part, seed in (("device", "7200"), ("margins", "7000"), ("noise", "7000"))
     ],
     "audit": [

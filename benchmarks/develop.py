@@ -22,12 +22,12 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.proof.cases import KINDS, Key, development_keys
-from shj_bayes.proof.make import make
-from shj_bayes.proof.score import coordinate_right, outcome, rate
-from shj_bayes.proof.simulators.simulator import simulators_by_id
-from shj_bayes.proof.summary import RIGHT_OUTCOMES
-from shj_bayes.proof.truth import truth_of
+from shj_validation.proof.cases import KINDS, Key, development_keys
+from shj_validation.proof.make import make
+from shj_validation.proof.score import coordinate_right, outcome, rate
+from shj_validation.proof.simulators.simulator import simulators_by_id
+from shj_validation.proof.summary import RIGHT_OUTCOMES
+from shj_validation.proof.truth import truth_of
 
 BUILD = Path(__file__).resolve().parents[1] / "build" / "develop"
 KEPT = ("verdict", "reason", "coordinates", "effects", "family", "before", "after")

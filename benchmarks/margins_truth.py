@@ -32,11 +32,11 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import DeviceSet, PopulationResult
-from shj_bayes.proof.cases import Concealed, Key, stated_key
-from shj_bayes.proof.device import Device
-from shj_bayes.proof.make import Made, make
-from shj_bayes.proof.simulators.simulator import simulators_by_id
 from shj_bayes.recording.recording import Recording
+from shj_validation.proof.cases import Concealed, Key, stated_key
+from shj_validation.proof.device import Device
+from shj_validation.proof.make import Made, make
+from shj_validation.proof.simulators.simulator import simulators_by_id
 
 KINDS: dict[str, tuple[tuple[str, float], ...]] = {
     "nothing": (),

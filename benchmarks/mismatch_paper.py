@@ -11,11 +11,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from mismatch import look, simulate
+from mismatch import look
 
 from shj_bayes.mismatch.diagnosis import Diagnosis
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.published import PublishedRow, published_rows
+from shj_validation.trials import simulate
 
 RATE_HZ = 5.0
 Trials = dict[str, Callable[[int], dict[str, Any]]]

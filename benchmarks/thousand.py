@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.campaign import read_manifest, run_campaign
+from shj_bayes.commands.campaign import read_manifest, run_campaign
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv

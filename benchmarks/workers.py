@@ -23,7 +23,7 @@ from pathlib import Path
 
 import thousand
 
-from shj_bayes.campaign import Manifest, read_manifest, run_campaign
+from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
 
 
 @contextmanager

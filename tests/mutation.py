@@ -136,7 +136,10 @@ BREAKAGES = (
 
 def failures(package: Path, tests: tuple[str, ...]) -> tuple[dict[str, int], str]:
     """Failed tests (function name to number of failed cases) in a copy, and the last line of pytest."""
-    environment = os.environ | {"PYTHONPATH": str(package / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join((str(package / "src"), str(package / "validation"))),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     arguments = ["-q", "--tb=no", "-m", "not slow", "-p", "no:cacheprovider", "-o", f"filterwarnings=error\n{IGNORE}"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *arguments, *tests],
@@ -157,7 +160,7 @@ def failures(package: Path, tests: tuple[str, ...]) -> tuple[dict[str, int], str
 def copy_of_checkout(folder: Path) -> Path:
     """What the tests need, without caches: a cached compilation would hide a change."""
     skip = shutil.ignore_patterns("__pycache__", "*.pyc")
-    for part in ("src", "tests", "priors", "data"):
+    for part in ("src", "validation", "tests", "priors", "data"):
         shutil.copytree(TOP / part, folder / part, ignore=skip)
     shutil.copy(TOP / "pyproject.toml", folder)
     return folder

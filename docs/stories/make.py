@@ -22,12 +22,12 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.proof.cases import Key, stated_key
-from shj_bayes.proof.make import make
-from shj_bayes.proof.run import write_recordings
-from shj_bayes.proof.score import heldout
 from shj_bayes.recording.reader import read
 from shj_bayes.report.figures.canvas import BLUE, GREY, INK, RED, label, tidy
+from shj_validation.proof.cases import Key, stated_key
+from shj_validation.proof.make import make
+from shj_validation.proof.run import write_recordings
+from shj_validation.proof.score import heldout
 
 HERE = Path(__file__).resolve().parent
 SEED = 2  # of development; chosen before the outcome was looked at

@@ -19,12 +19,14 @@ from typing import Any
 import pandas as pd
 
 from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.campaign import Manifest, read_manifest, run_campaign
-from shj_bayes.comparison import compare_sets
+from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
+from shj_bayes.commands.comparison import compare_sets
+from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
+from shj_bayes.commands.summary import summarise_campaign, summarise_tables
+from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import ModelError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.record import check_files, read_record
-from shj_bayes.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.population.results import population_record
 from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
@@ -32,7 +34,6 @@ from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.report.diagnosis_words import sentences
-from shj_bayes.summary import summarise_campaign, summarise_tables
 
 
 class _Held:
@@ -280,8 +281,8 @@ def fit(
     force : bool
         Replace the result of another device in `out`.
     **options
-        Fields of `shj_bayes.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed, max_steps,
-        runs.
+        Fields of `shj_bayes.commands.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed,
+        max_steps, runs.
 
     Returns
     -------
@@ -356,7 +357,7 @@ def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = Fal
     CampaignResult
     """
     folder, held = _place(out)
-    result = summarise_tables(folder, seed=seed, progress=progress)
+    result = summarise_tables(folder, paper_claims(), seed=seed, progress=progress)
     return CampaignResult(folder, result.record, held)
 
 

@@ -1,4 +1,4 @@
-"""The commands of INTERFACE. No logic lives here: each command reads its options, calls one room and prints.
+"""The commands. No logic lives here: each command reads its options, calls one room and prints.
 
 The rooms are imported inside the commands, so that ``shj-bayes --help`` answers at once.
 """
@@ -15,8 +15,8 @@ import click
 import shj_bayes
 from shj_bayes._util.child_processes import quiet_libraries
 from shj_bayes._util.files import make_writable, need_files, need_population
+from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.errors import CampaignError, RecordingError, ShjError
-from shj_bayes.examples import EXAMPLES
 
 Command = Callable[..., Any]
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
@@ -215,12 +215,12 @@ def fit(
 ) -> None:
     """Posterior of one device; several recordings are its consecutive runs."""
     need_files(recordings, RecordingError)
-    from shj_bayes.finished import kept_result
+    from shj_bayes.commands.finished import kept_result
 
     options, speak = _listed(options), not (as_json or quiet)
     result = kept_result(recordings, out, options, name)
     if result is None:
-        from shj_bayes.pipeline import Options, fit_device
+        from shj_bayes.commands.pipeline import Options, fit_device
 
         shared = Options(**options)
         result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0, force=force)
@@ -258,7 +258,7 @@ def diagnose(
 ) -> None:
     """Fit, then locate, name, model and show what the base law leaves out."""
     need_files(recordings, RecordingError)
-    from shj_bayes.pipeline import Options, diagnose_device
+    from shj_bayes.commands.pipeline import Options, diagnose_device
 
     speak = not (as_json or quiet)
     result = diagnose_device(
@@ -312,8 +312,8 @@ def _run_campaign(
 ) -> None:
     need_files([manifest], CampaignError)
     make_writable(out)
-    from shj_bayes.campaign import read_manifest, run_campaign
-    from shj_bayes.summary import summarise_campaign
+    from shj_bayes.commands.campaign import read_manifest, run_campaign
+    from shj_bayes.commands.summary import summarise_campaign
 
     speak = not (quiet or as_json)
     plan = read_manifest(manifest)
@@ -339,9 +339,10 @@ def _run_campaign(
 def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     """Bands and comparisons from the published, rounded parameter tables alone."""
     make_writable(out)
-    from shj_bayes.summary import summarise_tables
+    from shj_bayes.commands.summary import summarise_tables
+    from shj_bayes.commands.validation import paper_claims
 
-    result = summarise_tables(out, seed=seed, progress=not (quiet or as_json))
+    result = summarise_tables(out, paper_claims(), seed=seed, progress=not (quiet or as_json))
     if as_json:
         click.echo(json.dumps(result.record, indent=1))
     elif not quiet:
@@ -387,7 +388,7 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
 def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **request: Any) -> None:
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
     need_population(folder)
-    from shj_bayes.design import design_margins
+    from shj_bayes.commands.design import design_margins
     from shj_bayes.margins.request import Request
 
     design = design_margins(folder, Request(sets=sets, **request), progress=not (quiet or as_json))
@@ -406,7 +407,7 @@ def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **r
 def export(folder: Path, target: str, out: Path | None, amplitude_mm: float | None, as_json: bool, quiet: bool) -> None:
     """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
     need_population(folder)
-    from shj_bayes.design import export_analysis
+    from shj_bayes.commands.design import export_analysis
 
     paths = export_analysis(folder, out, amplitude_mm, progress=not (quiet or as_json))
     if as_json:
@@ -435,7 +436,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
     uncoated, "70 %" and "100 %".
     """
     need_population(folder)
-    from shj_bayes.comparison import compare_sets
+    from shj_bayes.commands.comparison import compare_sets
 
     record, text = compare_sets(folder, set_a, set_b, rope)
     if as_json:
@@ -463,7 +464,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None:
     """Make recordings of two runs of Table 1 from stated parameters, with the truth beside them."""
-    from shj_bayes.simulated import write_simulated
+    from shj_bayes.commands.simulated import write_simulated
 
     for path in write_simulated(stem, dep_mm_s=dep, **options):
         if not quiet:
@@ -528,7 +529,7 @@ def prove(
     """Concealed-effect trials: sealed, diagnosed behind a fence, opened, scored; or --check of a finished proof."""
     speak = not (as_json or quiet)
     if checked is not None:
-        from shj_bayes.proof.check import check
+        from shj_bayes.commands.validation import check
 
         lines = check(checked, workers=workers or 2, progress=speak)
         if as_json:
@@ -539,7 +540,7 @@ def prove(
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
     if recordings is not None:
-        from shj_bayes.proof.real import prove_recordings
+        from shj_bayes.commands.validation import prove_recordings
 
         real = prove_recordings(recordings, out, workers=workers or 2, progress=speak)
         if as_json:
@@ -547,7 +548,7 @@ def prove(
         elif speak:
             click.echo(real.text)
         return
-    from shj_bayes.proof.run import prove as run_proof
+    from shj_bayes.commands.validation import prove as run_proof
 
     proof = run_proof(out, n=n, seed=seed, workers=workers or 2, quick=not full, progress=speak)
     if as_json:
@@ -560,7 +561,7 @@ def prove(
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else.")
 def doctor(as_json: bool) -> None:
     """Say what is installed, whether it works, how fast this machine is."""
-    from shj_bayes.doctor import examine
+    from shj_bayes.commands.doctor import examine
 
     record, text = examine()
     click.echo(json.dumps(record, indent=1) if as_json else text)

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 import shj_bayes
+from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.report.residual_file import read_residual
-from shj_bayes.simulated import write_simulated
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"

@@ -18,12 +18,12 @@ import pytest
 from click.testing import CliRunner
 from scipy.io import savemat
 
-from shj_bayes import campaign
 from shj_bayes.cli import main
-from shj_bayes.examples import EXAMPLES
+from shj_bayes.commands import campaign
+from shj_bayes.commands.examples import EXAMPLES
+from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.population import hierarchy
 from shj_bayes.report.browse import find_browser
-from shj_bayes.simulated import write_simulated
 
 TOP = Path(__file__).resolve().parents[2]
 FENCE = re.compile(r"^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)

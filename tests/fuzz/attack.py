@@ -12,7 +12,7 @@ from pathlib import Path
 import h5py
 from corpus import Case
 
-from shj_bayes.campaign import read_manifest
+from shj_bayes.commands.campaign import read_manifest
 from shj_bayes.errors import ShjError
 from shj_bayes.inference import checkpoint
 from shj_bayes.model.priors import read_priors

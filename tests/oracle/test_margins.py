@@ -20,8 +20,8 @@ from shj_bayes.margins.virtual_test import drive, read_off
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
-from shj_bayes.population.paper_claims import pair_spread
 from shj_bayes.population.published import published_rows
+from shj_validation.paper_claims import pair_spread
 
 # EN 1990 Annex D, as printed
 D1_KNOWN = {1: 2.31, 2: 2.01, 3: 1.89, 4: 1.83, 5: 1.80, 6: 1.77, 8: 1.74, 10: 1.72, 20: 1.68, 30: 1.67}

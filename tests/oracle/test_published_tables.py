@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from shj_bayes.population.paper_claims import (
+from shj_bayes.population.published import published_devices, published_rows, read_table
+from shj_validation.paper_claims import (
     coated_table,
     degradation_counts,
     losses_percent,
     pair_spread,
     paper_claims,
 )
-from shj_bayes.population.published import published_devices, published_rows, read_table
 
 LOSS = {  # loss of sliding force, per cent, audited by hand from the printed tables
     3: {"Brass": 28.6, "Aluminium": 10.0, "Bisalloy 80": 28.6, "Bisalloy 400": 7.7, "Bisalloy 500": 12.5},

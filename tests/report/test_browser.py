@@ -10,13 +10,13 @@ import pytest
 from made_campaign import make_campaign, population
 from made_diagnosis import write
 
-from shj_bayes.design import design_margins
-from shj_bayes.population.paper_claims import paper_claims
+from shj_bayes.commands.design import design_margins
 from shj_bayes.population.results import write_population
 from shj_bayes.population.tested import PUBLISHED
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
+from shj_validation.paper_claims import paper_claims
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)

@@ -7,15 +7,15 @@ import pytest
 from made_campaign import make_campaign, population
 from page_tools import Page, check_safe
 
+from shj_bayes.commands.summary import band_text
 from shj_bayes.errors import ShjError
-from shj_bayes.population.paper_claims import paper_claims
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import new_device_table
 from shj_bayes.report import sets
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.figures import population as figures
-from shj_bayes.summary import band_text
+from shj_validation.paper_claims import paper_claims
 
 
 @pytest.fixture(scope="module")

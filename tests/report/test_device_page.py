@@ -10,8 +10,8 @@ import pytest
 from matplotlib import pyplot
 from page_tools import Page, check_safe
 
+from shj_bayes.commands.finished import DeviceResult
 from shj_bayes.errors import ShjError
-from shj_bayes.finished import DeviceResult
 from shj_bayes.report.data import read_device
 from shj_bayes.report.device import content, render_device
 from shj_bayes.report.device_numbers import numbers_of

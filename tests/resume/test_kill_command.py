@@ -1,4 +1,4 @@
-"""The whole command killed and run again; ``python benchmarks/kill.py`` does it twenty times for fits and campaigns."""
+"""The whole command killed and run again; ``make kill`` does it twenty times for fits and campaigns."""
 
 import os
 import runpy
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="this system has no process groups")
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "kill.py"
+SCRIPT = Path(__file__).with_name("kill.py")
 
 
 @pytest.fixture(scope="module")

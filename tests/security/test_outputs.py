@@ -10,13 +10,13 @@ import pytest
 
 import shj_bayes
 from shj_bayes._util.files import folder_name, plain_name, sealed
-from shj_bayes.campaign import Device, read_manifest
-from shj_bayes.design import design_margins
+from shj_bayes.commands.campaign import Device, read_manifest
+from shj_bayes.commands.design import design_margins
+from shj_bayes.commands.pipeline import Options
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
 from shj_bayes.mismatch.schema import SCHEMA
-from shj_bayes.pipeline import Options
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import safe_cell, write_population

@@ -1,28 +1,20 @@
 """The calibration test is itself tested: right on simulated ranks, and failing on a fit that is broken on purpose.
 
-The long run is ``python benchmarks/calibrate.py device -n 300`` (``make calibrate``); its page is kept in reports/.
+The long run is ``python -m shj_validation.calibrate device -n 300`` (``make calibrate``); its page is kept in reports/.
 """
 
 import json
-import runpy
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "calibrate.py"
+import shj_validation.calibrate
 
 
 @pytest.fixture(scope="module")
 def calibrate():
-    """The script as a module, so that its worker processes can import it."""
-    sys.path.insert(0, str(SCRIPT.parent))
-    import calibrate  # noqa: PLC0415
-
-    yield calibrate
-    sys.path.remove(str(SCRIPT.parent))
-    sys.modules.pop("calibrate")
+    return shj_validation.calibrate
 
 
 def rows_of(calibrate, ranks):
@@ -103,10 +95,9 @@ def test_fits_under_noise_are_counted(calibrate, tmp_path):
 
 
 def test_the_command_line_answers(monkeypatch):
-    monkeypatch.syspath_prepend(SCRIPT.parent)  # as python does for a script; else only after the tests above
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), "--help"])
+    monkeypatch.setattr(sys, "argv", ["calibrate", "--help"])
     with pytest.raises(SystemExit, match="0"):
-        runpy.run_path(str(SCRIPT), run_name="__main__")
+        shj_validation.calibrate.main()
 
 
 @pytest.mark.slow

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from shj_bayes.mismatch import search
-from shj_bayes.proof.blind import diagnose_blind
-from shj_bayes.proof.cases import stated_key
-from shj_bayes.proof.run import DEFAULT_SEED, write_recordings
-from shj_bayes.proof.score import outcome, score_trial
-from shj_bayes.proof.summary import RIGHT_OUTCOMES
+from shj_validation.proof.blind import diagnose_blind
+from shj_validation.proof.cases import stated_key
+from shj_validation.proof.run import DEFAULT_SEED, write_recordings
+from shj_validation.proof.score import outcome, score_trial
+from shj_validation.proof.summary import RIGHT_OUTCOMES
 
 TRIALS = {
     "load_offset": stated_key("load_offset", 0.06, seed=41),
@@ -93,6 +93,8 @@ def test_development_does_not_use_the_seed_of_the_proof():
     root = Path(__file__).parents[2]
     scripts = [path for folder in ("tests", "benchmarks", "docs") for path in (root / folder).rglob("*.py")]
     texts = {path: path.read_text(encoding="utf-8") for path in scripts}
-    trials = [path for path, text in texts.items() if "shj_bayes.proof" in text and path != Path(__file__).resolve()]
+    trials = [
+        path for path, text in texts.items() if "shj_validation.proof" in text and path != Path(__file__).resolve()
+    ]
     assert len(trials) >= 5
     assert [path for path in trials if str(DEFAULT_SEED) in texts[path]] == []

@@ -10,14 +10,14 @@ from click.testing import CliRunner
 
 from shj_bayes._util.files import folder_name
 from shj_bayes._util.shipped import shipped
-from shj_bayes.campaign import read_manifest, run_campaign
 from shj_bayes.cli import main
-from shj_bayes.comparison import compare_sets
+from shj_bayes.commands.campaign import read_manifest, run_campaign
+from shj_bayes.commands.comparison import compare_sets
+from shj_bayes.commands.summary import summarise_campaign
 from shj_bayes.errors import CampaignError
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
-from shj_bayes.summary import summarise_campaign
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 
 import shj_bayes
 from shj_bayes._util import dask_cluster
-from shj_bayes.campaign import Manifest, _fit_one, read_manifest, run_campaign
 from shj_bayes.cli import main
+from shj_bayes.commands.campaign import Manifest, _fit_one, read_manifest, run_campaign
 from shj_bayes.errors import CampaignError
 from shj_bayes.inference.store import read_posterior
 from shj_bayes.model.simulate import Truth, simulate_device

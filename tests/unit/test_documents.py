@@ -18,8 +18,8 @@ import click
 import pytest
 
 from shj_bayes import __version__
-from shj_bayes.campaign import SCHEMA, read_manifest
 from shj_bayes.cli import main
+from shj_bayes.commands.campaign import SCHEMA, read_manifest
 from shj_bayes.inference.convergence import RHAT_LIMIT
 from shj_bayes.inference.store import SUMMARY_COLUMNS
 from shj_bayes.model.priors import read_priors, shipped_families
@@ -134,7 +134,9 @@ def test_make_targets_exist(page: Path) -> None:
 def test_scripts_that_are_named_exist(page: Path) -> None:
     named = re.findall(r"`(?:[\w./-]*python\S*|py -3\.11) ([\w/]+\.py)", text(page))
     named += [
-        w for w in re.findall(r"`((?:src|tests|benchmarks|docs|data)/[\w./-]+\.\w+)`", text(page)) if "ID" not in w
+        w
+        for w in re.findall(r"`((?:src|validation|tests|benchmarks|docs|data)/[\w./-]+\.\w+)`", text(page))
+        if "ID" not in w
     ]
     assert [name for name in named if not (TOP / name).is_file()] == []
 
@@ -175,7 +177,7 @@ def test_toml_snippets_parse_and_are_accepted(page: Path, tmp_path: Path) -> Non
 
 
 def test_manifest_page_lists_every_option() -> None:
-    from shj_bayes.campaign import OPTION_KINDS  # noqa: PLC0415
+    from shj_bayes.commands.campaign import OPTION_KINDS  # noqa: PLC0415
 
     rows = set(re.findall(r"^\| `(\w+)` \|", text(TOP / "docs/manifest.md"), re.MULTILINE))
     assert rows == set(OPTION_KINDS)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shj_bayes.earlier import Earlier, earlier
+from shj_bayes.commands.earlier import Earlier, earlier
 from shj_bayes.errors import PriorError
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

@@ -8,13 +8,13 @@ from click.testing import CliRunner
 
 import shj_bayes
 from shj_bayes.cli import main
+from shj_bayes.commands.pipeline import Options
 from shj_bayes.errors import CheckpointError, InferenceError, ModelError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.catalogue import noise_models
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.pipeline import Options
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.writer import write_csv

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import shj_bayes
+from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.errors import ModelError, RecordingError, ReportError
-from shj_bayes.simulated import write_simulated
 
 SIMULATED = {
     "K": 18.0, "Fy": 80.0, "beta": 10.0, "dep_mm_s": 60.0, "ratio": 0.875, "sigma": 1.0, "phi": 0.8,

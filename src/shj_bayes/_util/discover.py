@@ -1,4 +1,4 @@
-"""What a package holds, one thing a module: adding a file is enough, nothing is registered."""
+"""What a package holds, found module by module: adding a file is enough, nothing is registered."""
 
 from __future__ import annotations
 
@@ -9,6 +9,14 @@ from types import ModuleType
 from typing import Any
 
 from shj_bayes.errors import ShjError
+
+
+def constants(package: ModuleType, constant: str) -> Iterator[tuple[str, Any]]:
+    """Modules of a package that hold a constant: name of the module and its value, by name."""
+    for module in pkgutil.iter_modules(package.__path__):
+        value = getattr(importlib.import_module(f"{package.__name__}.{module.name}"), constant, None)
+        if value is not None:
+            yield module.name, value
 
 
 def discovered(package: ModuleType, constant: str, error: type[ShjError]) -> Iterator[Any]:
@@ -29,11 +37,8 @@ def discovered(package: ModuleType, constant: str, error: type[ShjError]) -> Ite
         If a value has another id than its file.
     """
     folder = package.__name__.rpartition(".")[2]
-    for module in pkgutil.iter_modules(package.__path__):
-        value = getattr(importlib.import_module(f"{package.__name__}.{module.name}"), constant, None)
-        if value is None:
-            continue
-        if value.id != module.name:
+    for name, value in constants(package, constant):
+        if value.id != name:
             what = constant.lower()
-            raise error(f"{folder}/{module.name}.py holds {what} '{value.id}'; the file carries the {what}'s id")
+            raise error(f"{folder}/{name}.py holds {what} '{value.id}'; the file carries the {what}'s id")
         yield value

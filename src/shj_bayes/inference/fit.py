@@ -138,10 +138,12 @@ def first_look(
 
     Parameters
     ----------
-    runs, model, tops, threads
+    runs, model, tops
         As for `fit`.
     seed : int
         Same seed, same draws.
+    threads : int
+        As for `fit`.
 
     Returns
     -------

@@ -144,10 +144,9 @@ def knee_of(beta):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy", fastmath={"contract"}, inline="always")  # too long for the compiler to do so by itself
-def saturate(e, capacity, per_capacity, beta, knee):  # type: ignore[no-untyped-def]
-    """Eq. (1): elastic force `e` held below `capacity` with sharpness `beta`; `knee` is `knee_of` (beta)."""
+def _bend(u, beta, knee):  # type: ignore[no-untyped-def]
+    """2 w - 1 and (1 + w)^(-1/beta), where w is u^beta below saturation and u^-beta above."""
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13, c14, c15, c16, c17, c18 = knee
-    u = max(abs(e) * per_capacity, 1e-290)
     x = 2.0 * exp2(-min(abs(beta * log2(u)), 60.0)) - 1.0  # 2^-60 is nothing beside 1
     g = c18
     g = g * x + c17
@@ -168,34 +167,22 @@ def saturate(e, capacity, per_capacity, beta, knee):  # type: ignore[no-untyped-
     g = g * x + c2
     g = g * x + c1
     g = g * x + c0
+    return x, g
+
+
+@njit(error_model="numpy", fastmath={"contract"}, inline="always")
+def saturate(e, capacity, per_capacity, beta, knee):  # type: ignore[no-untyped-def]
+    """Eq. (1): elastic force `e` held below `capacity` with sharpness `beta`; `knee` is `knee_of` (beta)."""
+    u = max(abs(e) * per_capacity, 1e-290)
+    _, g = _bend(u, beta, knee)
     return (e if u < 1.0 else math.copysign(capacity, e)) * g
 
 
 @njit(error_model="numpy", fastmath={"contract"}, inline="always")
 def saturate_with_slope(e, capacity, per_capacity, beta, knee):  # type: ignore[no-untyped-def]
     """Eq. (1) as `saturate`, and its derivative (1 + u^beta)^(-1/beta - 1)."""
-    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13, c14, c15, c16, c17, c18 = knee
     u = max(abs(e) * per_capacity, 1e-290)
-    x = 2.0 * exp2(-min(abs(beta * log2(u)), 60.0)) - 1.0  # 2^-60 is nothing beside 1
-    g = c18
-    g = g * x + c17
-    g = g * x + c16
-    g = g * x + c15
-    g = g * x + c14
-    g = g * x + c13
-    g = g * x + c12
-    g = g * x + c11
-    g = g * x + c10
-    g = g * x + c9
-    g = g * x + c8
-    g = g * x + c7
-    g = g * x + c6
-    g = g * x + c5
-    g = g * x + c4
-    g = g * x + c3
-    g = g * x + c2
-    g = g * x + c1
-    g = g * x + c0
+    x, g = _bend(u, beta, knee)
     share = 0.5 * (1.0 + x)  # w
     if u < 1.0:
         held = e * g

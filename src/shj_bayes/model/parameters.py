@@ -19,7 +19,7 @@ class Parameter:
     Parameters
     ----------
     name : str
-        Name as users see it (see INTERFACE, Words).
+        Name as users see it (docs/glossary.md).
     unit : str
         Unit, ``"1"`` where there is none.
     meaning : str

@@ -12,6 +12,32 @@ from shj_bayes.population.device import DeviceEstimate, Tags
 from shj_bayes.population.measurement import Rounded
 
 DEVICE_TABLES = (3, 4, 5, 6, 7)
+Value = float | int | tuple[float, ...] | tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One statement of the paper against its own numbers.
+
+    Parameters
+    ----------
+    id : str
+        Short name.
+    claim : str
+        What the paper says, in our words.
+    verdict : {"holds", "holds in part", "does not hold", "not settled"}
+        What its tables say.
+    values : mapping of str to number or tuple of numbers
+        The figures behind the verdict.
+    sentence : str
+        The same in plain words.
+    """
+
+    id: str
+    claim: str
+    verdict: str
+    values: Mapping[str, Value]
+    sentence: str
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.hdf5 import apart, refuse_large, shaped
+from shj_bayes.recording.hdf5 import apart, shaped
 from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.limits import CHUNK_BYTES
-from shj_bayes.recording.recording import Finding
-from shj_bayes.recording.tables import Column, Table, as_floats
+from shj_bayes.recording.tables import Column, Table, as_floats, left_out, refuse_large
 
 _NUMERIC_CLASSES = {
     "double",
@@ -61,12 +60,7 @@ def read_binary(path: Path, sha256: str) -> Table:
             scalars[name] = float(values.ravel()[0])
         else:
             columns.extend(_columns(name, values, unit))
-    findings = []
-    if skipped:
-        findings.append(
-            Finding("not-numbers", "note", f"left out, not columns of numbers: {', '.join(skipped[:8])}", len(skipped))
-        )
-    return Table(path.name, kind, sha256, tuple(columns), scalars=scalars, findings=tuple(findings))
+    return Table(path.name, kind, sha256, tuple(columns), scalars=scalars, findings=left_out(skipped))
 
 
 def _is_hdf5(path: Path) -> bool:

@@ -93,44 +93,20 @@ def choose(
     asked = parse_columns(columns)
     given = parse_units(units)
     findings: list[Finding] = []
-    values: dict[Role, Value] = {}
-    chosen: dict[str, str] = {}
     if rate_Hz is not None:
         check_rate(rate_Hz, asked)
         _rate_agrees(rate_Hz, table, given)
-    for role in ROLES:
-        if role == "time" and rate_Hz is not None:
-            continue
-        text = asked.get(role)
-        column = None if text is not None else by_header(table, role, findings)
-        values[role] = (
-            evaluate(text, table)
-            if text is not None
-            else Value(column.values, (column,), True)
-            if column
-            else _no(table, role, asked)
-        )
-        chosen[role] = text if text is not None else (column.header or column.name if column else "")
+    roles = [role for role in ROLES if role != "time" or rate_Hz is None]
+    values, chosen = _columns(table, roles, asked, findings)
     n = _length(values, table)
     used: dict[str, str] = {}
     arrays: dict[Role, FloatArray] = {}
-    for role in ROLES:
-        if role == "time" and rate_Hz is not None:
-            arrays["time"], used["time"], chosen["time"] = (
-                np.arange(n) / rate_Hz,
-                "s",
-                f"sample number / {rate_Hz:g} Hz",
-            )
-            findings.append(
-                Finding(
-                    "rate-given",
-                    "assumed",
-                    f"no time column is read: a constant rate of {rate_Hz:g} Hz is assumed, as given",
-                )
-            )
-            continue
-        unit = _unit(role, values[role], given, findings, table)
-        used[role] = unit
+    if rate_Hz is not None:
+        arrays["time"], used["time"], chosen["time"] = np.arange(n) / rate_Hz, "s", f"sample number / {rate_Hz:g} Hz"
+        message = f"no time column is read: a constant rate of {rate_Hz:g} Hz is assumed, as given"
+        findings.append(Finding("rate-given", "assumed", message))
+    for role in roles:
+        used[role] = unit = _unit(role, values[role], given, findings, table)
         scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
     others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
@@ -153,6 +129,22 @@ def choose(
         run_rows,
         extras,
     )
+
+
+def _columns(
+    table: Table, roles: Sequence[Role], asked: dict[str, str], findings: list[Finding]
+) -> tuple[dict[Role, Value], dict[str, str]]:
+    """Values of the channels, and what each was read from: by option, else by header."""
+    values: dict[Role, Value] = {}
+    chosen: dict[str, str] = {}
+    for role in roles:
+        if role in asked:
+            values[role], chosen[role] = evaluate(asked[role], table), asked[role]
+        elif column := by_header(table, role, findings):
+            values[role], chosen[role] = Value(column.values, (column,), True), column.header or column.name
+        else:
+            values[role], chosen[role] = _no(table, role, asked), ""
+    return values, chosen
 
 
 def _extra(name: str, value: Value, n: int, table: Table) -> Extra:

@@ -18,7 +18,8 @@ import numpy as np
 
 from shj_bayes._util.child_processes import PYTHON, end_with_input, tether
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.limits import HDF5_SECONDS, MAX_BYTES, MAX_COLUMNS
+from shj_bayes.recording.limits import HDF5_SECONDS, MAX_COLUMNS
+from shj_bayes.recording.tables import refuse_large
 
 _CHILD = "import sys; from shj_bayes.recording.hdf5 import child; child(sys.argv[1])"
 _MAX_WIDTH = 64  # a matrix with more columns is an image or a state history, not channels
@@ -97,15 +98,6 @@ def shaped(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
         values = values if values.shape[0] >= values.shape[1] else values.T
         return values if values.shape[1] <= _MAX_WIDTH else None
     return None
-
-
-def refuse_large(total: int, name: str) -> None:
-    """Refuse before reading what would not fit."""
-    if total > MAX_BYTES:
-        raise RecordingError(
-            f"{name} holds {total / 1024**2:.0f} MiB of numbers; "
-            f"allowed are {MAX_BYTES // 1024**2} MiB; export fewer channels"
-        )
 
 
 def from_hdf5(path: Path) -> Iterator[Item]:

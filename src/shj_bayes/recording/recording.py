@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.errors import RecordingError, plain_text
+from shj_bayes.recording.limits import GAP_STEPS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -220,7 +221,7 @@ class Recording:
         """Sampling rate between the gaps, Hz."""
         steps = np.diff(self.time_s)
         # The mean of the ordinary steps: the median alone carries the rounding of printed times.
-        return float(1.0 / np.mean(steps[steps < 3.5 * np.median(steps)]))
+        return float(1.0 / np.mean(steps[steps < GAP_STEPS * np.median(steps)]))
 
     @property
     def duration_s(self) -> float:
@@ -231,7 +232,7 @@ class Recording:
     def restarts(self) -> BoolArray:
         """True where a sample follows a gap in time (and at the first): correlated noise starts afresh there."""
         steps = np.diff(self.time_s)
-        return np.concatenate([[True], steps > 3.5 * np.median(steps)])
+        return np.concatenate([[True], steps > GAP_STEPS * np.median(steps)])
 
     @property
     def usable(self) -> bool:

@@ -12,7 +12,7 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.limits import MAX_JSON_BYTES
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.tables import Column, Table, as_floats, bounded_columns
+from shj_bayes.recording.tables import Column, Table, as_floats, bounded_columns, left_out
 
 _SHAPES = '[{"time_s": 0, ...}, ...], {"time_s": [0, ...], ...} or [[0, ...], ...]'
 
@@ -59,11 +59,7 @@ def read_records(path: Path, sha256: str) -> Table:
             text += words
         else:
             skipped.append(name)
-    findings = []
-    if skipped:
-        findings.append(
-            Finding("not-numbers", "note", f"left out, not columns of numbers: {', '.join(skipped[:8])}", len(skipped))
-        )
+    findings = [*left_out(skipped)]
     if text:
         findings.append(Finding("text-cells", "note", f"{text} cells hold words or lists; they count as empty", text))
     if beside.get("simulated") is True or any("simulated" in v.lower() for v in beside.values() if isinstance(v, str)):

@@ -47,10 +47,10 @@ class Smooth:
     ----------
     values, velocity : array, shape (n_samples,)
         mm and mm/s.
-    noise : float
-        Standard deviation of what noise is left in ``values`` with the narrowest window, mm.
     velocity_sd : array, shape (n_samples,)
         Standard deviation of the noise left in ``velocity``, mm/s.
+    noise : float
+        Standard deviation of what noise is left in ``values`` with the narrowest window, mm.
     half_width_s : tuple of float
         Half of the narrowest and of the widest window, s.
     bandwidth_Hz : tuple of float

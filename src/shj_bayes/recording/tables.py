@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from shj_bayes._util.files import need_files
+from shj_bayes._util.files import file_digest, need_files
 from shj_bayes.errors import RecordingError, plain_text
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS, MAX_VALUE
+from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS, MAX_VALUE
 from shj_bayes.recording.recording import Finding, FloatArray
 
 FORMATS = {
@@ -125,15 +124,6 @@ def read_table(path: str | Path) -> Table:
     return _checked(table)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file, read in pieces."""
-    sha = hashlib.sha256()
-    with path.open("rb") as stream:
-        while piece := stream.read(CHUNK_BYTES):
-            sha.update(piece)
-    return sha.hexdigest()
-
-
 def _kind(path: Path) -> str:
     """Format by the ending, after the checks that need no reading."""
     try:
@@ -185,7 +175,7 @@ def _parse(path: Path, kind: str) -> Table:
         from shj_bayes.recording.tdms import read_tdms as reader  # noqa: PLC0415
     else:
         from shj_bayes.recording.binary import read_binary as reader  # noqa: PLC0415
-    return reader(path, digest(path))
+    return reader(path, file_digest(path))
 
 
 def _checked(table: Table) -> Table:
@@ -214,6 +204,21 @@ def bounded_columns(names: list[str], name: str) -> list[str]:
     if len(names) > MAX_COLUMNS:
         raise RecordingError(f"{name}: {len(names)} columns; allowed are {MAX_COLUMNS}; export fewer")
     return names
+
+
+def refuse_large(total: int, name: str) -> None:
+    """Refuse before reading what would not fit; `total` in bytes."""
+    if total > MAX_BYTES:
+        raise RecordingError(
+            f"{name} holds {total / 1024**2:.0f} MiB of numbers; "
+            f"allowed are {MAX_BYTES // 1024**2} MiB; export fewer channels"
+        )
+
+
+def left_out(names: list[str]) -> tuple[Finding, ...]:
+    """Say which parts of a file hold no columns of numbers."""
+    message = f"left out, not columns of numbers: {', '.join(names[:8])}"
+    return (Finding("not-numbers", "note", message, len(names)),) if names else ()
 
 
 def as_floats(values: object) -> FloatArray:

@@ -8,9 +8,8 @@ from typing import Any
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.headers import split_header
-from shj_bayes.recording.limits import MAX_BYTES
 from shj_bayes.recording.recording import Finding
-from shj_bayes.recording.tables import Column, Table, as_floats
+from shj_bayes.recording.tables import Column, Table, as_floats, refuse_large
 
 
 def read_tdms(path: Path, sha256: str) -> Table:
@@ -38,12 +37,7 @@ def read_tdms(path: Path, sha256: str) -> Table:
     with TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         channels = [c for c in channels if c.dtype is not None and c.dtype.kind in "fiu" and len(c)]
-        total = sum(8 * len(channel) for channel in channels)
-        if total > MAX_BYTES:
-            raise RecordingError(
-                f"{path.name} holds {total / 1024**2:.0f} MiB of numbers; "
-                f"allowed are {MAX_BYTES // 1024**2} MiB; export fewer"
-            )
+        refuse_large(sum(8 * len(channel) for channel in channels), path.name)
         names = [str(channel.name) for channel in channels]
         unique = len(set(names)) == len(names)
         columns = tuple(_column(channel, unique) for channel in channels)

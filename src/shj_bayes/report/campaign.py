@@ -9,8 +9,8 @@ from urllib.parse import quote
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError
-from shj_bayes.population.paper_claims import Claim
 from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.published import Claim
 from shj_bayes.population.results import load_population
 from shj_bayes.report import words
 from shj_bayes.report.campaign_file import read_campaign

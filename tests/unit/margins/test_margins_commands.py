@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from shj_bayes.cli import main
-from shj_bayes.design import margin_text
+from shj_bayes.commands.design import margin_text
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import LOW
 from shj_bayes.margins.sheet import margins

@@ -10,14 +10,14 @@ from scipy import stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.classical import behrens_fisher, classical, holm, permutation, variance_ratio, welch
 from shj_bayes.population.compare import compare
-from shj_bayes.population.contrasts import stratified_permutation
 from shj_bayes.population.correlation import correlation_draws, scatter
 from shj_bayes.population.device import Tags
-from shj_bayes.population.paper_claims import coated_table
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.power import MOST, assurance, devices_needed, power
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.published import published_rows
+from shj_validation.contrasts import stratified_permutation
+from shj_validation.paper_claims import coated_table
 
 
 def known_population(levels, spreads, tags, points, seed=5, n=4000):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import ModelError, ProofError
-from shj_bayes.proof import seal
-from shj_bayes.proof.cases import KINDS, Key, canonical, development_keys, draw_keys
-from shj_bayes.proof.make import make
-from shj_bayes.proof.run import write_recordings
-from shj_bayes.proof.simulators.simulator import simulators_by_id
+from shj_validation.proof import seal
+from shj_validation.proof.cases import KINDS, Key, canonical, development_keys, draw_keys
+from shj_validation.proof.make import make
+from shj_validation.proof.run import write_recordings
+from shj_validation.proof.simulators.simulator import simulators_by_id
 
 SEED = 31  # of development
 

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from shj_bayes.proof.cases import draw_keys
-from shj_bayes.proof.pool import Blind
-from shj_bayes.proof.run import write_recordings
+from shj_validation.proof.cases import draw_keys
+from shj_validation.proof.pool import Blind
+from shj_validation.proof.run import write_recordings
 
 CHEAT = """
 import json, sys
 from pathlib import Path
 folder, key, home = map(Path, sys.argv[1:4])
-from shj_bayes.proof.blind import diagnose_blind
-from shj_bayes.proof.fence import raise_fence
+from shj_validation.proof.blind import diagnose_blind
+from shj_validation.proof.fence import raise_fence
 raise_fence(folder)
 import os, socket, subprocess
 def parent():
@@ -27,9 +27,9 @@ tries = {
     "the key through a link": lambda: (folder / "link").read_text(),
     "its folder": lambda: os.listdir(home),
     "its folder again": lambda: list(os.scandir(home)),
-    "the code of keys": lambda: __import__("shj_bayes.proof.cases"),
-    "the code of recordings": lambda: __import__("shj_bayes.proof.make"),
-    "the simulators": lambda: __import__("shj_bayes.proof.simulators.bolt"),
+    "the code of keys": lambda: __import__("shj_validation.proof.cases"),
+    "the code of recordings": lambda: __import__("shj_validation.proof.make"),
+    "the simulators": lambda: __import__("shj_validation.proof.simulators.bolt"),
     "another process": lambda: subprocess.run([sys.executable, "-c", "print(1)"]),
     "a shell": lambda: os.system("true"),
     "a fork": lambda: os.fork(),
@@ -70,8 +70,8 @@ def test_every_way_to_a_key_is_refused(tmp_path):
 
 def test_the_fence_is_refused_where_keys_are_known(tmp_path):
     code = (
-        "import shj_bayes.proof.cases, sys, pathlib\n"
-        "from shj_bayes.proof.fence import raise_fence\n"
+        "import shj_validation.proof.cases, sys, pathlib\n"
+        "from shj_validation.proof.fence import raise_fence\n"
         "raise_fence(pathlib.Path(sys.argv[1]))\n"
     )
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
@@ -85,7 +85,7 @@ def test_the_worker_is_told_nothing_and_answers(tmp_path):
     blind = Blind()
     try:
         told = [str(word) for word in blind._process.args]
-        assert told[1:4] == ["-I", "-m", "shj_bayes.proof.worker"]
+        assert told[1:4] == ["-I", "-m", "shj_validation.proof.worker"]
         assert len(told) == 5
         assert Path(told[4]) == blind.folder
         assert not blind.folder.is_relative_to(tmp_path)

@@ -10,9 +10,9 @@ from scipy.io import savemat
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
-from shj_bayes.proof import real
-from shj_bayes.proof.answers import CASES
-from shj_bayes.proof.real import prove_recordings
+from shj_validation.proof import real
+from shj_validation.proof.answers import CASES
+from shj_validation.proof.real import prove_recordings
 
 BY_ID = {case.id: case for case in CASES}
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -9,13 +10,29 @@ from click.testing import CliRunner
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
-from shj_bayes.proof import run, seal
-from shj_bayes.proof.blind import diagnose_blind
-from shj_bayes.proof.cases import draw_keys
-from shj_bayes.proof.check import check
-from shj_bayes.proof.run import prove, write_recordings
+from shj_validation.proof import run, seal
+from shj_validation.proof.blind import diagnose_blind
+from shj_validation.proof.cases import draw_keys
+from shj_validation.proof.check import check
+from shj_validation.proof.run import prove, write_recordings
 
 SEED, N = 51, 3  # of development
+
+
+@pytest.fixture(scope="module", autouse=True)
+def scores():
+    """Scores by key and diagnosis, each made once: most tests here ask for the same three."""
+    kept, score = {}, run._score_one
+
+    def once(job):
+        name = json.dumps(job, sort_keys=True)
+        if name not in kept:
+            kept[name] = score(job)
+        return deepcopy(kept[name])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "_score_one", once)
+        yield kept
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +68,8 @@ def finished(whole, tmp_path):
     return Path(shutil.copytree(whole, tmp_path / "proof"))
 
 
-def test_a_finished_proof_checks(finished):
+def test_a_finished_proof_checks(finished, scores):
+    scores.clear()  # scored again, as a third party would
     lines = check(finished, workers=1)
     assert lines[0] == "3 keys follow from seed 51 and are those that were sealed before the diagnosis"
     assert "the same to the byte" in lines[1]

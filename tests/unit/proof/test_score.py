@@ -8,13 +8,13 @@ import pytest
 
 from shj_bayes.model.history import histories
 from shj_bayes.model.law import force
-from shj_bayes.proof.cases import draw_keys, stated_key
-from shj_bayes.proof.make import make
-from shj_bayes.proof.predict import predict
-from shj_bayes.proof.score import SHORT_LIST, coordinate_right, family_holds, half_size, outcome, rate, stated
-from shj_bayes.proof.summary import summarise
-from shj_bayes.proof.truth import effect_truths, truth_of, worth
 from shj_bayes.recording.protocol import Block, exact_motion
+from shj_validation.proof.cases import draw_keys, stated_key
+from shj_validation.proof.make import make
+from shj_validation.proof.predict import predict
+from shj_validation.proof.score import SHORT_LIST, coordinate_right, family_holds, half_size, outcome, rate, stated
+from shj_validation.proof.summary import summarise
+from shj_validation.proof.truth import effect_truths, truth_of, worth
 
 
 def answer(verdict, *found, rivals=()):

@@ -42,9 +42,9 @@ def test_usual_units_are_those_of_pint():
 HEAVY = "scipy pandas xarray pint numba matplotlib arviz emcee h5py"
 CASES = {
     "check": ("shj_bayes.recording.check", HEAVY),
-    "finished": ("shj_bayes.finished", HEAVY),
-    "compare": ("shj_bayes.comparison", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
-    "fit": ("shj_bayes.pipeline", "scipy.stats scipy.signal matplotlib arviz pint"),
+    "finished": ("shj_bayes.commands.finished", HEAVY),
+    "compare": ("shj_bayes.commands.comparison", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
+    "fit": ("shj_bayes.commands.pipeline", "scipy.stats scipy.signal matplotlib arviz pint"),
 }
 
 

@@ -1,0 +1,170 @@
+"""A finished fit, recognised without what fitting needs: the same command again answers at once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import shj_bayes
+from shj_bayes._util.files import file_digest, plain_name
+from shj_bayes._util.shipped import shipped
+from shj_bayes.errors import InferenceError
+from shj_bayes.inference.record import check_files, read_record
+from shj_bayes.model.parameters import BASE
+from shj_bayes.report import words
+from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.residual_file import read_residual
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceResult:
+    """A finished device.
+
+    Parameters
+    ----------
+    folder : Path
+        Where its files are.
+    record : dict
+        Content of ``fit.json``.
+    fresh : bool
+        False when an earlier, unchanged result was found and kept.
+    residual : tuple of str
+        What the page says of the residuals: nothing beyond noise, or where they have a structure; and how much of the
+        sliding force is unexplained.
+    note : str
+        Why an earlier result was not kept although it is of the same fit: which file was damaged.
+    """
+
+    folder: Path
+    record: dict[str, Any]
+    fresh: bool
+    residual: tuple[str, ...] = ()
+    note: str = ""
+
+    @property
+    def text(self) -> str:
+        """What a person wants to read at the end of a fit."""
+        record, shown = self.record, force_unit(self.record)
+        lines = [f"{record['device']}: {record['verdict']}"]
+        lines += [f"  {reason}" for reason in record["reasons"]]
+        lines += [f"  {extra}" for extra in (*self.residual, self.note) if extra]
+        remarks = record.get("remarks", [])
+        units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
+        lines += [f"  warning: {words.remark(r, *units[r['parameter']])}" for r in remarks]
+        unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
+        width = max(len(row["name"]) for row in record["parameters"]) + 1
+        lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
+        for row in map(shown.row, record["parameters"]):
+            numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
+            numbers = f"{'not determined':>47}" if row["name"] in unknown else numbers
+            lines.append(f"  {row['name']:{width}}{numbers}  {row['unit']}{dep_words(row)}")
+        notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
+        lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
+        lines += ["", f"report: {self.folder / 'report.html'}"]
+        return "\n".join(lines)
+
+
+def device_result(folder: Path, record: dict[str, Any], *, fresh: bool, note: str = "") -> DeviceResult:
+    """Make the result of a folder, with what its page says of the residual."""
+    left = read_residual(folder)
+    return DeviceResult(folder, record, fresh, (left.statement, left.fit) if left else (), note)
+
+
+def kept_result(
+    paths: Sequence[Path], folder: Path, options: Mapping[str, Any], name: str | None
+) -> DeviceResult | None:
+    """Give the result of the same fit, finished earlier; None where it has to be made, or made whole.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Consecutive runs.
+    folder : Path
+        Results folder.
+    options : mapping of str to value
+        Fields of `shj_bayes.commands.pipeline.Options`, all of them.
+    name : str, optional
+        Name of the device; the first file's name without ending by default.
+
+    Returns
+    -------
+    DeviceResult or None
+    """
+    if not (folder / "fit.json").is_file() or stale(folder) or options["priors_from"] is not None:
+        return None
+    priors = Path(options["priors"])
+    priors = priors if priors.suffix == ".toml" else shipped("priors", f"{priors}.toml")
+    try:
+        digests = [file_digest(path) for path in (*paths, priors)]
+    except (OSError, ValueError):  # told by whoever reads them
+        return None
+    name = plain_name(name) if name else default_name(paths[0].name)
+    record, _ = finished_record(folder, key_of(digests[:-1], options, digests[-1], name))
+    return None if record is None else device_result(folder, record, fresh=False)
+
+
+def key_of(
+    digests: Sequence[str], options: Mapping[str, Any], priors_sha256: str, name: str, *, speed: bool = True
+) -> str:
+    """Digest of all that a result depends on.
+
+    Parameters
+    ----------
+    digests : sequence of str
+        One for each recording, in the order they were made.
+    options : mapping of str to value
+        Fields of `shj_bayes.commands.pipeline.Options`, all of them.
+    priors_sha256 : str
+        Digest of the prior file.
+    name : str
+        Name of the device.
+    speed : bool
+        The law depends on speed.
+
+    Returns
+    -------
+    str
+    """
+    # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
+    chosen = {**options, "priors": Path(options["priors"]).name, "effects": sorted(options["effects"])}
+    content = [list(digests), chosen, priors_sha256, name, speed, shj_bayes.__version__, sorted(BASE)]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def default_name(file: str) -> str:
+    """Name of a file without its endings (a dot inside the name stays)."""
+    return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", file, flags=re.IGNORECASE))
+
+
+def dep_words(row: dict[str, Any]) -> str:
+    """Interval of dep = 1/gamma behind a row of the parameter table; nothing for other parameters."""
+    if row["name"].partition("_")[0] != "gamma":
+        return ""
+    low, high = row["q05"], row["q95"]
+    if low <= 0 <= high:
+        return "  (dep has no bound: the force may not depend on speed)"
+    first, second = sorted((1 / low, 1 / high))
+    return f"  (dep {first:.4g} to {second:.4g} mm/s)"
+
+
+def finished_record(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]:
+    """Record of an unchanged finished fit, or None; and, where files of a fit were damaged, which and how."""
+    if not (folder / "fit.json").exists():
+        return None, ""
+    try:
+        record = read_record(folder)
+        check_files(folder, record)
+    except InferenceError as error:
+        return None, f"done anew: {error}"
+    return (record, "") if record.get("key") == key else (None, "")
+
+
+def stale(folder: Path) -> bool:
+    """Whether the page is missing or older than the fit, as after a process was killed between the two."""
+    page = folder / "report.html"
+    return not page.exists() or page.stat().st_mtime_ns < (folder / "fit.json").stat().st_mtime_ns

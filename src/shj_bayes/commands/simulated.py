@@ -1,0 +1,80 @@
+"""Simulated recordings as files, labelled as such, with their truth beside them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from shj_bayes._util.files import write_text
+from shj_bayes.errors import ModelError
+from shj_bayes.model.parameters import BASE, describe
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.protocol import table_1
+from shj_bayes.recording.writer import write_csv
+
+
+def write_simulated(
+    stem: Path,
+    *,
+    dep_mm_s: float | None,
+    seed: int,
+    rate_Hz: float,
+    last_cycles: int = 5,
+    model: str = "published",
+    displacement_noise: float = 0.02,
+    digits: int = 7,
+    **truth: float,
+) -> list[Path]:
+    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
+
+    Parameters
+    ----------
+    stem : Path
+        Folder and beginning of the file names.
+    dep_mm_s : float or None
+        Speed dependence, mm/s; None for none.
+    seed : int
+        Same seed, same files.
+    rate_Hz : float
+        Sampling rate, Hz.
+    last_cycles : {5, 6}
+        Cycles in the last block of Table 1.
+    model : {"published", "continuous"}
+        Reversal rule.
+    displacement_noise : float
+        Standard deviation of the displacement noise, mm.
+    digits : int
+        Significant digits of the files.
+    **truth : float
+        K, Fy, beta, ratio, sigma, phi, sigma_slow, tau_slow in kN, mm and s.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    if dep_mm_s is not None and dep_mm_s == 0:
+        raise ModelError("dep = 0 mm/s: allowed is any other number; leave --dep out for no speed dependence")
+    device = Truth(gamma=0.0 if dep_mm_s is None else 1 / dep_mm_s, displacement_noise_mm=displacement_noise, **truth)
+    blocks = table_1(last_cycles)
+    recordings = simulate_device(device, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model, name=stem.name)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    words = f"SIMULATED by shj-bayes, seed {seed}; not a measurement. Truth: {stem.name}.json"
+    paths = [
+        write_csv(stem.with_name(f"{stem.name}-run{run}.csv"), recording, comment=words, digits=digits)
+        for run, recording in enumerate(recordings, start=1)
+    ]
+    content = {
+        "schema": "shj-bayes/truth/1",
+        "simulated": True,
+        "seed": seed,
+        "model": model,
+        "rate_Hz": rate_Hz,
+        "blocks": [asdict(block) for block in blocks],
+        "truth": asdict(device),
+        "units": {name: describe(name).unit for name in asdict(device) if name in BASE},
+    }
+    path = stem.with_name(f"{stem.name}.json")
+    write_text(path, json.dumps(content, indent=1))
+    return [*paths, path]

@@ -1,0 +1,104 @@
+"""From a key to recordings: the simulators drive the rig, the recorder samples it, noise is added."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.recording import Recording, Source
+from shj_validation.proof.cases import Concealed, Key
+from shj_validation.proof.device import Device
+from shj_validation.proof.noise import force_noise
+from shj_validation.proof.protocols import PEAK_SPEED_MM_S, Course, course
+from shj_validation.proof.simulators.mechanism import two_poles
+from shj_validation.proof.simulators.rig import Acts, Drive, drives, join, rate_free
+from shj_validation.proof.simulators.simulator import simulators_by_id
+
+FINE_HZ, FAST_HZ = 100.0, 1000.0  # steps a second, or one for each sample if that is more: quasi-static, with a mass
+STROKE_MM = 95.0
+N_RUNS = 2
+EARTHQUAKE_SPEED = 0.9  # of the protocol's peak speed: the law is not asked beyond what was tested
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """One run: what was recorded, and what a perfect recorder would have shown.
+
+    Parameters
+    ----------
+    recording : Recording
+        With noise, as the diagnosis sees it.
+    clean_kN : array, shape (n,)
+        Force without noise and rounding, kN.
+    noise_kN : array, shape (n,)
+        Recorded less clean force, kN.
+    x_mm : array, shape (n,)
+        Displacement without noise, mm.
+    """
+
+    recording: Recording
+    clean_kN: FloatArray
+    noise_kN: FloatArray
+    x_mm: FloatArray
+
+
+def make(key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None = None) -> list[Made]:
+    """Make the recordings of a trial.
+
+    Parameters
+    ----------
+    key : Key
+        What is concealed.
+    heldout : bool
+        Whether to add the slowed earthquake that follows the two runs; the diagnosis never sees it.
+    effects : sequence of Concealed, optional
+        In place of the key's own: none gives the same rig without what is concealed.
+
+    Returns
+    -------
+    list of Made
+    """
+    chosen = key.effects if effects is None else effects
+    known = simulators_by_id()
+    stepped = FAST_HZ if any(known[one.id].fast for one in key.effects) else FINE_HZ
+    fine = max(1, round(stepped / key.rate_Hz))
+    noise, shake = (np.random.SeedSequence(key.entropy, spawn_key=(i,)) for i in range(2))
+    courses = [course(key.protocol, key.rate_Hz, fine)] * N_RUNS
+    if heldout:
+        speed = EARTHQUAKE_SPEED * PEAK_SPEED_MM_S[key.protocol]
+        courses.append(course("earthquake", key.rate_Hz, fine, np.random.default_rng(shake), speed))
+    rigs = drives(courses, key.device, STROKE_MM, float(courses[0].time_s[-1]), key.nuisance.frame_kN_mm, key.reversal)
+    parts = [known[one.id].act(rigs, one.size, one.shape, key.device) for one in chosen]
+    out = []
+    for run, (drive, stream) in enumerate(zip(rigs, noise.spawn(N_RUNS + 1), strict=False)):
+        force = _at_the_cell(drive, key, join([part[run] for part in parts]))
+        out.append(_record(drive.course, force, key, np.random.default_rng(stream), f"run{run + 1}.csv"))
+    return out
+
+
+def _at_the_cell(drive: Drive, key: Key, acts: Acts) -> FloatArray:
+    """Force channel on the fine grid, without noise, kN."""
+    device: Device = key.device
+    force = rate_free(drive, device, acts, key.nuisance.frame_kN_mm, key.reversal)
+    force = force * (1.0 + (device.gamma + acts.speed_per_mm_s) * drive.speed) + acts.added_kN
+    if acts.filter_s > 0:
+        force = two_poles(force, drive.dt, acts.filter_s)
+    late = acts.delay_s + key.nuisance.lag_s
+    time = drive.course.time_s
+    return np.asarray(np.interp(time - late, time, force) + acts.sensor_kN + key.nuisance.offset_kN)
+
+
+def _record(path: Course, force: FloatArray, key: Key, rng: np.random.Generator, name: str) -> Made:
+    """Sample, add noise, round."""
+    every = slice(None, None, path.every)
+    time, x, clean = path.time_s[every], path.x_mm[every], force[every]
+    n = key.nuisance
+    noise = force_noise(n.noise, np.abs(path.v_mm_s[every]), path.dt_s * path.every, n.noise_kN, n.noise_memory_s, rng)
+    measured = np.round((clean + noise) / n.force_step_kN) * n.force_step_kN
+    wobble = n.displacement_noise_mm * rng.standard_normal(x.size)
+    moved = np.round((x + wobble) / n.displacement_step_mm) * n.displacement_step_mm
+    recording = Recording(np.round(time, 6), moved, measured, source=Source(name))
+    return Made(recording, clean, measured - clean, x)

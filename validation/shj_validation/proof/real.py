@@ -1,0 +1,127 @@
+"""Real recordings with a concealed answer: the column that records it is withheld, then opened and compared."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import shj_bayes
+from shj_bayes._util.files import write_text
+from shj_bayes._util.lock import alone_in
+from shj_bayes.errors import ProofError
+from shj_bayes.recording.reader import read
+from shj_bayes.recording.writer import write_csv
+from shj_bayes.report.diagnosis_words import sentences
+from shj_validation.proof.answers import CASES, Case, Judged
+from shj_validation.proof.page import environment, head
+from shj_validation.proof.pool import in_parallel
+
+RECORD, PAGE = "recordings.json", "recordings.html"
+SCHEMA = "shj-bayes/proof-recordings/1"
+
+
+@dataclass(frozen=True)
+class RealProof:
+    """What came out of the real recordings.
+
+    Parameters
+    ----------
+    record : dict
+        Content of ``recordings.json``.
+    page : Path
+        The page.
+    """
+
+    record: dict[str, Any]
+    page: Path
+
+    @property
+    def text(self) -> str:
+        """What a person wants to read at the end."""
+        lines = []
+        for row in self.record["cases"]:
+            lines += [f"{row['id']}: {row['verdict']} ({', '.join(row['found']) or 'nothing named'})"]
+            lines += [f"  {'agrees' if j['agrees'] else 'DIFFERS'}: {j['words']}" for j in row["judged"]]
+        lines += [f"skipped: {name} is not in the folder" for name in self.record["absent"]]
+        agreed = sum(j["agrees"] for row in self.record["cases"] for j in row["judged"])
+        total = sum(len(row["judged"]) for row in self.record["cases"])
+        return "\n".join([*lines, "", f"{agreed} of {total} comparisons agree", f"page: {self.page}"])
+
+
+@alone_in("out")
+def prove_recordings(folder: Path, out: Path, *, workers: int = 2, progress: bool = False) -> RealProof:
+    """Diagnose real recordings from displacement and force alone, then compare with what was withheld.
+
+    Parameters
+    ----------
+    folder : Path
+        The public recordings, as they lie in the shared folder.
+    out : Path
+        Folder for the results.
+    workers : int
+        Processes.
+    progress : bool
+        Say which recording has been diagnosed.
+
+    Returns
+    -------
+    RealProof
+    """
+    if not folder.is_dir():
+        raise ProofError(f"{folder} is not a folder; give the folder of the public recordings")
+    present = [case for case in CASES if (folder / case.file).is_file()]
+    if not present:
+        raise ProofError(f"{folder.name} holds none of the recordings looked for, such as {CASES[0].file}")
+    out.mkdir(parents=True, exist_ok=True)
+    answers: dict[str, dict[str, Any]] = {}
+    with TemporaryDirectory() as scratch:
+        tasks = [_task(case, folder, Path(scratch)) for case in present]
+
+        def done(task: Any, answer: dict[str, Any]) -> None:
+            answers[task["name"]] = answer
+            if progress:
+                print(f"  {task['name']} diagnosed ({len(answers)} of {len(tasks)})", flush=True)
+
+        in_parallel(tasks, workers, done)
+    record = {
+        "schema": SCHEMA,
+        "version": shj_bayes.__version__,
+        "cases": [_row(case, answers[case.id], folder, answers) for case in present],
+        "absent": sorted({case.file for case in CASES} - {case.file for case in present}),
+    }
+    write_text(out / RECORD, json.dumps(record, indent=1, allow_nan=False))
+    write_text(out / PAGE, environment().get_template("recordings.html").render(**head(), record=record))
+    return RealProof(record, out / PAGE)
+
+
+def _task(case: Case, folder: Path, scratch: Path) -> dict[str, Any]:
+    """Write time, displacement and force of a recording, and nothing else of it."""
+    own = scratch / case.id
+    own.mkdir()
+    recording = read(folder / case.file, columns=case.columns, units=case.units, rate_Hz=case.rate_Hz)
+    path = write_csv(own / "run1.csv", recording, digits=12)
+    return {
+        "name": case.id,
+        "recordings": [path],
+        "model": "continuous",
+        "priors": "general",
+        "without": list(case.without),
+        "intervals": False,
+    }
+
+
+def _row(case: Case, answer: dict[str, Any], folder: Path, answers: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Open what was withheld and compare."""
+    row: dict[str, Any] = {"id": case.id, "file": case.file, "withheld": case.withheld, "without": list(case.without)}
+    if "error" in answer:
+        judged = [Judged(False, f"no diagnosis: {answer['error']}")]
+        return row | {"verdict": "failed", "found": [], "words": [], "judged": [vars(one) for one in judged]}
+    return row | {
+        "verdict": answer["verdict"],
+        "found": [effect["id"] for effect in answer["effects"]],
+        "words": sentences(answer),
+        "judged": [vars(one) for one in case.judge(answer, folder / case.file, answers)],
+    }
