@@ -34,8 +34,8 @@ class DeviceResult:
     fresh : bool
         False when an earlier, unchanged result was found and kept.
     residual : tuple of str
-        What the page says of the residuals: nothing beyond noise, or where they have a structure; and how much of the
-        sliding force is unexplained.
+        What the page says of the residuals: whether the model describes the device, and how much of the sliding force
+        is unexplained.
     note : str
         Why an earlier result was not kept although it is of the same fit: which file was damaged.
     """
@@ -72,7 +72,7 @@ class DeviceResult:
 def device_result(folder: Path, record: dict[str, Any], *, fresh: bool, note: str = "") -> DeviceResult:
     """Make the result of a folder, with what its page says of the residual."""
     left = read_residual(folder)
-    return DeviceResult(folder, record, fresh, (left.statement, left.fit) if left else (), note)
+    return DeviceResult(folder, record, fresh, (words.left_words(left), words.fit_words(left)) if left else (), note)
 
 
 def kept_result(

@@ -295,7 +295,6 @@ def diagnose_device(
         if record is None:
             record = _fit(runs, folder, options, model, name, key, progress, threads, [top])
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
-        render_device(folder)
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 
     diagnosis = diagnose(
@@ -311,6 +310,8 @@ def diagnose_device(
     findings = [finding.code for recording in recordings for finding in recording.findings]
     diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings})
     diagnosis.write(folder)
+    if (folder / "fit.json").exists():  # its page repeats the verdict
+        render_device(folder)
     return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
 
 

@@ -18,8 +18,7 @@ from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import LOOPS, write_page
-from shj_bayes.report.residual_file import write_residual
-from shj_bayes.report.residuals import Structure
+from shj_bayes.report.residual_file import LeftOver, left_over, write_residual
 from shj_bayes.report.viewer import device_viewer, thinning_words
 
 
@@ -46,11 +45,11 @@ def render_device(folder: Path) -> Path:
 
     with damage_told(f"fit.json or posterior.nc in {folder.name}", ReportError):
         device = read_device(folder)
-        numbers = numbers_of(device)
+        numbers, left = numbers_of(device), left_over(device, folder)
         viewer = device_viewer(device, numbers)
-        moving = {"pictures": draw(device, numbers), "viewer": viewer, "thinning": thinning_words(viewer)}
-        filled = content(device, numbers) | moving
-        write_residual(folder, numbers.structure, force_unit(device.record))
+        moving = {"pictures": draw(device, numbers, left), "viewer": viewer, "thinning": thinning_words(viewer)}
+        filled = content(device, numbers, left) | moving
+        write_residual(folder, left)
         return write_page(folder, "device.html", filled, LOOPS)
 
 
@@ -58,7 +57,7 @@ def render_device(folder: Path) -> Path:
 NO_SPEED = {"name": "gamma", "unit": "s/mm"} | dict.fromkeys(("mean", "sd", "q05", "q50", "q95"), 0.0)
 
 
-def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
+def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
     record, unit = device.record, force_unit(device.record)
     remarks = record.get("remarks", [])
@@ -71,11 +70,11 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
         "name": device.name,
         "simulated": any(is_simulated(entry) for entry in record["inputs"]),
         "verdict": record["verdict"],
-        "badges": badges(record, numbers.structure, unit),
+        "badges": badges(record, left),
         "reasons": record["reasons"],
         "remarks": [words.remark(r, *units[r["parameter"]]) for r in remarks],
-        "doubtful": numbers.structure.grade in ("fair", "poor"),
-        "details": words.residual_details(numbers.structure, unit.name, unit.factor),
+        "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
+        "diagnosis": "diagnosis.html" if left.diagnosed else "",
         "cards": cards(device, peak, numbers.one_speed is not None, unknown),
         "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
         "alias": words.alias_words(numbers.one_speed),
@@ -125,15 +124,14 @@ def freed_words(device: DeviceData) -> list[str]:
     return out
 
 
-def badges(record: Mapping[str, Any], found: Structure, unit: ForceUnit) -> list[dict[str, str]]:
+def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
     """Two verdicts, since neither says anything of the other: of the calculation, and of the model."""
     word = str(record.get("convergence", record["verdict"]))
     name, colour, sentence = words.CONVERGENCE.get(word, (word, "unusable", ""))
-    grade, shade = words.FIT[found.grade]
-    headline = words.residual_headline(found, unit.name, unit.factor)
+    (grade, shade), said = words.FIT[left.grade], words.fit_words(left)
     return [
         {"what": "Convergence", "name": name, "colour": colour, "words": sentence},
-        {"what": "Model", "name": f"{grade}: {words.fit_words(found)}", "colour": shade, "words": headline},
+        {"what": "Model", "name": f"{grade}: {said}", "colour": shade, "words": words.left_words(left)},
     ]
 
 

@@ -16,13 +16,14 @@ from shj_bayes.report.device_numbers import Numbers
 from shj_bayes.report.figures import loops, posterior, residuals
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import Picture
+from shj_bayes.report.residual_file import LeftOver
 
 
-def draw(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
+def draw(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, Any]:
     """All pictures of a device page by place."""
     unit = force_unit(device.record)
     return {
-        "hero": _hero(device, numbers, unit),
+        "hero": _hero(device, numbers, left, unit),
         "time": _over_time(device, numbers, unit),
         "loops": _loops(device, numbers, unit),
         "residuals": [*_residuals(numbers, unit), _over_speed(device, numbers, unit)],
@@ -43,7 +44,7 @@ def _cycle_parts(device: DeviceData, numbers: Numbers, share: float) -> list[Any
     return parts
 
 
-def _hero(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> Picture:
+def _hero(device: DeviceData, numbers: Numbers, left: LeftOver, unit: ForceUnit) -> Picture:
     runs = (
         "the first and the second run" if len(device.runs) == 2 else "each run" if len(device.runs) > 2 else "the run"
     )
@@ -54,7 +55,7 @@ def _hero(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> Picture:
         "it.",
         f"One cycle of the largest stroke of {runs}. Points are measured; the coloured line is the model after the "
         f"fit, known to within about {words.short(width)} {unit.name} if the model is right. Nine in ten measured "
-        f"points should lie in the pale band. {words.band_words(numbers.structure)}",
+        f"points should lie in the pale band. {words.band_words(left)}",
     )
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from shj_bayes.model.parameters import FloatArray
@@ -21,6 +20,7 @@ from shj_bayes.report.figures.canvas import (
     RED,
     SERIES,
     WIDE,
+    fixed,
     label,
     legend,
     sheet,
@@ -48,7 +48,7 @@ def cycle(
     wide : bool
         Full width of the page.
     """
-    figure, axes = sheet(WIDE if wide else NARROW, 3.9 if wide else 4.1)
+    figure, axes = sheet(WIDE if wide else NARROW, 3.9 if wide else 4.1, measured=False)
     for (name, x, force, band), colour in zip(parts, SERIES, strict=False):
         # A loop is two curves over the same stroke; one ribbon along the path covers both.
         axes.fill_between(x, band.force_low, band.force_high, color=colour, alpha=0.22, linewidth=0, rasterized=True)
@@ -63,7 +63,7 @@ def cycle(
 
 def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, unit: ForceUnit = KN) -> str:
     """All cycles of one run, measured over predicted; `starts` are the first samples of the half-cycles."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     step = max(1, x.size // MAX_POINTS)
     # Half-cycle by half-cycle: as one shape, ribbons that lie over one another would cancel.
     for a, b in pairwise([*starts.tolist(), x.size]):
@@ -82,7 +82,7 @@ def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, u
 
 def energy(energies: Sequence[CycleEnergy]) -> str:
     """Energy of every cycle, measured and predicted."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     largest = max(float(e.measured_J.max()) for e in energies)
     unit, factor = ("kJ", 1e-3) if largest >= 1000 else ("J", 1.0)
     at = 0
@@ -110,8 +110,9 @@ def over_time(
     time_s: FloatArray, force: FloatArray, median: FloatArray, noise: tuple[float, float], unit: ForceUnit = KN
 ) -> str:
     """Force over time of one run, measured and modelled, and the residual below it with the band of the noise."""
-    figure = Figure(figsize=(WIDE, 4.6), layout="constrained")
-    above, below = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
+    figure = fixed(WIDE, 4.6)
+    split = {"height_ratios": (3, 2), "hspace": 0.22}
+    above, below = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, gridspec_kw=split))
     keep = slice(None, None, max(1, time_s.size // MAX_OVER_TIME))
     above.plot(time_s[keep], force[keep], color=INK, linewidth=0.8, label="measured", rasterized=True)
     above.plot(time_s[keep], median[keep], color=RED, linewidth=0.7, label="model (median)", rasterized=True)
@@ -130,7 +131,7 @@ def over_time(
 
 def channels(time_s: FloatArray, extras: Sequence[tuple[str, FloatArray]]) -> str:
     """Further channels over time, one below the other; title with unit, and values, of each."""
-    figure = Figure(figsize=(WIDE, 1.5 * len(extras) + 0.5), layout="constrained")
+    figure = fixed(WIDE, 1.5 * len(extras) + 0.6)
     panels = figure.subplots(len(extras), 1, sharex=True, squeeze=False)[:, 0]
     keep = slice(None, None, max(1, time_s.size // MAX_OVER_TIME))
     for axes, (title, values) in zip(panels, extras, strict=True):
@@ -143,7 +144,7 @@ def channels(time_s: FloatArray, extras: Sequence[tuple[str, FloatArray]]) -> st
 
 def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], unit: ForceUnit = KN) -> str:
     """Force over velocity: measured points and the model's; name, velocity, measured and modelled of each run."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     for (name, speed, force, median), colour in zip(runs, SERIES, strict=False):
         keep = slice(None, None, max(1, speed.size // MAX_OVER_SPEED))
         for values, ink, alpha in ((force, INK, 0.5), (median, colour, 0.6)):
@@ -158,7 +159,7 @@ def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], u
 
 def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
     """Largest force and plateau of every cycle, push and pull."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     at = 0
     for shape, colour in zip(shapes, SERIES, strict=False):
         number = at + np.arange(1, shape.push_kN.size + 1)
@@ -179,7 +180,7 @@ def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
 
 def damping(shapes: Sequence[CycleShape]) -> str:
     """Equivalent viscous damping of every cycle, measured and modelled."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     at = 0
     for shape, colour in zip(shapes, SERIES, strict=False):
         number = at + np.arange(1, shape.damping_percent.size + 1)
@@ -207,7 +208,7 @@ def prior(
     prior_kN, paper_kN, posterior_kN : array, shape (m, n)
         Forces; ``paper_kN`` may have no rows.
     """
-    figure, axes = sheet(WIDE, 3.9)
+    figure, axes = sheet(WIDE, 3.9, measured=False)
     axes.plot(x, prior_kN.T, color=PALE, linewidth=0.6, alpha=0.8, rasterized=True)
     if paper_kN.size:
         axes.plot(x, paper_kN.T, color=GREEN, linewidth=0.9, alpha=0.8, rasterized=True)

@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from shj_bayes._util.import_safety import without
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.figures.canvas import BLUE, INK, SERIES, WIDE, label, png, svg, tidy
+from shj_bayes.report.figures.canvas import BLUE, INK, SERIES, WIDE, fixed, label, png, svg, tidy
 
 with without("arviz"):
     import corner as corner_package
@@ -92,8 +92,8 @@ def densities(
     """
     columns = 4
     rows = -(-len(parts) // columns)
-    figure = Figure(figsize=(width, 1.75 * rows + 0.3), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure = fixed(width, 1.75 * rows + 0.3, left=0.2, top=0.35)
+    panels = figure.subplots(rows, columns, squeeze=False, gridspec_kw={"wspace": 0.12, "hspace": 0.45}).ravel()
     for axes, (name, (draws, places, density)) in zip(panels, parts.items(), strict=False):
         tidy(axes)
         axes.grid(visible=False)
@@ -107,7 +107,7 @@ def densities(
         axes.set_visible(False)
     panels[0].hist([], color=BLUE, alpha=0.55, label="posterior")
     panels[0].plot([], [], color=INK, linewidth=1.2, linestyle="--", label="prior")
-    figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=9)
+    figure.legend(loc="upper left", ncols=2, frameon=False, fontsize=9)
     return svg(figure)
 
 
@@ -121,8 +121,8 @@ def traces(chains: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
     units : mapping of str to str
         Unit of each.
     """
-    figure = Figure(figsize=(WIDE, 0.85 * len(chains) + 0.4), layout="constrained")
-    panels = figure.subplots(len(chains), 1, sharex=True, squeeze=False)[:, 0]
+    figure = fixed(WIDE, 0.85 * len(chains) + 0.6, left=1.0)
+    panels = figure.subplots(len(chains), 1, sharex=True, squeeze=False, gridspec_kw={"hspace": 0.2})[:, 0]
     for axes, (name, paths) in zip(panels, chains.items(), strict=True):
         tidy(axes)
         for path, colour in zip(paths, SERIES, strict=False):
