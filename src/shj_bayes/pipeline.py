@@ -136,12 +136,12 @@ class DiagnosisResult:
     @property
     def text(self) -> str:
         """What a person wants to read at the end of a diagnosis."""
-        from shj_bayes.report.diagnosis_words import VERDICTS, sentences  # noqa: PLC0415  (only a diagnosis needs them)
+        from shj_bayes.report.diagnosis_words import sentences, verdict_words  # noqa: PLC0415  (for a diagnosis only)
 
         record = self.record
         p = f"below {SURE_P:g}" if record["p_value"] < SURE_P else f"{record['p_value']:.2g}"
         lines = [f"{record['device']}: {record['verdict']} (chance of such a misfit if nothing were missing: {p})"]
-        lines += [f"  {sentence}" for sentence in (VERDICTS[record["verdict"]][2], *sentences(record))]
+        lines += [f"  {sentence}" for sentence in (verdict_words(record)[2], *sentences(record))]
         # Where nothing was added to the law there is one law and one set of numbers.
         stages = ("before", "after") if record["modelled"] else ("after",)
         lines += ["", f"  {' -> '.join(stages)}" if len(stages) > 1 else "  base law"]

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from made_diagnosis import HALF, record, write
-from page_tools import Page, check_safe
+from page_tools import Page, check_safe, folded
 
 from shj_bayes.errors import ReportError
+from shj_bayes.pipeline import DiagnosisResult
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.diagnosis_numbers import parity, profile
 from shj_bayes.report.diagnosis_words import VERDICTS, per_cent, shape_table, spaced
@@ -34,6 +35,30 @@ def test_every_verdict_renders_in_words(pages: dict[str, Page], verdict: str, ho
     assert page.outside == []
     assert len(page.raw) < 3_000_000
     assert " ".join(hostile_name.split()) in page.text
+
+
+def test_what_was_found_stands_open_and_the_rest_is_folded_away(pages: dict[str, Page]) -> None:
+    later = ("Where the law fails", "Kind of misfit", "Everything tried", "SHA-256", "cannot tell apart")
+    assert [words for words in later if not folded(pages["named"], words)] == []
+    first = ("What was left out", "What the omission did to the parameters", "Next test")
+    assert [words for words in first if folded(pages["named"], words)] == []
+
+
+@pytest.mark.parametrize("n_cycles", [2, 3])
+def test_two_cycles_that_show_nothing_do_not_show_that_all_is_well(
+    tmp_path: Path, hostile_name: str, n_cycles: int
+) -> None:
+    folder = write(tmp_path, "adequate", hostile_name)
+    told = record("adequate", hostile_name) | {
+        "heldout": {"elpd_gain": 0.0, "se": 0.0, "n_blocks": n_cycles},
+        "modelled": {},
+    }
+    (folder / "diagnosis.json").write_text(json.dumps(told), encoding="utf-8")
+    page = Page(render_diagnosis(folder))
+    result = DiagnosisResult(folder, told, folder / "diagnosis.html")
+    for text in (page.text, result.text):
+        assert ("2 cycles are too few to say that nothing is missing" in text) == (n_cycles == 2)
+        assert ("The model describes these recordings" in text) == (n_cycles == 3)
 
 
 def test_numbers_are_those_of_the_record(pages: dict[str, Page]) -> None:

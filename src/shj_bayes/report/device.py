@@ -75,7 +75,7 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
         "remarks": [words.remark(r, *units[r["parameter"]]) for r in remarks],
         "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
         "diagnosis": "diagnosis.html" if left.diagnosed else "",
-        "cards": cards(device, peak, numbers.one_speed is not None, unknown),
+        "cards": cards(device, numbers.one_speed is not None, unknown),
         "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
         "alias": words.alias_words(numbers.one_speed),
         "dep": words.dep_words(gamma),
@@ -88,10 +88,8 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
             for f in entry["findings"]
         ],
         "energy": energy_words(numbers),
-        "losses": [
-            {"run": d.run, "low": f"{d.q05:.1f}", "middle": f"{d.q50:.1f}", "high": f"{d.q95:.1f}"}
-            for d in numbers.losses
-        ],
+        "losses": loss_words(device, numbers),
+        "friction": any("tension" in run.extras for run in device.runs),
         "freed": freed_words(device),
         "before": before_words(numbers, unit),
         "force_unit": unit.name,
@@ -101,6 +99,20 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
         "sampling": record["sampling"],
         "record": record,
     }
+
+
+def loss_words(device: DeviceData, numbers: Numbers) -> list[str]:
+    """Say how much of the sliding force was lost from the first run to each later one, and over which travel."""
+    out, travel = [], [run.travel_m for run in device.runs]
+    for loss in numbers.losses:
+        metres = sum(travel[: loss.run - 1])
+        before = "in the first" if loss.run == 2 else "in the runs before it"
+        out.append(
+            f"From run 1 to run {loss.run} the sliding force fell by {loss.q50:.1f} % (90 % interval {loss.q05:.1f} to "
+            f"{loss.q95:.1f} %; a negative number is a gain), after {metres:.3g} m of travel {before}: "
+            f"{loss.q50 / metres:.2g} % per metre."
+        )
+    return out
 
 
 def freed_words(device: DeviceData) -> list[str]:
@@ -135,7 +147,7 @@ def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
     ]
 
 
-def cards(device: DeviceData, peak_mm_s: float, one_speed: bool, unknown: Collection[str]) -> list[dict[str, str]]:
+def cards(device: DeviceData, one_speed: bool, unknown: Collection[str]) -> list[dict[str, str]]:
     """Give the numbers that matter, for the first screen; of what the data do not determine, no number."""
     out = []
     rows = {row["name"]: row for row in map(force_unit(device.record).row, device.record["parameters"])}
@@ -147,17 +159,8 @@ def cards(device: DeviceData, peak_mm_s: float, one_speed: bool, unknown: Collec
         if name in unknown:
             out.append(card | {"value": "not determined", "exact": "", "unit": "", "interval": "", "note": ""})
             continue
-        note = ""
-        if name == "gamma":
-            note = f"{words.dep_words(row)}. {words.speed_words(row, peak_mm_s)}"
-            note += " One peak speed only: this may be place, not speed; see Parameters." if one_speed else ""
-        if name == "ratio":
-            low, high = sorted((100 * (1 - row["q05"]), 100 * (1 - row["q95"])))
-            metres = device.runs[0].travel_m
-            note = (
-                f"The second run lost {low:.1f} to {high:.1f} % of the sliding force, after {metres:.3g} m of travel "
-                f"in the first: {low / metres:.2g} to {high / metres:.2g} % per metre."
-            )
+        note = words.dep_words(row) if name == "gamma" else ""
+        note += "; one peak speed only: it may be place, not speed" if name == "gamma" and one_speed else ""
         shown = {"value": words.rounded(row["q50"], row["sd"]), "exact": repr(row["q50"])}
         out.append(card | shown | {"interval": words.interval(row), "note": note})
     return out

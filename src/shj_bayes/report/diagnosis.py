@@ -57,15 +57,15 @@ def render_diagnosis(folder: Path) -> Path:
 def content(data: DiagnosisData) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
     record = data.record
-    sign, colour, _ = say.VERDICTS[record["verdict"]]
+    sign, colour, headline = say.verdict_words(record)
     return {
         "name": str(record.get("device") or "Device"),
         "simulated": bool(record.get("simulated")),
         "verdict": record["verdict"],
         "sign": sign,
         "colour": colour,
-        "headline": say.headline(data),
-        "lines": say.first_lines(data),
+        "headline": headline,
+        "lines": say.sentences(record),
         "size": say.size_words(data),
         "changed": data.channels.changed,
         "quick": bool(record.get("quick")),

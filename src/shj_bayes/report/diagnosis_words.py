@@ -16,6 +16,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
 from shj_bayes.report.diagnosis_numbers import Parity
+from shj_bayes.report.residual_file import FEWEST_CYCLES
 
 # Word and sign first; the colour only repeats them.
 VERDICTS = {
@@ -72,14 +73,20 @@ def title_of(name: Any) -> str:
     return effect.title if effect else str(name)
 
 
-def headline(data: DiagnosisData) -> str:
-    """Give the verdict in one sentence."""
-    return VERDICTS[data.record["verdict"]][2]
+def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Sign, class of the colour and sentence of a verdict; two cycles that show nothing do not show that all is well.
 
-
-def first_lines(data: DiagnosisData) -> list[str]:
-    """Sentences under the verdict: what was left out, its likely cause, what follows."""
-    return sentences(data.record)
+    Parameters
+    ----------
+    record : mapping
+        Content of ``diagnosis.json``.
+    """
+    sign, colour, sentence = VERDICTS[record["verdict"]]
+    cycles = number((record["heldout"] or {}).get("n_blocks"))
+    if record["verdict"] == "adequate" and cycles < FEWEST_CYCLES:
+        few = f"{cycles:.0f} cycle{'s' * (cycles != 1)}"
+        return "?", "part", f"Nothing beyond noise was found, but {few} are too few to say that nothing is missing."
+    return sign, colour, sentence
 
 
 def sentences(record: Mapping[str, Any]) -> list[str]:
@@ -193,8 +200,6 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
             continue
         unit = _unit(name)
         note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
-        if name == "gamma":
-            note = f"Before: {dep(row['before'])}. After: {dep(row['after'])}."
         if not data.channels.changed:
             note = f"{_first_up(dep(row['after']))}." if name == "gamma" else f"Spread {spread(row['after'])}."
         out.append(_card(f"{name}: {meaning_of(name).meaning}", value(row["before"]), value(row["after"]), unit, note))

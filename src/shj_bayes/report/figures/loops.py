@@ -34,9 +34,7 @@ STROKE, FORCE = "displacement (mm)", "force (kN)"
 MAX_POINTS, MAX_OVER_TIME, MAX_OVER_SPEED = 20_000, 6000, 4000
 
 
-def cycle(
-    parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit = KN, *, wide: bool = False
-) -> str:
+def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit = KN) -> str:
     """One cycle of each run: measured points, median of the law and the band of what would be measured.
 
     Parameters
@@ -45,10 +43,8 @@ def cycle(
         One for each run, arrays of shape (n,).
     unit : ForceUnit
         At the marks of the force.
-    wide : bool
-        Full width of the page.
     """
-    figure, axes = sheet(WIDE if wide else NARROW, 3.9 if wide else 4.1, measured=False)
+    figure, axes = sheet(NARROW, 4.1, measured=False)
     for (name, x, force, band), colour in zip(parts, SERIES, strict=False):
         # A loop is two curves over the same stroke; one ribbon along the path covers both.
         axes.fill_between(x, band.force_low, band.force_high, color=colour, alpha=0.22, linewidth=0, rasterized=True)
@@ -175,6 +171,19 @@ def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     label(axes, "cycle, in the order they were made", FORCE, unit)
     legend(axes, 4)
+    return svg(figure)
+
+
+def backbone(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
+    """Force where the cycles turn, measured and modelled, in the order of the displacement there."""
+    figure, axes = sheet(measured=False)
+    for shape, colour in zip(shapes, SERIES, strict=False):
+        order = np.argsort(shape.turn_mm)
+        axes.plot(shape.turn_mm[order], shape.model_turn_kN[order], "-", color=colour, linewidth=1.3)
+        axes.plot(shape.turn_mm, shape.turn_kN, "o", color=colour, markersize=4.5, markerfacecolor="none")
+        axes.plot([], [], "o-", color=colour, markersize=4.5, label=f"run {shape.run}")
+    label(axes, STROKE, FORCE, unit)
+    legend(axes, 3)
     return svg(figure)
 
 
