@@ -21,7 +21,7 @@ import pandas as pd
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.comparison import compare_sets
-from shj_bayes.errors import ModelError, ReportError
+from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.record import check_files, read_record
 from shj_bayes.pipeline import Options, diagnose_device, fit_device
@@ -408,7 +408,7 @@ def _options(given: dict[str, Any]) -> Options:
     known = [field.name for field in fields(Options)]
     for name in given:
         if name not in known:
-            raise ModelError(f"'{name}' is not an option; known are {', '.join(known)}{did_you_mean(name, known)}")
+            raise OptionError(f"'{name}' is not an option; known are {', '.join(known)}{did_you_mean(name, known)}")
     return Options(**given)
 
 

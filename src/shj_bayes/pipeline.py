@@ -144,7 +144,8 @@ class DiagnosisResult:
         lines += [f"  {sentence}" for sentence in (verdict_words(record)[2], *sentences(record))]
         # Where nothing was added to the law there is one law and one set of numbers.
         stages = ("before", "after") if record["modelled"] else ("after",)
-        lines += ["", f"  {' -> '.join(stages)}" if len(stages) > 1 else "  base law"]
+        rough = ", a first look: approximate, and not the numbers of a fit" if record.get("quick") else ""
+        lines += ["", f"  {' -> '.join(stages) if len(stages) > 1 else 'base law'}{rough}"]
         for name, row in record["shift"].items():
             shown = " -> ".join(f"{row[stage]['mean']:11.5g} +- {row[stage]['sd']:<9.2g}" for stage in stages)
             lines.append(f"  {name:8}{shown} {meaning_of(name).unit}")

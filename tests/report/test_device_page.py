@@ -4,10 +4,12 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from matplotlib.figure import Figure
 from page_tools import Page, check_safe, folded
 
 from shj_bayes.errors import ShjError
@@ -15,6 +17,8 @@ from shj_bayes.finished import DeviceResult
 from shj_bayes.report.data import read_device
 from shj_bayes.report.device import content, render_device
 from shj_bayes.report.device_numbers import numbers_of
+from shj_bayes.report.device_pictures import draw as draw_page
+from shj_bayes.report.figures import canvas
 from shj_bayes.report.force_unit import force_unit
 from shj_bayes.report.residual_file import left_over
 from shj_bayes.report.words import CONVERGENCE, rounded
@@ -114,6 +118,27 @@ def test_same_files_same_page(page: Page, copy_of: Path) -> None:
 
     again = render_device(copy_of).read_text(encoding="utf-8")
     assert plain(again) == plain(page.raw)
+
+
+def test_nothing_stands_beyond_the_edge_of_a_picture(copy_of: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The margins are fixed: the numbers and titles of every diagram must find room in them, also large ones."""
+    beyond, draw = [], canvas._drawn
+
+    def watched(figure: Figure, *rest: Any) -> bytes:
+        drawn = draw(figure, *rest)
+        box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+        if min(box.x0, box.y0, width - box.x1, height - box.y1) < -0.01:
+            beyond.append((figure.axes[-1].get_xlabel(), figure.axes[0].get_ylabel(), box.extents.round(2)))
+        return drawn
+
+    monkeypatch.setattr(canvas, "_drawn", watched)
+    device = read_device(copy_of)
+    numbers = numbers_of(device)
+    for factor in (1.0, 0.001):  # of Fy: a small device is drawn in newton, whose numbers are long
+        rows = [row | {"q50": row["q50"] * factor} for row in device.record["parameters"]]
+        shown = replace(device, record=dict(device.record) | {"parameters": rows})
+        draw_page(shown, numbers, left_over(shown))
+    assert beyond == []
 
 
 def test_page_is_small(page: Page) -> None:

@@ -65,7 +65,7 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
     unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
     gamma = next((row for row in record["parameters"] if row["name"] in ("gamma", "velocity.size")), NO_SPEED)
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
-    peak = max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
+    peak = numbers.one_speed or max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
     return {
         "name": device.name,
         "simulated": any(is_simulated(entry) for entry in record["inputs"]),

@@ -88,7 +88,7 @@ def energy(energies: Sequence[CycleEnergy]) -> str:
         error = np.stack([(e.median_J - e.low_J), (e.high_J - e.median_J)]) * factor
         axes.errorbar(
             number, middle, np.maximum(error, 0.0), fmt="_", color=colour, markersize=13, capsize=5, elinewidth=2,
-            label=f"run {e.run}: predicted, 90 % band",
+            label=f"run {e.run}: model, 90 %",
         )  # fmt: skip
         axes.plot(
             number, e.measured_J * factor, "o", color=INK, markersize=4.5, markerfacecolor="none", markeredgewidth=1.2
