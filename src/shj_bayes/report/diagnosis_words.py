@@ -15,7 +15,6 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
-from shj_bayes.report.diagnosis_numbers import Parity
 from shj_bayes.report.residual_file import FEWEST_CYCLES
 
 # Word and sign first; the colour only repeats them.
@@ -35,13 +34,6 @@ FAMILIES = {
     "odd_in_position": "growing to one side",
     "oscillation": "oscillation",
 }
-PARITY = (
-    ("odd_even", "speed, or distance\nfrom mid-stroke", "speed laws, prying, a worn centre"),
-    ("odd_odd", "one half of each\nstroke", "start of the stroke, elastic parts, inertia, friction memory"),
-    ("even_even", "push and pull\ndiffer", "asymmetry, a load offset"),
-    ("even_odd", "one end of\nthe slot", "a tapered slot or plate"),
-    ("rest", "does not repeat", "noise, or a change from cycle to cycle such as wear or heating"),
-)
 DIRECTIONS = {"push": "push", "pull": "pull", "both": "push and pull alike"}
 COORDINATES = {
     "position": "the position",
@@ -64,7 +56,6 @@ COORDINATES = {
 }
 LIKELY, LIMIT = 0.5, 0.05  # probabilities from which a dependence is stated, and mentioned
 SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a normal law
-MAX_SHAPE_ROWS = 40
 
 
 def title_of(name: Any) -> str:
@@ -264,25 +255,16 @@ def effects(data: DiagnosisData) -> list[dict[str, Any]]:
 
 def family(data: DiagnosisData) -> list[dict[str, str]]:
     """List the members of the family, most probable first."""
-    out = []
-    for member in data.record["family"] or ():
-        if isinstance(member, Mapping):
-            name, p = member.get("id"), member.get("probability")
-        elif isinstance(member, (list, tuple)):
-            name, p = member[0], member[1] if len(member) > 1 else None
-        else:
-            name, p = member, None
-        known = catalogue().get(str(name))
-        out.append(
-            {
-                "id": str(name),
-                "title": title_of(name),
-                "probability": percent(p),
-                "shows": known.shows if known else "",
-                "next_test": known.next_test if known else "",
-            }
-        )
-    return out
+    known = catalogue()
+    return [
+        {
+            "id": str(member["id"]),
+            "title": title_of(member["id"]),
+            "probability": percent(member.get("probability")),
+            "shows": known[member["id"]].shows if member["id"] in known else "",
+        }
+        for member in data.record["family"] or ()
+    ]
 
 
 def shift(data: DiagnosisData) -> list[dict[str, str]]:
@@ -341,11 +323,7 @@ def aliases(data: DiagnosisData) -> list[dict[str, str]]:
     """Say in words what the displacement history cannot separate."""
     out = []
     for alias in data.record["aliases"]:
-        if isinstance(alias, Mapping):
-            first, second = alias["pair"] if "pair" in alias else (alias["first"], alias["second"])
-            correlation = number(alias.get("correlation"))
-        else:
-            first, second, correlation = alias[0], alias[1], number(alias[2])
+        (first, second), correlation = alias["pair"], number(alias.get("correlation"))
         if second == "base law":
             text = f"“{title_of(first)}” cannot be seen: the base law takes it up."
         else:
@@ -405,66 +383,34 @@ def heldout_words(data: DiagnosisData) -> str:
     )
 
 
-def parity_words(before: Parity, capacity_kN: float) -> str:
-    """Say which symmetry holds most of the misfit."""
-    sizes = [(getattr(before, key), name.replace("\n", " "), causes) for key, name, causes in PARITY if key != "rest"]
-    size, name, causes = max(sizes)
-    return (
-        f"Of what the base law leaves over and what comes again over the stroke, the largest part, "
-        f"{words.short(size)} kN or {per_cent(size / capacity_kN)} % of the sliding force, is of the kind “{name}”: "
-        f"{causes}. {words.short(before.rest)} kN do not repeat."
-    )
-
-
-def unknown(data: DiagnosisData) -> dict[str, Any] | None:
+def unknown(data: DiagnosisData) -> dict[str, str] | None:
     """Describe what no effect explains."""
     u = data.record.get("unknown")
     if not u:
         return None
-    header, rows = shape_table(u.get("shape"))
-    period = u.get("period", u.get("scale"))
-    if isinstance(period, Mapping):
-        where = f" of {period['coordinate']}" if period.get("coordinate") else ""
-        period = f"{words.short(number(period.get('length')))} {period.get('unit', '')}{where}"
-    elif isinstance(period, (int, float)):
-        period = words.short(number(period))
-    size = number(u.get("size_kN"))
+    size, period = number(u.get("size_kN")), u.get("period")
     return {
         "coordinate": u.get("coordinate") or "not known",
         "size": f"{words.short(size)} kN, {per_cent(size / data.capacity_kN)} % of the sliding force",
         "formula": u.get("formula") or "",
         "formula_words": u.get("formula_words") or "",
-        "period": period or "",
+        "period": f"{words.short(number(period['length']))} {period['unit']} of {period['coordinate']}"
+        if period
+        else "",
         "words": u.get("words") or "",
-        "header": header,
-        "rows": [[_cell(v) for v in row] for row in rows[:MAX_SHAPE_ROWS]],
-        "more": max(0, len(rows) - MAX_SHAPE_ROWS),
     }
 
 
-def shape_table(shape: Any) -> tuple[list[str], list[list[Any]]]:
-    """Read a table given as rows of names and values, as columns by name, or as bare rows."""
-    if isinstance(shape, Mapping):
-        columns = {str(k): v for k, v in shape.items() if isinstance(v, (list, tuple))}
-        return list(columns), [list(row) for row in zip(*columns.values(), strict=False)]
-    if not isinstance(shape, (list, tuple)) or not shape:
-        return [], []
-    if isinstance(shape[0], Mapping):
-        names = [str(k) for k in shape[0]]
-        return names, [[row.get(k) for k in names] for row in shape if isinstance(row, Mapping)]
-    rows = [list(row) for row in shape if isinstance(row, (list, tuple))]
-    return [f"column {i + 1}" for i in range(len(rows[0]))] if rows else [], rows
+def shape_columns(shape: Any) -> dict[str, FloatArray]:
+    """Give the shape of what no effect explains, rows of names and numbers, as columns; none where it cannot be drawn.
 
-
-def shape_columns(shape: Any) -> tuple[str, FloatArray, list[tuple[str, FloatArray]]] | None:
-    """Give a table of numbers as a coordinate and its columns; None when it is not one."""
-    header, rows = shape_table(shape)
-    if len(header) < 2 or len(rows) < 2 or any(len(row) != len(header) for row in rows):
-        return None
-    table = np.array([[number(v) for v in row] for row in rows])
-    if not np.isfinite(table[:, 0]).all() or not np.isfinite(table[:, 1:]).any():
-        return None
-    return header[0], table[:, 0], [(name, table[:, i]) for i, name in enumerate(header) if i]
+    The first column is the coordinate.
+    """
+    rows = shape or ()
+    columns = {name: np.array([number(row.get(name)) for row in rows]) for name in rows[0]} if len(rows) > 1 else {}
+    if len(columns) < 2 or not np.isfinite(next(iter(columns.values()))).all():
+        return {}
+    return columns
 
 
 def percent(share: Any) -> str:
@@ -549,9 +495,3 @@ def _change(moved: float, before: float, *, gamma: bool) -> str:
         return f"{moved:+.2g}" if abs(moved) >= 5e-5 else "none"
     share = 100 * moved / before
     return f"{share:+.1f} %" if abs(share) >= 0.05 else "none"
-
-
-def _cell(entry: Any) -> str:
-    if entry is None:
-        return ""
-    return words.short(number(entry)) if isinstance(entry, (int, float)) else str(entry)
