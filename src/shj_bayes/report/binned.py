@@ -11,7 +11,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray, RunData
 
 N_STROKE = 20
-N_SHIFTS = 10
+N_SHIFTS = 3  # enough for a band
 
 
 @dataclass(frozen=True, eq=False)

@@ -406,7 +406,7 @@ def shape_columns(shape: Any) -> dict[str, FloatArray]:
 
     The first column is the coordinate.
     """
-    rows = shape or ()
+    rows = list(shape or ())
     columns = {name: np.array([number(row.get(name)) for row in rows]) for name in rows[0]} if len(rows) > 1 else {}
     if len(columns) < 2 or not np.isfinite(next(iter(columns.values()))).all():
         return {}

@@ -22,7 +22,7 @@ FIT = {
     "undecided": ("fit undecided", "tentative"),
 }
 DIAGNOSED_WORDS = {
-    "": "Whether what is left is noise, shj-bayes diagnose tells.",
+    "": "Whether anything is missing, shj-bayes diagnose says.",
     "adequate": "The diagnosis of these recordings found nothing beyond noise.",
     "named": "The diagnosis of these recordings says what the law leaves out.",
     "family": "The diagnosis of these recordings found that the law leaves something out, and what it may be.",
