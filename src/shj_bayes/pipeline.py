@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from shj_bayes._util.files import plain_name
 from shj_bayes._util.lock import alone_in
 from shj_bayes.earlier import earlier
-from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, shown
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_text, shown
 from shj_bayes.finished import DeviceResult, default_name, device_result, finished_record, key_of, stale
 from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
 from shj_bayes.inference.record import read_group
@@ -154,6 +155,16 @@ class DiagnosisResult:
         return "\n".join([*lines, "", f"report: {self.page}"])
 
 
+def step_told(line: str) -> None:
+    """Say on standard error, where it is a terminal, what is being done: a long recording takes seconds to read."""
+    if sys.stderr.isatty():
+        print(f"  {line}", file=sys.stderr)
+
+
+def ignored(line: str) -> None:
+    """Say nothing."""
+
+
 @alone_in("folder", kept="fit.json")
 def fit_device(
     paths: Sequence[Path | Recording],
@@ -198,7 +209,7 @@ def fit_device(
         If `folder` holds the result of another device.
     """
     options.check(len(paths))
-    recordings = _usable(paths, options)
+    recordings = _usable(paths, options, step_told if progress else ignored)
     name = plain_name(name) if name else default_name(source_of(paths[0]))
     if not force:
         refuse_used_folder(folder, name, recordings, InferenceError)
@@ -210,6 +221,7 @@ def fit_device(
     else:
         fresh = False
     if fresh or stale(folder):
+        (step_told if progress else ignored)("drawing the page")
         render_device(folder)
     return device_result(folder, finished, fresh=fresh, note=note)
 
@@ -260,7 +272,7 @@ def diagnose_device(
     progress: bool = False,
     threads: int = 0,
     force: bool = False,
-    tell: Callable[[str], None] = lambda _: None,
+    tell: Callable[[str], None] = ignored,
 ) -> DiagnosisResult:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
@@ -283,7 +295,7 @@ def diagnose_device(
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
     from shj_bayes.report.diagnosis import render_diagnosis  # noqa: PLC0415
 
-    recordings = _usable(paths, options)
+    recordings = _usable(paths, options, tell)
     name = plain_name(name) if name else default_name(source_of(paths[0]))
     if not force:
         refuse_used_folder(folder, name, recordings, InferenceError)
@@ -311,19 +323,21 @@ def diagnose_device(
     findings = [finding.code for recording in recordings for finding in recording.findings]
     diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings})
     diagnosis.write(folder)
+    tell("drawing the pages")
     if (folder / "fit.json").exists():  # its page repeats the verdict
         render_device(folder)
     return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
 
 
-def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recording]:
+def _usable(paths: Sequence[Path | Recording], options: Options, tell: Callable[[str], None]) -> list[Recording]:
     """Read recordings that are not read yet; refuse those that must not be fitted."""
-    given = [
-        path
-        if isinstance(path, Recording)
-        else read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
-        for path in paths
-    ]
+    given = []
+    for each in paths:
+        if isinstance(each, Recording):
+            given.append(each)
+        else:
+            tell(f"reading {plain_text(each.name)}")
+            given.append(read(each, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz))
     recordings = remarked(settle(given, options.runs), options.free)
     if options.priors_from is not None:
         recordings = earlier(options.priors_from).remarked(recordings)

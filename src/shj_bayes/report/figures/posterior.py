@@ -98,9 +98,9 @@ def densities(
     for axes, (name, (draws, places, density)) in zip(panels, parts.items(), strict=False):
         tidy(axes)
         axes.grid(visible=False)
-        axes.hist(
-            draws, bins=40, range=(places[0], places[-1]), density=True, color=BLUE, alpha=0.55, label="posterior"
-        )
+        # One shape: forty bars take as long to make as all else in the diagram.
+        look = {"histtype": "stepfilled", "color": BLUE, "alpha": 0.55, "label": "posterior"}
+        axes.hist(draws, bins=40, range=(places[0], places[-1]), density=True, **look)
         axes.plot(places, density, color=INK, linewidth=1.2, linestyle="--", label="prior")
         axes.set_yticks([])
         axes.xaxis.set_major_locator(MaxNLocator(3))
