@@ -55,7 +55,8 @@ class DeviceResult:
         lines += [f"  {extra}" for extra in (*self.residual, self.note) if extra]
         remarks = record.get("remarks", [])
         units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
-        lines += [f"  warning: {words.remark(r, *units[r['parameter']])}" for r in remarks]
+        family = record["model"]["priors"]
+        lines += [f"  warning: {words.remark(r, *units[r['parameter']], family=family)}" for r in remarks]
         unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
         width = max(len(row["name"]) for row in record["parameters"]) + 1
         lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]

@@ -81,6 +81,23 @@ def test_profile_against_hand_calculation() -> None:
     assert push.high_kN[5] == pytest.approx(1.645 / np.sqrt(m), rel=0.25)
 
 
+@pytest.mark.parametrize(
+    ("percent", "said"), [(0.724, "0.72 %"), (9.96, "10 %"), (99.6, "100 %"), (4200.0, "more than 100 % of Fy")]
+)
+def test_a_headline_holds_no_nonsense(percent: float, said: str) -> None:
+    assert words.fit_words(LeftOver(percent, 8)).startswith(said)
+
+
+def test_a_prior_that_the_data_contradict_is_told_with_what_to_do() -> None:
+    """No advice to take the priors that were taken, and none on the unit of what has none."""
+    far = {"parameter": "beta", "kind": "contradicted", "q50": 1.0, "prior_q05": 1.36, "prior_q95": 366.0}
+    told = words.remark(far, "1", family="general")
+    assert "--units" not in told
+    assert "--priors general" not in told
+    assert "Check the units" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
+    assert "--priors general" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
+
+
 @pytest.mark.parametrize("n_cycles", [2, 8])
 @pytest.mark.parametrize("percent", [1.0, 4.0, 33.0, 273.0])
 @pytest.mark.parametrize("widening", [1.0, 3.0])

@@ -72,7 +72,7 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
         "verdict": record["verdict"],
         "badges": badges(record, left),
         "reasons": record["reasons"],
-        "remarks": [words.remark(r, *units[r["parameter"]]) for r in remarks],
+        "remarks": [words.remark(r, *units[r["parameter"]], family=record["model"]["priors"]) for r in remarks],
         "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
         "diagnosis": "diagnosis.html" if left.diagnosed else "",
         "cards": cards(device, numbers.one_speed is not None, unknown),

@@ -105,7 +105,7 @@ def alias_words(peak_mm_s: float | None) -> str:
     )
 
 
-def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0) -> str:
+def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0, *, family: str = "") -> str:
     """Say what the recordings do not tell of a parameter.
 
     Parameters
@@ -116,6 +116,8 @@ def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0) -> s
         Of the numbers shown, empty for none.
     factor : float
         To that unit.
+    family : str
+        Of the priors that were taken.
     """
     name = str(finding["parameter"])
     low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
@@ -126,17 +128,20 @@ def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0) -> s
             f"{name} is not determined by this recording: it may lie almost anywhere in its prior, {low} to {high}"
             f"{unit} (90 %)" + (f"; {wanted} would tell." if wanted else ".")
         )
+    check = "Check the units (--units), or g" if unit else "The law may not be that of this device; if it is, g"
     return (
         f"{name} is {short(factor * float(finding['q50']))}{unit}, which the prior holds nearly impossible ({low} to "
-        f"{high}{unit}, 90 %): the result is drawn towards it. Check the units (--units), or give priors for this kind "
-        "of device (--priors general, or a file of your own)."
+        f"{high}{unit}, 90 %): the result is drawn towards it. {check}ive priors for this kind of device "
+        f"(--priors {'with a file of your own' if family == 'general' else 'general, or a file of your own'})."
     )
 
 
 def fit_words(left: LeftOver) -> str:
     """How much of the force the model leaves unexplained."""
     few = f", {left.n_cycles} full cycle{'s' * (left.n_cycles != 1)}" if left.grade == "undecided" else ""
-    return f"{left.unexplained_percent:.2g} % of Fy unexplained{few}"
+    percent = left.unexplained_percent
+    size = "more than 100" if percent > 100 else f"{percent:.0f}" if percent >= 10 else f"{percent:.2g}"
+    return f"{size} % of Fy unexplained{few}"
 
 
 def left_words(left: LeftOver) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.ticker import MaxNLocator
 
 from shj_bayes.model.parameters import FloatArray
@@ -62,11 +63,10 @@ def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, u
     figure, axes = sheet(measured=False)
     step = max(1, x.size // MAX_POINTS)
     # Half-cycle by half-cycle: as one shape, ribbons that lie over one another would cancel.
-    for a, b in pairwise([*starts.tolist(), x.size]):
-        part = slice(a, b, step)
-        axes.fill_between(
-            x[part], band.force_low[part], band.force_high[part], color=BLUE, alpha=0.12, linewidth=0, rasterized=True
-        )
+    parts = [slice(a, b, step) for a, b in pairwise([*starts.tolist(), x.size])]
+    there, back = ([np.column_stack([x[p], edge[p]]) for p in parts] for edge in (band.force_low, band.force_high))
+    ribbons = [np.concatenate([low, high[::-1]]) for low, high in zip(there, back, strict=True)]
+    axes.add_collection(PolyCollection(ribbons, color=BLUE, alpha=0.12, linewidth=0, rasterized=True))
     keep = slice(None, None, step)
     axes.plot(x[keep], force[keep], color=INK, linewidth=0.6, alpha=0.8, label="measured", rasterized=True)
     axes.plot(x[keep], band.median[keep], color=RED, linewidth=0.8, label="model (median)", rasterized=True)
@@ -218,10 +218,10 @@ def prior(
         Forces; ``paper_kN`` may have no rows.
     """
     figure, axes = sheet(WIDE, 3.9, measured=False)
-    axes.plot(x, prior_kN.T, color=PALE, linewidth=0.6, alpha=0.8, rasterized=True)
-    if paper_kN.size:
-        axes.plot(x, paper_kN.T, color=GREEN, linewidth=0.9, alpha=0.8, rasterized=True)
-    axes.plot(x, posterior_kN.T, color=BLUE, linewidth=1.6, alpha=0.9, rasterized=True)
+    for forces, colour, width in ((prior_kN, PALE, 0.6), (paper_kN, GREEN, 0.9), (posterior_kN, BLUE, 1.6)):
+        lines = [np.column_stack([x, force]) for force in forces]
+        axes.add_collection(LineCollection(lines, color=colour, linewidth=width, alpha=0.8, rasterized=True))
+    axes.set_xlim(1.05 * x.min(), 1.05 * x.max())
     axes.plot([], [], color=PALE, label="allowed before the test")
     if paper_kN.size:
         axes.plot([], [], color=GREEN, label="devices of the published tables")
