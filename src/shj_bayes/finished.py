@@ -18,7 +18,7 @@ from shj_bayes.inference.record import check_files, read_record
 from shj_bayes.model.parameters import BASE
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
-from shj_bayes.report.residual_file import read_residual
+from shj_bayes.report.residual_file import LeftOver, read_residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,8 @@ class DeviceResult:
         Content of ``fit.json``.
     fresh : bool
         False when an earlier, unchanged result was found and kept.
-    residual : tuple of str
-        What the page says of the residuals: whether the model describes the device, and how much of the sliding force
-        is unexplained.
+    left : LeftOver or None
+        What the model leaves over; None where no page was written.
     note : str
         Why an earlier result was not kept although it is of the same fit: which file was damaged.
     """
@@ -43,16 +42,18 @@ class DeviceResult:
     folder: Path
     record: dict[str, Any]
     fresh: bool
-    residual: tuple[str, ...] = ()
+    left: LeftOver | None = None
     note: str = ""
 
     @property
     def text(self) -> str:
         """What a person wants to read at the end of a fit."""
-        record, shown = self.record, force_unit(self.record)
-        lines = [f"{record['device']}: {record['verdict']}"]
+        record, shown, left = self.record, force_unit(self.record), self.left
+        # The word of the calculation does not stand alone: a converged fit of a wrong model is no reliable answer.
+        fit = f"; {words.FIT[left.grade][0]}: {words.fit_words(left)}" if left else ""
+        lines = [f"{record['device']}: {record['verdict']}{fit}"]
         lines += [f"  {reason}" for reason in record["reasons"]]
-        lines += [f"  {extra}" for extra in (*self.residual, self.note) if extra]
+        lines += [f"  {extra}" for extra in (words.left_words(left) if left else "", self.note) if extra]
         remarks = record.get("remarks", [])
         units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
         family = record["model"]["priors"]
@@ -72,8 +73,7 @@ class DeviceResult:
 
 def device_result(folder: Path, record: dict[str, Any], *, fresh: bool, note: str = "") -> DeviceResult:
     """Make the result of a folder, with what its page says of the residual."""
-    left = read_residual(folder)
-    return DeviceResult(folder, record, fresh, (words.left_words(left), words.fit_words(left)) if left else (), note)
+    return DeviceResult(folder, record, fresh, read_residual(folder), note)
 
 
 def kept_result(

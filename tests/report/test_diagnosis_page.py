@@ -44,6 +44,12 @@ def test_what_was_found_stands_open_and_the_rest_is_folded_away(pages: dict[str,
     assert [words for words in first if folded(pages["named"], words)] == []
 
 
+def test_a_cause_is_told_as_surely_as_its_effect(pages: dict[str, Page]) -> None:
+    first = {verdict: page.raw[: page.raw.index("<nav")] for verdict, page in pages.items()}
+    assert ["Likely cause" in first[verdict] for verdict in ("named", "family", "unknown")] == [True, False, False]
+    assert "If it is this, a likely cause:" in pages["family"].text
+
+
 @pytest.mark.parametrize("n_cycles", [2, 3])
 def test_two_cycles_that_show_nothing_do_not_show_that_all_is_well(
     tmp_path: Path, hostile_name: str, n_cycles: int

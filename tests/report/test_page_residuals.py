@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from shj_bayes.finished import DeviceResult
 from shj_bayes.report import words
 from shj_bayes.report.binned import stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
@@ -86,6 +87,12 @@ def test_profile_against_hand_calculation() -> None:
 )
 def test_a_headline_holds_no_nonsense(percent: float, said: str) -> None:
     assert words.fit_words(LeftOver(percent, 8)).startswith(said)
+
+
+def test_the_word_of_the_calculation_does_not_stand_alone(tmp_path: Path, fitted: Path) -> None:
+    record = json.loads((fitted / "fit.json").read_text(encoding="utf-8")) | {"verdict": "reliable"}
+    first = DeviceResult(tmp_path, record, True, LeftOver(310.0, 9)).text.splitlines()[0]
+    assert first.endswith(": reliable; poor fit: more than 100 % of Fy unexplained")
 
 
 def test_a_prior_that_the_data_contradict_is_told_with_what_to_do() -> None:

@@ -91,8 +91,9 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     found, verdict = record["effects"], record["verdict"]
     out = []
     for e in found:
-        # Of several effects the first screen names each; their causes stand where each is described.
-        cause = _cause(e) if len(found) == 1 else ""
+        # Of several effects the first screen names each; their causes stand where each is described. What may be
+        # another effect has no cause yet, and nothing to be done about it.
+        cause = _cause(e) if len(found) == 1 and verdict == "named" else ""
         lead = (
             "A part of it: "
             if e.get("partial")
