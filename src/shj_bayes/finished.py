@@ -63,8 +63,10 @@ class DeviceResult:
         lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in map(shown.row, record["parameters"]):
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
-            numbers = f"{'not determined':>47}" if row["name"] in unknown else numbers
-            lines.append(f"  {row['name']:{width}}{numbers}  {row['unit']}{dep_words(row)}")
+            numbers += f"  {row['unit']}{dep_words(row)}"
+            if row["name"] in unknown:
+                numbers = f"{'not determined':>47}  {row['unit']}"
+            lines.append(f"  {row['name']:{width}}{numbers}")
         notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
         lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
         lines += ["", f"report: {self.folder / 'report.html'}"]

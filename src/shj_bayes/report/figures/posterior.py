@@ -128,7 +128,8 @@ def traces(chains: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
         tidy(axes)
         for path, colour in zip(paths, SERIES, strict=False):
             place = np.linspace(0, 100, path.size)
-            axes.plot(place, path, ".", color=colour, markersize=1.6, markeredgewidth=0, alpha=0.7)
+            axes.plot(place, path, ".", color=colour, markersize=3.6, markeredgewidth=0, alpha=0.6)
+        axes.set_xlim(0, 100)
         axes.yaxis.set_major_locator(MaxNLocator(3))
         axes.tick_params(labelsize=8)
         axes.set_ylabel(_named(name, units), fontsize=9)
