@@ -24,7 +24,7 @@ from shj_bayes.commands.comparison import compare_sets
 from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
-from shj_bayes.errors import ModelError, ReportError
+from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.record import check_files, read_record
 from shj_bayes.population.results import population_record
@@ -409,7 +409,7 @@ def _options(given: dict[str, Any]) -> Options:
     known = [field.name for field in fields(Options)]
     for name in given:
         if name not in known:
-            raise ModelError(f"'{name}' is not an option; known are {', '.join(known)}{did_you_mean(name, known)}")
+            raise OptionError(f"'{name}' is not an option; known are {', '.join(known)}{did_you_mean(name, known)}")
     return Options(**given)
 
 

@@ -5,6 +5,7 @@
     ShjError
     |-- RecordingError    a recording cannot be read or cannot be used
     |-- ModelError        a parameter or a model choice outside what the law allows
+    |   `-- OptionError       an option of a function that there is not; a TypeError, too, as Python's own
     |-- PriorError        a prior file that is malformed or cannot hold the data
     |-- InferenceError    the sampler could not start or gave nothing usable
     |   `-- CheckpointError   a checkpoint of another problem, or an altered one
@@ -56,6 +57,10 @@ class RecordingError(ShjError):
 
 class ModelError(ShjError):
     """A parameter or a model choice outside what the law allows."""
+
+
+class OptionError(ModelError, TypeError):
+    """An option of a function that there is not."""
 
 
 class PriorError(ShjError):

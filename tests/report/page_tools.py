@@ -82,3 +82,9 @@ def check_safe(page: Page) -> None:
     assert page.all("html")[0]["lang"] == "en-GB"
     assert "@import" not in page.raw
     assert "url(" not in page.raw
+
+
+def folded(page: Page, words: str) -> bool:
+    """Whether the first place of `words` below the contents of a page is folded away."""
+    before = page.raw[: page.raw.index(words, page.raw.index("</nav>"))]
+    return before.count("<details") > before.count("</details>")

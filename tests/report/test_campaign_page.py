@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_campaign import make_campaign, population
-from page_tools import Page, check_safe
+from page_tools import Page, check_safe, folded
 
 from shj_bayes.commands.summary import band_text
 from shj_bayes.errors import ShjError
@@ -52,6 +52,11 @@ def test_a_set_never_tested_is_left_out_where_its_band_would_be_assumption(n: in
     assert (loops[-1].set_name == ANY_SET) == shown
     assert ("a set never tested" in band_text(result)) == shown
     assert ("4 tested sets do not tell how much sets differ" in band_text(result)) != shown
+
+
+def test_devices_stand_open_and_what_was_pooled_is_folded_away(page: Page) -> None:
+    assert not folded(page, "Left over by the model")
+    assert all(folded(page, words) for words in ("Sets side by side", "The loop of a new device", "their digests"))
 
 
 def test_devices_and_failures_are_counted(page: Page) -> None:

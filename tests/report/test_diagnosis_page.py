@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_diagnosis import HALF, record, write
-from page_tools import Page, check_safe
+from made_diagnosis import record, write
+from page_tools import Page, check_safe, folded
+from shj_bayes.pipeline import DiagnosisResult
 
 from shj_bayes.errors import ReportError
 from shj_bayes.report.diagnosis import render_diagnosis
-from shj_bayes.report.diagnosis_numbers import parity, profile
-from shj_bayes.report.diagnosis_words import VERDICTS, per_cent, shape_table, spaced
+from shj_bayes.report.diagnosis_numbers import profile
+from shj_bayes.report.diagnosis_words import VERDICTS, per_cent, shape_columns, spaced
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,36 @@ def test_every_verdict_renders_in_words(pages: dict[str, Page], verdict: str, ho
     assert page.outside == []
     assert len(page.raw) < 3_000_000
     assert " ".join(hostile_name.split()) in page.text
+
+
+def test_what_was_found_stands_open_and_the_rest_is_folded_away(pages: dict[str, Page]) -> None:
+    later = ("Where the law fails", "Everything tried", "SHA-256", "cannot tell apart")
+    assert [words for words in later if not folded(pages["named"], words)] == []
+    first = ("What was left out", "What the omission did to the parameters", "Next test")
+    assert [words for words in first if folded(pages["named"], words)] == []
+
+
+def test_a_cause_is_told_as_surely_as_its_effect(pages: dict[str, Page]) -> None:
+    first = {verdict: page.raw[: page.raw.index("<nav")] for verdict, page in pages.items()}
+    assert ["Likely cause" in first[verdict] for verdict in ("named", "family", "unknown")] == [True, False, False]
+    assert "If it is this, a likely cause:" in pages["family"].text
+
+
+@pytest.mark.parametrize("n_cycles", [2, 3])
+def test_two_cycles_that_show_nothing_do_not_show_that_all_is_well(
+    tmp_path: Path, hostile_name: str, n_cycles: int
+) -> None:
+    folder = write(tmp_path, "adequate", hostile_name)
+    told = record("adequate", hostile_name) | {
+        "heldout": {"elpd_gain": 0.0, "se": 0.0, "n_blocks": n_cycles},
+        "modelled": {},
+    }
+    (folder / "diagnosis.json").write_text(json.dumps(told), encoding="utf-8")
+    page = Page(render_diagnosis(folder))
+    result = DiagnosisResult(folder, told, folder / "diagnosis.html")
+    for text in (page.text, result.text):
+        assert ("2 cycles are too few to say that nothing is missing" in text) == (n_cycles == 2)
+        assert ("The model describes these recordings" in text) == (n_cycles == 3)
 
 
 def test_numbers_are_those_of_the_record(pages: dict[str, Page]) -> None:
@@ -99,45 +130,6 @@ def test_nothing_found_shows_one_law(pages: dict[str, Page]) -> None:
     assert "No effect was added to the law." in pages["adequate"].text
 
 
-def parts(residual: Any) -> np.ndarray:
-    """Parity of a hand-made residual(x, q) on an even grid."""
-    x = np.tile(np.linspace(-HALF, HALF, 960), 2)
-    q = np.repeat([1, -1], 960)
-    p = parity(x, q, np.asarray(residual(x, q), dtype=float))
-    return np.array([p.odd_even, p.odd_odd, p.even_even, p.even_odd, p.rest])
-
-
-@pytest.mark.parametrize(
-    ("place", "residual"),
-    [
-        (0, lambda x, q: -q * (x / HALF) ** 2),  # prying, speed
-        (1, lambda x, q: x / HALF),  # stiffness after sliding
-        (2, lambda x, q: np.full(x.size, 2.0)),  # load offset
-        (2, lambda x, q: np.where(q > 0, 3.0, 3.0 * (x / HALF) ** 2) + np.where(q > 0, (x / HALF) ** 2, 1.0)),
-        (3, lambda x, q: q * x / HALF),  # taper
-    ],
-)
-def test_parity_of_pure_residuals(place: int, residual: Any) -> None:
-    found = parts(residual)
-    assert int(np.argmax(found)) == place
-    if place != 2:
-        assert np.delete(found[:4], place) == pytest.approx(0, abs=1e-9)
-    whole = np.sqrt(np.mean(np.square(parts(residual)))) * np.sqrt(5)
-    x, q = np.tile(np.linspace(-HALF, HALF, 960), 2), np.repeat([1, -1], 960)
-    assert whole == pytest.approx(np.sqrt(np.mean(np.square(residual(x, q)))), rel=1e-6)
-
-
-def test_parity_parts_add_up_and_noise_does_not_repeat() -> None:
-    rng = np.random.default_rng(0)
-    x = rng.uniform(-HALF, HALF, 40_000)
-    q = rng.choice([-1, 1], 40_000)
-    p = parity(x, q, 1.0 + 2.0 * q * x / HALF + rng.normal(0, 3.0, x.size))
-    assert p.even_even == pytest.approx(1.0, abs=0.06)
-    assert p.even_odd == pytest.approx(2.0 / np.sqrt(3), abs=0.06)
-    assert p.odd_even < 0.1
-    assert p.rest == pytest.approx(3.0, abs=0.1)
-
-
 def test_profile_signs_along_the_motion() -> None:
     x = np.tile(np.linspace(0, 10, 100), 2)
     q = np.repeat([1, -1], 100)
@@ -148,12 +140,15 @@ def test_profile_signs_along_the_motion() -> None:
     assert np.isnan(none.pull_kN).all()
 
 
-def test_words_for_sizes_and_tables() -> None:
+def test_sizes_and_shapes() -> None:
     assert per_cent(1.17) == "117"
     assert per_cent(0.0123) == "1.2"
-    assert shape_table({"x": [1, 2], "y": [3, 4]}) == (["x", "y"], [[1, 3], [2, 4]])
-    assert shape_table([[1, 2], [3, 4]])[1] == [[1, 2], [3, 4]]
-    assert shape_table(None) == ([], [])
+    rows = [{"centre": x, "push_kN": 2 * x, "pull_kN": None} for x in (1, 2)]
+    assert {name: v.tolist()[:2] for name, v in shape_columns(rows).items() if name != "pull_kN"} == {
+        "centre": [1, 2],
+        "push_kN": [2, 4],
+    }
+    assert shape_columns(rows[:1]) == shape_columns(None) == {}
 
 
 @pytest.mark.parametrize(

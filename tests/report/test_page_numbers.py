@@ -111,6 +111,15 @@ def test_shape_of_cycles_is_that_of_the_loop_they_were_made_from() -> None:
     assert shape.damping_percent == pytest.approx(np.zeros(shape.push_kN.size), abs=0.5)
 
 
+def test_backbone_is_the_force_where_cycles_turn() -> None:
+    """Friction of 50 kN and a spring of 0.5 kN/mm meet 20 kN more at the ends of a 40 mm stroke, either way."""
+    run = made_run(lambda x, sign: 0.5 * x + np.where(np.abs(x) > 39.9, 50.0 * np.sign(x), 50.0 * sign))
+    shape = numbers.cycle_shape(run, numbers.cycle_energy(run), 2 * run.force_kN)
+    assert np.abs(shape.turn_mm) == pytest.approx(np.full(shape.turn_mm.size, 40.0), abs=0.01)
+    assert shape.turn_kN == pytest.approx(np.sign(shape.turn_mm) * 70.0, abs=0.01)
+    assert shape.model_turn_kN == pytest.approx(2 * shape.turn_kN)
+
+
 @pytest.mark.parametrize(
     ("low", "high", "expected"),
     [

@@ -1,4 +1,4 @@
-"""Structured or not: quiet on what the model describes, loud on what it does not, and never fooled by correlation."""
+"""What the model leaves over: its size, and nothing that the fit and the diagnosis do not say too."""
 
 import json
 from dataclasses import replace
@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from shj_bayes.finished import DeviceResult
 
 from shj_bayes.report import words
 from shj_bayes.report.binned import stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
-from shj_bayes.report.residual_file import read_residual, write_residual
-from shj_bayes.report.residuals import repeat_p, structure
+from shj_bayes.report.residual_file import DIAGNOSED, LeftOver, left_over, read_residual, write_residual
 
 
 def toy(rng: np.random.Generator, *, phi: float, shape_kN: float = 0.0, fitted_phi: float | None = None) -> DeviceData:
@@ -37,75 +37,38 @@ def toy(rng: np.random.Generator, *, phi: float, shape_kN: float = 0.0, fitted_p
     return DeviceData({"device": "toy"}, draws, draws, (run,))
 
 
-def test_well_specified_is_not_flagged(well_specified: DeviceData) -> None:
-    found = structure(well_specified)
-    assert not found.structured, found
-    assert words.residual_headline(found) == "Nothing beyond noise is seen in the residuals."
-
-
-def test_misspecified_is_flagged(misspecified: DeviceData) -> None:
-    found = structure(misspecified)
-    assert found.structured
-    text = words.residual_headline(found)
-    assert "leaves something out" in text
-    assert "% of the sliding force" in text
-
-
-def test_a_list_of_devices_repeats_what_was_found_and_reads_no_sentence(
-    tmp_path: Path, misspecified: DeviceData
+def test_a_right_model_follows_the_force_and_a_wrong_one_does_not(
+    well_specified: DeviceData, misspecified: DeviceData
 ) -> None:
-    found = structure(misspecified)
-    write_residual(tmp_path, found)
-    record = json.loads((tmp_path / "residual.json").read_text(encoding="utf-8"))
-    changed = record | {"statement": "Nothing beyond noise: it is all well."}
-    (tmp_path / "residual.json").write_text(json.dumps(changed), encoding="utf-8")
-    left = read_residual(tmp_path)
-    assert left is not None
-    assert left.structured
-    assert left.cell == words.in_a_cell(found)
+    right, wrong = left_over(well_specified), left_over(misspecified)
+    assert right.grade == "good"
+    assert wrong.grade in ("fair", "poor")
+    assert wrong.unexplained_percent > 2 * right.unexplained_percent
 
 
-@pytest.mark.parametrize("phi", [0.0, 0.8, 0.95])
-def test_false_alarms_are_rare(phi: float) -> None:
-    """About 3 in 100 by calibration over 250 devices each; more than 10 in 100 here would be a fault."""
-    rng = np.random.default_rng(17)
-    assert sum(structure(toy(rng, phi=phi)).seen for _ in range(40)) <= 4
+def test_what_is_unexplained_is_what_neighbouring_samples_share() -> None:
+    """White noise of 1 kN is the instruments'; a shape of 8 kN at the ends of the stroke is 4.9 kN, 6.1 % of 80 kN."""
+    rng = np.random.default_rng(2)
+    assert left_over(toy(rng, phi=0.0)).unexplained_percent < 0.2
+    found = left_over(toy(rng, phi=0.0, shape_kN=8.0))
+    assert found.unexplained_percent == pytest.approx(100 * 8 * np.sqrt(3 / 8) / 80, rel=0.02)
+    assert (found.grade, found.n_cycles) == ("poor", 12)
 
 
-def test_shape_is_found_and_placed() -> None:
-    found = structure(toy(np.random.default_rng(2), phi=0.8, shape_kN=3.0))
-    assert found.seen
-    assert found.largest.where == "near the end of the stroke"
-    assert abs(found.largest.mean_kN) == pytest.approx(2.7, abs=0.8)
-    assert found.largest.share == pytest.approx(abs(found.largest.mean_kN) / 80)
-
-
-def test_noise_model_that_swallowed_the_shape_is_named() -> None:
-    """Correlation time 5 s in cycles of 20 s: the noise band is so wide that nothing leaves it; yet shape returns."""
-    device = toy(np.random.default_rng(3), phi=0.8, shape_kN=1.5, fitted_phi=0.99)
-    found = structure(device)
-    assert found.absorbed
-    assert found.p_repeat is not None
-    assert found.p_repeat < 0.01
-    assert any("the noise model has absorbed misfit" in line for line in words.residual_details(found))
-    assert "noise term has taken up" in words.band_words(found)
-
-
-def test_too_few_cycles_say_so(fitted_short: DeviceData) -> None:
-    assert repeat_p(fitted_short) is None
-    assert any("too few" in line for line in words.residual_details(structure(fitted_short)))
-
-
-@pytest.fixture
-def fitted_short() -> DeviceData:
-    device = toy(np.random.default_rng(5), phi=0.5)
-    run = device.runs[0]
-    keep = slice(0, 400 * 5)
-    short = RunData(
-        1, run.time_s[keep], run.displacement_mm[keep], run.speed_mm_s[keep], run.force_kN[keep], run.used[keep],
-        run.half_cycle[keep], run.law_kN[:, keep], run.predicted_kN[:, keep],
-    )  # fmt: skip
-    return DeviceData(device.record, device.draws, device.prior, (short,))
+def test_the_page_repeats_the_fit_and_the_diagnosis_and_tests_nothing_itself(tmp_path: Path) -> None:
+    """What the fit found from cycle to cycle and what the diagnosis says of the same files; of others nothing."""
+    device = toy(np.random.default_rng(3), phi=0.0)
+    record = {"device": "toy", "inputs": [{"sha256": "a"}], "cycles": {"widening": {"K": 1.0, "Fy": 2.1}}}
+    device = replace(device, record=record)
+    for digest, said in (("a", "named"), ("b", "")):
+        diagnosis = {"verdict": "named", "inputs": [{"sha256": digest}]}
+        (tmp_path / "diagnosis.json").write_text(json.dumps(diagnosis), encoding="utf-8")
+        found = left_over(device, tmp_path)
+        assert (found.widening, found.diagnosed, found.grade) == (2.1, said, "fair")
+        write_residual(tmp_path, found)
+        assert read_residual(tmp_path) == found
+    assert "cycles scatter more" in words.left_words(found)
+    assert "cycles scatter" in words.left_cell(found)
 
 
 def test_profile_against_hand_calculation() -> None:
@@ -119,28 +82,43 @@ def test_profile_against_hand_calculation() -> None:
     assert push.high_kN[5] == pytest.approx(1.645 / np.sqrt(m), rel=0.25)
 
 
-@pytest.mark.parametrize("p_noise", [0.5, 0.001])
+@pytest.mark.parametrize(
+    ("percent", "said"), [(0.724, "0.72 %"), (9.96, "10 %"), (99.6, "100 %"), (4200.0, "more than 100 % of Fy")]
+)
+def test_a_headline_holds_no_nonsense(percent: float, said: str) -> None:
+    assert words.fit_words(LeftOver(percent, 8)).startswith(said)
+
+
+def test_the_word_of_the_calculation_does_not_stand_alone(tmp_path: Path, fitted: Path) -> None:
+    record = json.loads((fitted / "fit.json").read_text(encoding="utf-8")) | {"verdict": "reliable"}
+    first = DeviceResult(tmp_path, record, True, LeftOver(310.0, 9)).text.splitlines()[0]
+    assert first.endswith(": reliable; poor fit: more than 100 % of Fy unexplained")
+
+
+def test_a_prior_that_the_data_contradict_is_told_with_what_to_do() -> None:
+    """No advice to take the priors that were taken, and none on the unit of what has none."""
+    far = {"parameter": "beta", "kind": "contradicted", "q50": 1.0, "prior_q05": 1.36, "prior_q95": 366.0}
+    told = words.remark(far, "1", family="general")
+    assert "--units" not in told
+    assert "--priors general" not in told
+    assert "Check the units" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
+    assert "--priors general" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
+
+
 @pytest.mark.parametrize("n_cycles", [2, 8])
 @pytest.mark.parametrize("percent", [1.0, 4.0, 33.0, 273.0])
-@pytest.mark.parametrize("memory_s", [0.0, 9.0])
-def test_badge_headline_and_table_say_the_same(
-    well_specified: DeviceData, p_noise: float, n_cycles: int, percent: float, memory_s: float
-) -> None:
-    """Over all verdicts: no green beside a structure or a large misfit, no judgement on two cycles."""
-    found = replace(
-        structure(well_specified),
-        p_noise=p_noise,
-        p_repeat=None,
-        n_cycles=n_cycles,
-        unexplained_percent=percent,
-        memory_s=memory_s,
-        typical_cycle_s=10.0,
-    )
-    headline, colour = words.residual_headline(found), words.FIT[found.grade][1]
-    cell = words.in_a_cell(found)
-    assert cell in headline or cell == "nothing beyond noise"
-    nothing = headline.startswith("Nothing beyond noise")
-    assert nothing == (found.grade == "good") == (colour == "reliable") == (cell == "nothing beyond noise")
-    assert nothing == (p_noise > 0.01 and n_cycles >= 3 and percent <= 5 and memory_s == 0)
-    assert ("Too few cycles" in headline) == (n_cycles < 3) == (found.grade == "undecided")
+@pytest.mark.parametrize("widening", [1.0, 3.0])
+@pytest.mark.parametrize("diagnosed", ["", *DIAGNOSED])
+def test_badge_sentence_and_table_say_the_same(n_cycles: int, percent: float, widening: float, diagnosed: str) -> None:
+    """Over all verdicts: no green beside a large misfit or scatter, no judgement on two cycles, one diagnosis."""
+    found = LeftOver(percent, n_cycles, widening, diagnosed)
+    sentence, (name, colour), cell = words.left_words(found), words.FIT[found.grade], words.left_cell(found)
+    assert (colour == "reliable") == (name == "good fit") == (n_cycles >= 3 and percent <= 2 and widening == 1)
+    assert ("Too few cycles" in sentence) == (n_cycles < 3) == (found.grade == "undecided")
     assert (found.grade == "poor") == (n_cycles >= 3 and percent > 5)
+    assert sentence.startswith("The model follows the force") == (found.grade == "good")
+    assert words.fit_words(found) in cell
+    assert (diagnosed in cell) or not diagnosed
+    if n_cycles >= 3:
+        assert words.DIAGNOSED_WORDS[diagnosed] in sentence
+        assert ("scatter more" in sentence) == (found.grade == "fair" and widening > 1)

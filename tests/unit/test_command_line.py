@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from shj_bayes import pipeline
 from shj_bayes.cli import main
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
@@ -251,6 +252,17 @@ def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_pat
     assert run("fit", first, "-o", tmp_path, "--name", "renamed", "--max-steps", 200, "--quiet").exit_code == 0
     assert run("fit", second, "-o", tmp_path, "--force", "--max-steps", 200, "--quiet").exit_code == 0
     assert json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))["device"] == "run2"
+
+
+def test_long_steps_are_told_before_they_begin_and_to_a_terminal_alone(recordings, capsys, monkeypatch):
+    told = []
+    pipeline._usable(recordings, pipeline.Options(), told.append)
+    assert told == [f"reading {path.name}" for path in recordings]
+    pipeline.step_told("drawing the page")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    pipeline.step_told("drawing the page")
+    assert capsys.readouterr().err == "  drawing the page\n"
 
 
 def test_slips_of_one_fit_are_said(recordings, tmp_path):

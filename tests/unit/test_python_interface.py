@@ -97,6 +97,12 @@ def test_wrong_words_name_the_nearest_right_one(runs: list[Path]) -> None:
         shj_bayes.diagnose(runs[0], without=("pryng",), quick=True)
 
 
+def test_an_option_that_there_is_not_is_told_as_python_tells_one(runs: list[Path]) -> None:
+    with pytest.raises(TypeError, match=r"'prior' is not an option.*did you mean 'priors'") as told:
+        shj_bayes.fit(runs, prior="general")
+    assert isinstance(told.value, ModelError)
+
+
 def test_a_diagnosis_is_shown_and_loaded(runs: list[Path], tmp_path: Path) -> None:
     found = shj_bayes.diagnose(runs, tmp_path / "look", quick=True)
     assert found.verdict in ("adequate", "named", "family", "unknown")

@@ -18,7 +18,7 @@ from shj_bayes.inference.record import check_files, read_record
 from shj_bayes.model.parameters import BASE
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
-from shj_bayes.report.residual_file import read_residual
+from shj_bayes.report.residual_file import LeftOver, read_residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,8 @@ class DeviceResult:
         Content of ``fit.json``.
     fresh : bool
         False when an earlier, unchanged result was found and kept.
-    residual : tuple of str
-        What the page says of the residuals: nothing beyond noise, or where they have a structure; and how much of the
-        sliding force is unexplained.
+    left : LeftOver or None
+        What the model leaves over; None where no page was written.
     note : str
         Why an earlier result was not kept although it is of the same fit: which file was damaged.
     """
@@ -43,26 +42,31 @@ class DeviceResult:
     folder: Path
     record: dict[str, Any]
     fresh: bool
-    residual: tuple[str, ...] = ()
+    left: LeftOver | None = None
     note: str = ""
 
     @property
     def text(self) -> str:
         """What a person wants to read at the end of a fit."""
-        record, shown = self.record, force_unit(self.record)
-        lines = [f"{record['device']}: {record['verdict']}"]
+        record, shown, left = self.record, force_unit(self.record), self.left
+        # The word of the calculation does not stand alone: a converged fit of a wrong model is no reliable answer.
+        fit = f"; {words.FIT[left.grade][0]}: {words.fit_words(left)}" if left else ""
+        lines = [f"{record['device']}: {record['verdict']}{fit}"]
         lines += [f"  {reason}" for reason in record["reasons"]]
-        lines += [f"  {extra}" for extra in (*self.residual, self.note) if extra]
+        lines += [f"  {extra}" for extra in (words.left_words(left) if left else "", self.note) if extra]
         remarks = record.get("remarks", [])
         units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
-        lines += [f"  warning: {words.remark(r, *units[r['parameter']])}" for r in remarks]
+        family = record["model"]["priors"]
+        lines += [f"  warning: {words.remark(r, *units[r['parameter']], family=family)}" for r in remarks]
         unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
         width = max(len(row["name"]) for row in record["parameters"]) + 1
         lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in map(shown.row, record["parameters"]):
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
-            numbers = f"{'not determined':>47}" if row["name"] in unknown else numbers
-            lines.append(f"  {row['name']:{width}}{numbers}  {row['unit']}{dep_words(row)}")
+            numbers += f"  {row['unit']}{dep_words(row)}"
+            if row["name"] in unknown:
+                numbers = f"{'not determined':>47}  {row['unit']}"
+            lines.append(f"  {row['name']:{width}}{numbers}")
         notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
         lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
         lines += ["", f"report: {self.folder / 'report.html'}"]
@@ -71,8 +75,7 @@ class DeviceResult:
 
 def device_result(folder: Path, record: dict[str, Any], *, fresh: bool, note: str = "") -> DeviceResult:
     """Make the result of a folder, with what its page says of the residual."""
-    left = read_residual(folder)
-    return DeviceResult(folder, record, fresh, (left.statement, left.fit) if left else (), note)
+    return DeviceResult(folder, record, fresh, read_residual(folder), note)
 
 
 def kept_result(

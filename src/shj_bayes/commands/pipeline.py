@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.earlier import earlier
 from shj_bayes.commands.finished import DeviceResult, default_name, device_result, finished_record, key_of, stale
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
-from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, shown
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_text, shown
 from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
 from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
@@ -136,21 +137,32 @@ class DiagnosisResult:
     @property
     def text(self) -> str:
         """What a person wants to read at the end of a diagnosis."""
-        from shj_bayes.report.diagnosis_words import VERDICTS, sentences  # noqa: PLC0415  (only a diagnosis needs them)
+        from shj_bayes.report.diagnosis_words import sentences, verdict_words  # noqa: PLC0415  (for a diagnosis only)
 
         record = self.record
         p = f"below {SURE_P:g}" if record["p_value"] < SURE_P else f"{record['p_value']:.2g}"
         lines = [f"{record['device']}: {record['verdict']} (chance of such a misfit if nothing were missing: {p})"]
-        lines += [f"  {sentence}" for sentence in (VERDICTS[record["verdict"]][2], *sentences(record))]
+        lines += [f"  {sentence}" for sentence in (verdict_words(record)[2], *sentences(record))]
         # Where nothing was added to the law there is one law and one set of numbers.
         stages = ("before", "after") if record["modelled"] else ("after",)
-        lines += ["", f"  {' -> '.join(stages)}" if len(stages) > 1 else "  base law"]
+        rough = ", a first look: approximate, and not the numbers of a fit" if record.get("quick") else ""
+        lines += ["", f"  {' -> '.join(stages) if len(stages) > 1 else 'base law'}{rough}"]
         for name, row in record["shift"].items():
             shown = " -> ".join(f"{row[stage]['mean']:11.5g} +- {row[stage]['sd']:<9.2g}" for stage in stages)
             lines.append(f"  {name:8}{shown} {meaning_of(name).unit}")
         errors = " -> ".join(f"{record[stage]['heldout_rmse_kN']:.3g}" for stage in stages)
         lines.append(f"  error on held-out cycles {errors} kN")
         return "\n".join([*lines, "", f"report: {self.page}"])
+
+
+def step_told(line: str) -> None:
+    """Say on standard error, where it is a terminal, what is being done: a long recording takes seconds to read."""
+    if sys.stderr.isatty():
+        print(f"  {line}", file=sys.stderr)
+
+
+def ignored(line: str) -> None:
+    """Say nothing."""
 
 
 @alone_in("folder", kept="fit.json")
@@ -197,7 +209,7 @@ def fit_device(
         If `folder` holds the result of another device.
     """
     options.check(len(paths))
-    recordings = _usable(paths, options)
+    recordings = _usable(paths, options, step_told if progress else ignored)
     name = plain_name(name) if name else default_name(source_of(paths[0]))
     if not force:
         refuse_used_folder(folder, name, recordings, InferenceError)
@@ -209,6 +221,7 @@ def fit_device(
     else:
         fresh = False
     if fresh or stale(folder):
+        (step_told if progress else ignored)("drawing the page")
         render_device(folder)
     return device_result(folder, finished, fresh=fresh, note=note)
 
@@ -259,7 +272,7 @@ def diagnose_device(
     progress: bool = False,
     threads: int = 0,
     force: bool = False,
-    tell: Callable[[str], None] = lambda _: None,
+    tell: Callable[[str], None] = ignored,
 ) -> DiagnosisResult:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
@@ -282,7 +295,7 @@ def diagnose_device(
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
     from shj_bayes.report.diagnosis import render_diagnosis  # noqa: PLC0415
 
-    recordings = _usable(paths, options)
+    recordings = _usable(paths, options, tell)
     name = plain_name(name) if name else default_name(source_of(paths[0]))
     if not force:
         refuse_used_folder(folder, name, recordings, InferenceError)
@@ -295,7 +308,6 @@ def diagnose_device(
         if record is None:
             record = _fit(runs, folder, options, model, name, key, progress, threads, [top])
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
-        render_device(folder)
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 
     diagnosis = diagnose(
@@ -311,17 +323,21 @@ def diagnose_device(
     findings = [finding.code for recording in recordings for finding in recording.findings]
     diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings})
     diagnosis.write(folder)
+    tell("drawing the pages")
+    if (folder / "fit.json").exists():  # its page repeats the verdict
+        render_device(folder)
     return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
 
 
-def _usable(paths: Sequence[Path | Recording], options: Options) -> list[Recording]:
+def _usable(paths: Sequence[Path | Recording], options: Options, tell: Callable[[str], None]) -> list[Recording]:
     """Read recordings that are not read yet; refuse those that must not be fitted."""
-    given = [
-        path
-        if isinstance(path, Recording)
-        else read(path, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
-        for path in paths
-    ]
+    given = []
+    for each in paths:
+        if isinstance(each, Recording):
+            given.append(each)
+        else:
+            tell(f"reading {plain_text(each.name)}")
+            given.append(read(each, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz))
     recordings = remarked(settle(given, options.runs), options.free)
     if options.priors_from is not None:
         recordings = earlier(options.priors_from).remarked(recordings)

@@ -1,4 +1,4 @@
-"""Binned means of the residual: over stroke, over distance since reversal, over time. Numbers only."""
+"""Mean residual over the stroke, beside what noise alone would give. Numbers only."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scipy import sparse
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray, RunData
 
-N_STROKE, N_START, N_TIME = 20, 10, 40
-N_SHIFTS = 10
+N_STROKE = 20
+N_SHIFTS = 3  # enough for a band
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,39 +89,14 @@ def noise_means(run: RunData, weights: sparse.csr_array, n_shifts: int = N_SHIFT
     return np.concatenate([weights @ np.roll(noise, step, axis=1).T for step in steps], axis=1)
 
 
-def features(run: RunData) -> sparse.csr_array:
-    """Binned means as one sparse matrix: stroke and distance since reversal by direction, and half-cycles in time."""
-    keep, direction = counted(run), run.direction
-    stroke, _ = repeating_labels(run)
-    per = max(1, int(np.ceil((run.half_cycle.max() + 1) / N_TIME)))
-    time = np.where(keep, run.half_cycle // per, -1)
-    plain, signed = means(time)[0], means(time, direction)[0]
-    return sparse.csr_array(sparse.vstack([means(stroke)[0], means(_start_labels(run))[0], plain, signed]))
-
-
-def repeating_labels(run: RunData) -> tuple[IntArray, int]:
-    """Stroke bin by direction of each counted sample (else -1), and the number of bins."""
-    index = _stroke_bins(run.displacement_mm, N_STROKE)[1] + N_STROKE * (run.direction > 0)
-    return np.where(counted(run), index, -1).astype(np.int64), 2 * N_STROKE
-
-
 def _stroke_bins(x: FloatArray, n_bins: int) -> tuple[FloatArray, IntArray]:
     """Edges of even bins over the stroke, mm, and the bin of each sample."""
     edges = np.linspace(float(x.min()), float(x.max()), n_bins + 1)
     return edges, np.clip(np.digitize(x, edges) - 1, 0, n_bins - 1).astype(np.int64)
 
 
-def _start_labels(run: RunData) -> IntArray:
-    """Bin of the distance since reversal by direction: even in number of samples, finest near the reversal."""
-    keep = counted(run)
-    distance = np.abs(run.displacement_mm - run.displacement_mm[run.starts][run.half_cycle - run.half_cycle[0]])
-    edges = np.unique(np.quantile(distance[keep], np.linspace(0, 1, N_START + 1)[1:-1]))
-    return np.where(keep, np.digitize(distance, edges) + N_START * (run.direction > 0), -1).astype(np.int64)
-
-
-def means(label: IntArray, sign: IntArray | None = None) -> tuple[sparse.csr_array, IntArray]:
+def means(label: IntArray) -> tuple[sparse.csr_array, IntArray]:
     """Matrix that takes the mean over the samples of each label (those of -1 left out), and the labels present."""
     inside = np.flatnonzero(label >= 0)
     present, row, count = np.unique(label[inside], return_inverse=True, return_counts=True)
-    value = (1.0 if sign is None else sign[inside]) / count[row]
-    return sparse.csr_array((value, (row, inside)), shape=(present.size, label.size)), present
+    return sparse.csr_array((1.0 / count[row], (row, inside)), shape=(present.size, label.size)), present

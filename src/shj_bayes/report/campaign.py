@@ -59,7 +59,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
         "n_done": len(done),
         "n_failed": len(devices) - len(done),
         "verdicts": {w: sum(d["verdict"] == w for d in done) for w in ("reliable", "tentative", "unusable")},
-        "n_structured": sum(bool(d["structured"]) for d in done),
+        "n_poor": sum(d["grade"] == "poor" for d in done),
         "population": population_content(population, intervals, motion) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
     }
@@ -110,7 +110,7 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
         "link": "",
         "numbers": {},
         "intervals": {},
-        "structured": None,
+        "grade": "",
         "residual": "",
     }
     if row["status"] == "failed":
@@ -125,9 +125,9 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
             "text": words.rounded(parameter["q50"], parameter["sd"] or 0.0),
             "interval": words.interval(parameter),
         }
-    residual = read_residual(folder / place)
-    if residual:
-        row["structured"], row["residual"] = residual.structured, residual.cell
+    left = read_residual(folder / place)
+    if left:
+        row["grade"], row["residual"] = left.grade, words.left_cell(left)
     return row
 
 

@@ -18,8 +18,7 @@ from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import LOOPS, write_page
-from shj_bayes.report.residual_file import write_residual
-from shj_bayes.report.residuals import Structure
+from shj_bayes.report.residual_file import LeftOver, left_over, write_residual
 from shj_bayes.report.viewer import device_viewer, thinning_words
 
 
@@ -46,11 +45,11 @@ def render_device(folder: Path) -> Path:
 
     with damage_told(f"fit.json or posterior.nc in {folder.name}", ReportError):
         device = read_device(folder)
-        numbers = numbers_of(device)
+        numbers, left = numbers_of(device), left_over(device, folder)
         viewer = device_viewer(device, numbers)
-        moving = {"pictures": draw(device, numbers), "viewer": viewer, "thinning": thinning_words(viewer)}
-        filled = content(device, numbers) | moving
-        write_residual(folder, numbers.structure, force_unit(device.record))
+        moving = {"pictures": draw(device, numbers, left), "viewer": viewer, "thinning": thinning_words(viewer)}
+        filled = content(device, numbers, left) | moving
+        write_residual(folder, left)
         return write_page(folder, "device.html", filled, LOOPS)
 
 
@@ -58,7 +57,7 @@ def render_device(folder: Path) -> Path:
 NO_SPEED = {"name": "gamma", "unit": "s/mm"} | dict.fromkeys(("mean", "sd", "q05", "q50", "q95"), 0.0)
 
 
-def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
+def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
     record, unit = device.record, force_unit(device.record)
     remarks = record.get("remarks", [])
@@ -66,17 +65,17 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
     gamma = next((row for row in record["parameters"] if row["name"] in ("gamma", "velocity.size")), NO_SPEED)
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
-    peak = max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
+    peak = numbers.one_speed or max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
     return {
         "name": device.name,
         "simulated": any(is_simulated(entry) for entry in record["inputs"]),
         "verdict": record["verdict"],
-        "badges": badges(record, numbers.structure, unit),
+        "badges": badges(record, left),
         "reasons": record["reasons"],
-        "remarks": [words.remark(r, *units[r["parameter"]]) for r in remarks],
-        "doubtful": numbers.structure.grade in ("fair", "poor"),
-        "details": words.residual_details(numbers.structure, unit.name, unit.factor),
-        "cards": cards(device, peak, numbers.one_speed is not None, unknown),
+        "remarks": [words.remark(r, *units[r["parameter"]], family=record["model"]["priors"]) for r in remarks],
+        "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
+        "diagnosis": "diagnosis.html" if left.diagnosed else "",
+        "cards": cards(device, numbers.one_speed is not None, unknown),
         "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
         "alias": words.alias_words(numbers.one_speed),
         "dep": words.dep_words(gamma),
@@ -89,10 +88,8 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
             for f in entry["findings"]
         ],
         "energy": energy_words(numbers),
-        "losses": [
-            {"run": d.run, "low": f"{d.q05:.1f}", "middle": f"{d.q50:.1f}", "high": f"{d.q95:.1f}"}
-            for d in numbers.losses
-        ],
+        "losses": loss_words(device, numbers),
+        "friction": any("tension" in run.extras for run in device.runs),
         "freed": freed_words(device),
         "before": before_words(numbers, unit),
         "force_unit": unit.name,
@@ -102,6 +99,20 @@ def content(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
         "sampling": record["sampling"],
         "record": record,
     }
+
+
+def loss_words(device: DeviceData, numbers: Numbers) -> list[str]:
+    """Say how much of the sliding force was lost from the first run to each later one, and over which travel."""
+    out, travel = [], [run.travel_m for run in device.runs]
+    for loss in numbers.losses:
+        metres = sum(travel[: loss.run - 1])
+        before = "in the first" if loss.run == 2 else "in the runs before it"
+        out.append(
+            f"From run 1 to run {loss.run} the sliding force fell by {loss.q50:.1f} % (90 % interval {loss.q05:.1f} to "
+            f"{loss.q95:.1f} %; a negative number is a gain), after {metres:.3g} m of travel {before}: "
+            f"{loss.q50 / metres:.2g} % per metre."
+        )
+    return out
 
 
 def freed_words(device: DeviceData) -> list[str]:
@@ -125,19 +136,18 @@ def freed_words(device: DeviceData) -> list[str]:
     return out
 
 
-def badges(record: Mapping[str, Any], found: Structure, unit: ForceUnit) -> list[dict[str, str]]:
+def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
     """Two verdicts, since neither says anything of the other: of the calculation, and of the model."""
     word = str(record.get("convergence", record["verdict"]))
     name, colour, sentence = words.CONVERGENCE.get(word, (word, "unusable", ""))
-    grade, shade = words.FIT[found.grade]
-    headline = words.residual_headline(found, unit.name, unit.factor)
+    (grade, shade), said = words.FIT[left.grade], words.fit_words(left)
     return [
         {"what": "Convergence", "name": name, "colour": colour, "words": sentence},
-        {"what": "Model", "name": f"{grade}: {words.fit_words(found)}", "colour": shade, "words": headline},
+        {"what": "Model", "name": f"{grade}: {said}", "colour": shade, "words": words.left_words(left)},
     ]
 
 
-def cards(device: DeviceData, peak_mm_s: float, one_speed: bool, unknown: Collection[str]) -> list[dict[str, str]]:
+def cards(device: DeviceData, one_speed: bool, unknown: Collection[str]) -> list[dict[str, str]]:
     """Give the numbers that matter, for the first screen; of what the data do not determine, no number."""
     out = []
     rows = {row["name"]: row for row in map(force_unit(device.record).row, device.record["parameters"])}
@@ -149,17 +159,8 @@ def cards(device: DeviceData, peak_mm_s: float, one_speed: bool, unknown: Collec
         if name in unknown:
             out.append(card | {"value": "not determined", "exact": "", "unit": "", "interval": "", "note": ""})
             continue
-        note = ""
-        if name == "gamma":
-            note = f"{words.dep_words(row)}. {words.speed_words(row, peak_mm_s)}"
-            note += " One peak speed only: this may be place, not speed; see Parameters." if one_speed else ""
-        if name == "ratio":
-            low, high = sorted((100 * (1 - row["q05"]), 100 * (1 - row["q95"])))
-            metres = device.runs[0].travel_m
-            note = (
-                f"The second run lost {low:.1f} to {high:.1f} % of the sliding force, after {metres:.3g} m of travel "
-                f"in the first: {low / metres:.2g} to {high / metres:.2g} % per metre."
-            )
+        note = words.dep_words(row) if name == "gamma" else ""
+        note += "; one peak speed only: it may be place, not speed" if name == "gamma" and one_speed else ""
         shown = {"value": words.rounded(row["q50"], row["sd"]), "exact": repr(row["q50"])}
         out.append(card | shown | {"interval": words.interval(row), "note": note})
     return out

@@ -10,7 +10,6 @@ from shj_bayes.report import numbers as n
 from shj_bayes.report.beforehand import Beforehand, beforehand
 from shj_bayes.report.binned import StrokeProfile, stroke_profiles
 from shj_bayes.report.data import DeviceData
-from shj_bayes.report.residuals import Structure, structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +20,6 @@ class Numbers:
     energies: tuple[n.CycleEnergy, ...]
     shapes: tuple[n.CycleShape, ...]
     losses: tuple[n.Degradation, ...]
-    structure: Structure
     profiles: tuple[tuple[StrokeProfile, StrokeProfile], ...]
     one_speed: float | None
     before: Beforehand
@@ -42,7 +40,6 @@ def numbers_of(device: DeviceData) -> Numbers:
         energies,
         tuple(n.cycle_shape(run, energy, band.median) for run, energy, band in measured),
         n.degradation(device),
-        structure(device),
         tuple(stroke_profiles(run) for run in device.runs),
         n.one_peak_speed(energies),
         beforehand(device, amplitude, speed),

@@ -11,21 +11,23 @@ from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
 from shj_bayes.report import numbers as n
 from shj_bayes.report import words
-from shj_bayes.report.data import DeviceData, RunData
+from shj_bayes.report.data import DeviceData
 from shj_bayes.report.device_numbers import Numbers
 from shj_bayes.report.figures import loops, posterior, residuals
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import Picture
+from shj_bayes.report.residual_file import LeftOver
 
 
-def draw(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
+def draw(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, Any]:
     """All pictures of a device page by place."""
     unit = force_unit(device.record)
     return {
-        "hero": _hero(device, numbers, unit),
+        "hero": _hero(device, numbers, left, unit),
         "time": _over_time(device, numbers, unit),
         "loops": _loops(device, numbers, unit),
-        "residuals": [*_residuals(numbers, unit), _over_speed(device, numbers, unit)],
+        "speed": _over_speed(device, numbers, unit),
+        "residuals": _residuals(numbers, unit),
         "cycles": _cycles(numbers, unit),
         "channels": _channels(device),
         "densities": _densities(device, unit),
@@ -35,26 +37,26 @@ def draw(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     }
 
 
-def _cycle_parts(device: DeviceData, numbers: Numbers, share: float) -> list[Any]:
+def _cycle_parts(device: DeviceData, numbers: Numbers) -> list[Any]:
     parts = []
     for run, band in zip(device.runs, numbers.bands, strict=True):
-        at = n.pick_cycle(run, share)
+        at = n.pick_cycle(run)
         parts.append((f"run {run.number}", run.displacement_mm[at], run.force_kN[at], band.part(at)))
     return parts
 
 
-def _hero(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> Picture:
+def _hero(device: DeviceData, numbers: Numbers, left: LeftOver, unit: ForceUnit) -> Picture:
     runs = (
         "the first and the second run" if len(device.runs) == 2 else "each run" if len(device.runs) > 2 else "the run"
     )
     width = unit.factor * max(band.law_width_kN for band in numbers.bands)
     return Picture(
-        loops.cycle(_cycle_parts(device, numbers, 1.0), unit),
+        loops.cycle(_cycle_parts(device, numbers), unit),
         f"Force over displacement for one large cycle of {runs}: measured points, the model's line and a band around "
         "it.",
-        f"One cycle of the largest stroke of {runs}. Points are measured; the coloured line is the model after the "
-        f"fit, known to within about {words.short(width)} {unit.name} if the model is right. Nine in ten measured "
-        f"points should lie in the pale band. {words.band_words(numbers.structure)}",
+        f"One cycle of the largest stroke of {runs}: points measured, line the model, known to about "
+        f"{words.short(width)} {unit.name} if it is right; nine in ten points should lie in the band. "
+        f"{words.band_words(left)}",
     )
 
 
@@ -90,24 +92,7 @@ def _loops(device: DeviceData, numbers: Numbers, unit: ForceUnit) -> list[Pictur
                 f"All cycles, run {run.number}",
             )
         )
-    small, alone = _cycle_parts(device, numbers, 0.0), len(device.runs) % 2 == 0
-    if small[0][1].size < device.runs[0].time_s.size and _smaller(device.runs[0]):
-        out.append(
-            Picture(
-                loops.cycle(small, unit, wide=alone),
-                "Force over displacement for one cycle of the smallest stroke, measured and modelled.",
-                "The smallest cycles show the stiffness and how sharply sliding begins.",
-                "One small cycle",
-                wide=alone,
-            )
-        )
     return out
-
-
-def _smaller(run: RunData) -> bool:
-    """Whether the run has cycles of clearly different stroke."""
-    small, large = (run.displacement_mm[n.pick_cycle(run, share)] for share in (0.0, 1.0))
-    return float(np.ptp(small)) < 0.8 * float(np.ptp(large))
 
 
 def _residuals(numbers: Numbers, unit: ForceUnit) -> list[Picture]:
@@ -149,6 +134,12 @@ def _cycles(numbers: Numbers, unit: ForceUnit) -> list[Picture]:
             "Open marks are the largest force of the cycle, filled ones the plateau: the median over the middle half "
             "of the stroke. Pull is drawn upwards, so that a gap between the two directions is asymmetry.",
             "Envelope and plateau",
+        ),
+        Picture(
+            loops.backbone(shapes, unit),
+            "Backbone: force at the largest displacement of every cycle, push and pull, measured and modelled.",
+            "The force where each cycle turns, over the displacement there: dots are measured, the line is the model.",
+            "Backbone",
         ),
         Picture(
             loops.energy(shown),

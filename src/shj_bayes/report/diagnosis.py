@@ -36,11 +36,11 @@ def render_diagnosis(folder: Path) -> Path:
         If the folder holds no readable diagnosis.
     """
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
-    from shj_bayes.report.diagnosis_pictures import draw, parities  # noqa: PLC0415
+    from shj_bayes.report.diagnosis_pictures import draw  # noqa: PLC0415
 
     data = read_diagnosis(folder)
     try:
-        pictures = draw(data, parities(data))
+        pictures = draw(data)
         viewer = diagnosis_viewer(data)
         filled = content(data) | {"pictures": pictures, "viewer": viewer, "thinning": thinning_words(viewer)}
         filled["fit"] = PAGE_OF_FIT if (folder / PAGE_OF_FIT).exists() else ""
@@ -57,15 +57,15 @@ def render_diagnosis(folder: Path) -> Path:
 def content(data: DiagnosisData) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
     record = data.record
-    sign, colour, _ = say.VERDICTS[record["verdict"]]
+    sign, colour, headline = say.verdict_words(record)
     return {
         "name": str(record.get("device") or "Device"),
         "simulated": bool(record.get("simulated")),
         "verdict": record["verdict"],
         "sign": sign,
         "colour": colour,
-        "headline": say.headline(data),
-        "lines": say.first_lines(data),
+        "headline": headline,
+        "lines": say.sentences(record),
         "size": say.size_words(data),
         "changed": data.channels.changed,
         "quick": bool(record.get("quick")),
@@ -81,7 +81,6 @@ def content(data: DiagnosisData) -> dict[str, Any]:
         "candidates": say.candidates(data),
         "quality": say.quality(data),
         "heldout": say.heldout_words(data),
-        "kinds": [(name.replace("\n", " "), causes) for _, name, causes in say.PARITY],
         "next_test": record.get("next_test") or "",
         "reason": record.get("reason") or "",
         "p": say.p_words(record["p_value"]),

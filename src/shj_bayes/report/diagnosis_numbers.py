@@ -1,4 +1,4 @@
-"""Residual maps and the parity decomposition of a diagnosis page. Numbers only."""
+"""What a diagnosis page draws of the residuals: profiles and maps. Numbers only."""
 
 from __future__ import annotations
 
@@ -50,34 +50,6 @@ class Map:
     pull_kN: FloatArray = field(repr=False)
 
 
-@dataclass(frozen=True)
-class Parity:
-    """Root mean square of the parts of a residual over stroke, kN.
-
-    Two reflections: the loop turned about its centre (position and direction change sign), and the two sides of
-    mid-stroke exchanged at the same direction.
-
-    Parameters
-    ----------
-    odd_even : float
-        Odd in the first, even in the second: speed laws, prying, worn centre.
-    odd_odd : float
-        Odd in both: stiffness after sliding, inertia, friction memory, the start of the stroke.
-    even_even : float
-        Even in both: load offset, push and pull differ.
-    even_odd : float
-        Even, odd: force grows towards one end of the slot.
-    rest : float
-        What does not repeat over the stroke: noise, change from cycle to cycle, detail finer than a bin.
-    """
-
-    odd_even: float
-    odd_odd: float
-    even_even: float
-    even_odd: float
-    rest: float
-
-
 def profile(
     values: FloatArray, residual_kN: FloatArray, direction: IntArray, used: BoolArray, n_bins: int = N_BINS
 ) -> Profile:
@@ -126,73 +98,6 @@ def travel_bins(channels: Channels) -> int:
     used = channels.used
     cycle_m = 2 * float(np.ptp(channels.position_mm[used])) / 1000
     return int(np.clip(round(float(np.ptp(channels.travel_m[used])) / max(cycle_m, 1e-9)), 4, MAX_TRAVEL))
-
-
-def parity(
-    position_mm: FloatArray,
-    direction: IntArray,
-    residual_kN: FloatArray,
-    group: IntArray | None = None,
-    n_bins: int = 2 * (N_BINS // 2),
-) -> Parity:
-    """Split a residual by its symmetry over stroke and direction.
-
-    Parameters
-    ----------
-    position_mm : array, shape (n,)
-        Displacement from mid-stroke.
-    direction : array of int, shape (n,)
-        +1 push, -1 pull.
-    residual_kN : array, shape (n,)
-        Measured less modelled force.
-    group : array of int, shape (n,), optional
-        Parts that are averaged apart; by default all samples together.
-    n_bins : int
-        Even number of bins over the whole stroke.
-
-    Returns
-    -------
-    Parity
-        The squares add up to the mean square of the residual at the places that were passed on both sides of
-        mid-stroke in both directions.
-    """
-    reach = float(np.abs(position_mm).max()) or 1.0
-    edges = np.linspace(-reach, reach, n_bins + 1)
-    cell = 2 * _index(position_mm, edges) + (direction > 0)
-    total = np.zeros(5)
-    weight = 0.0
-    for name in np.unique(group) if group is not None else (None,):
-        mine = np.ones(cell.size, dtype=np.bool_) if name is None or group is None else group == name
-        count = np.bincount(cell[mine], minlength=2 * n_bins).reshape(n_bins, 2)
-        sums = np.bincount(cell[mine], weights=residual_kN[mine], minlength=2 * n_bins).reshape(n_bins, 2)
-        squares = np.bincount(cell[mine], weights=residual_kN[mine] ** 2, minlength=2 * n_bins).reshape(n_bins, 2)
-        # A place, its three reflections: only where all four were visited can the parts be told apart.
-        whole = np.all((count > 0) & (count[::-1] > 0), axis=1)[:, None]
-        mean = np.where(whole, sums / np.maximum(count, 1), 0.0)
-        # Equal weight for the four reflections keeps the parts orthogonal.
-        four = np.where(whole, count + count[::-1] + count[:, ::-1] + count[::-1, ::-1], 0) / 4
-        turned, mirrored, swapped = mean[::-1, ::-1], mean[::-1], mean[:, ::-1]
-        parts = [
-            (mean + c * turned + m * mirrored + c * m * swapped) / 4 for c, m in ((-1, 1), (-1, -1), (1, 1), (1, -1))
-        ]
-        total[:4] += [float((four * part**2).sum()) for part in parts]
-        spread = np.where(whole, squares / np.maximum(count, 1) - mean**2, 0.0)
-        total[4] += float((four * np.maximum(spread, 0.0)).sum())
-        weight += float(four.sum())
-    return Parity(*(float(v) for v in np.sqrt(total / max(weight, 1.0))))
-
-
-def amplitude_groups(channels: Channels) -> IntArray:
-    """Mark samples of one run and about one amplitude with one number.
-
-    The start of a stroke moves with the amplitude; averaged over amplitudes it would be smeared.
-    """
-    turn = (np.diff(channels.direction) != 0) | (np.diff(channels.run) != 0)
-    half = np.concatenate([[0], np.cumsum(turn)]).astype(np.int64)
-    first = np.flatnonzero(np.diff(half, prepend=-1))
-    stroke = np.maximum.reduceat(channels.position_mm, first) - np.minimum.reduceat(channels.position_mm, first)
-    level = np.round(8 * stroke / max(float(stroke.max()), 1e-12)).astype(np.int64)
-    return np.asarray(16 * channels.run + level[half], dtype=np.int64)
 
 
 def shown_cycle(channels: Channels, run: int) -> slice:

@@ -12,9 +12,6 @@ from shj_bayes.report.diagnosis_data import DiagnosisData, number
 from shj_bayes.report.diagnosis_numbers import (
     N_BINS,
     Map,
-    Parity,
-    amplitude_groups,
-    parity,
     position_travel,
     profile,
     shown_cycle,
@@ -41,7 +38,7 @@ HINTS = {
 }
 
 
-def draw(data: DiagnosisData, parts: tuple[Parity, Parity]) -> dict[str, Any]:
+def draw(data: DiagnosisData) -> dict[str, Any]:
     """All pictures of a diagnosis page by place."""
     loops = _loops(data)
     return {
@@ -50,19 +47,9 @@ def draw(data: DiagnosisData, parts: tuple[Parity, Parity]) -> dict[str, Any]:
         "loops": loops[FIRST:],
         "profiles": [_profile(data, *row) for row in COORDINATES],
         "maps": [_map(data)],
-        "parity": _parity(data, parts),
-        "quality": _quality(data),
         "energy": _energy(data),
         "shape": _shape(data),
     }
-
-
-def parities(data: DiagnosisData) -> tuple[Parity, Parity]:
-    """Decompose the residual before and after by symmetry, runs and amplitudes each by themselves."""
-    c = data.channels
-    group = amplitude_groups(c)[c.used]
-    before, after = (parity(c.position_mm[c.used], c.direction[c.used], r[c.used], group) for r in c.residuals)
-    return before, after
 
 
 def _curves(data: DiagnosisData) -> list[Picture]:
@@ -148,28 +135,6 @@ def _map(data: DiagnosisData) -> Picture:
     )
 
 
-def _parity(data: DiagnosisData, parts: tuple[Parity, Parity]) -> Picture:
-    rows = [[getattr(p, key) for key, _, _ in say.PARITY] for p in parts]
-    return Picture(
-        draw_.bars([name for _, name, _ in say.PARITY], rows[0], rows[1] if data.channels.changed else None,
-                   "root mean square of the part (kN)"),
-        "Bars: size of the parts of the residual by their symmetry over stroke and direction.",
-        say.parity_words(parts[0], data.capacity_kN),
-    )  # fmt: skip
-
-
-def _quality(data: DiagnosisData) -> Picture:
-    keys = (("rmse_kN", "all samples"), ("heldout_rmse_kN", "held-out cycles"), ("noise_kN", "noise floor"))
-    before, after = ([number(data.record[k].get(key)) for key, _ in keys] for k in ("before", "after"))
-    return Picture(
-        draw_.bars([name for _, name in keys], before, after if data.channels.changed else None, "error (kN)"),
-        "Bars: error of the law on all samples and on held-out cycles, beside the noise floor.",
-        "The floor is what scatters about the law, whatever it is: here it holds what no effect explains too."
-        if say.misfit_in_noise(data)
-        else "Where the error on held-out cycles comes down to the noise floor, nothing is left to explain.",
-    )
-
-
 def _energy(data: DiagnosisData) -> Picture | None:
     e = data.record.get("energy") or {}
     columns = [np.array([number(v) for v in e.get(k, ())]) for k in ("cycle", "measured_J", "before_J", "after_J")]
@@ -190,14 +155,15 @@ def _energy(data: DiagnosisData) -> Picture | None:
 def _shape(data: DiagnosisData) -> Picture | None:
     u = data.record.get("unknown") or {}
     columns = say.shape_columns(u.get("shape"))
-    if columns is None:
+    if not columns:
         return None
-    coordinate = str(u.get("coordinate") or columns[0])
+    (first, at), *rest = columns.items()
+    coordinate = str(u.get("coordinate") or first)
     coordinate += UNITS.get(coordinate, "")
     # Along the motion, as everywhere on the page: the record keeps the sign of the force.
-    along = [(_name(n), -v if _name(n) == "pull" else v) for n, v in columns[2]]
+    along = [(_name(n), -v if _name(n) == "pull" else v) for n, v in rest]
     return Picture(
-        draw_.shape(columns[1], along, coordinate),
+        draw_.shape(at, along, coordinate),
         f"What no effect explains, against {coordinate}.",
         "Mean of measured less modelled force, counted along the motion: above 0 the device resists more than the law "
         "says. The numbers are in diagnosis.json, there with the sign of the force.",

@@ -15,7 +15,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
-from shj_bayes.report.diagnosis_numbers import Parity
+from shj_bayes.report.residual_file import FEWEST_CYCLES
 
 # Word and sign first; the colour only repeats them.
 VERDICTS = {
@@ -34,13 +34,6 @@ FAMILIES = {
     "odd_in_position": "growing to one side",
     "oscillation": "oscillation",
 }
-PARITY = (
-    ("odd_even", "speed, or distance\nfrom mid-stroke", "speed laws, prying, a worn centre"),
-    ("odd_odd", "one half of each\nstroke", "start of the stroke, elastic parts, inertia, friction memory"),
-    ("even_even", "push and pull\ndiffer", "asymmetry, a load offset"),
-    ("even_odd", "one end of\nthe slot", "a tapered slot or plate"),
-    ("rest", "does not repeat", "noise, or a change from cycle to cycle such as wear or heating"),
-)
 DIRECTIONS = {"push": "push", "pull": "pull", "both": "push and pull alike"}
 COORDINATES = {
     "position": "the position",
@@ -63,7 +56,6 @@ COORDINATES = {
 }
 LIKELY, LIMIT = 0.5, 0.05  # probabilities from which a dependence is stated, and mentioned
 SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a normal law
-MAX_SHAPE_ROWS = 40
 
 
 def title_of(name: Any) -> str:
@@ -72,14 +64,20 @@ def title_of(name: Any) -> str:
     return effect.title if effect else str(name)
 
 
-def headline(data: DiagnosisData) -> str:
-    """Give the verdict in one sentence."""
-    return VERDICTS[data.record["verdict"]][2]
+def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Sign, class of the colour and sentence of a verdict; two cycles that show nothing do not show that all is well.
 
-
-def first_lines(data: DiagnosisData) -> list[str]:
-    """Sentences under the verdict: what was left out, its likely cause, what follows."""
-    return sentences(data.record)
+    Parameters
+    ----------
+    record : mapping
+        Content of ``diagnosis.json``.
+    """
+    sign, colour, sentence = VERDICTS[record["verdict"]]
+    cycles = number((record["heldout"] or {}).get("n_blocks"))
+    if record["verdict"] == "adequate" and cycles < FEWEST_CYCLES:
+        few = f"{cycles:.0f} cycle{'s' * (cycles != 1)}"
+        return "?", "part", f"Nothing beyond noise was found, but {few} are too few to say that nothing is missing."
+    return sign, colour, sentence
 
 
 def sentences(record: Mapping[str, Any]) -> list[str]:
@@ -93,8 +91,9 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     found, verdict = record["effects"], record["verdict"]
     out = []
     for e in found:
-        # Of several effects the first screen names each; their causes stand where each is described.
-        cause = _cause(e) if len(found) == 1 else ""
+        # Of several effects the first screen names each; their causes stand where each is described. What may be
+        # another effect has no cause yet, and nothing to be done about it.
+        cause = _cause(e) if len(found) == 1 and verdict == "named" else ""
         lead = (
             "A part of it: "
             if e.get("partial")
@@ -193,8 +192,6 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
             continue
         unit = _unit(name)
         note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
-        if name == "gamma":
-            note = f"Before: {dep(row['before'])}. After: {dep(row['after'])}."
         if not data.channels.changed:
             note = f"{_first_up(dep(row['after']))}." if name == "gamma" else f"Spread {spread(row['after'])}."
         out.append(_card(f"{name}: {meaning_of(name).meaning}", value(row["before"]), value(row["after"]), unit, note))
@@ -259,25 +256,16 @@ def effects(data: DiagnosisData) -> list[dict[str, Any]]:
 
 def family(data: DiagnosisData) -> list[dict[str, str]]:
     """List the members of the family, most probable first."""
-    out = []
-    for member in data.record["family"] or ():
-        if isinstance(member, Mapping):
-            name, p = member.get("id"), member.get("probability")
-        elif isinstance(member, (list, tuple)):
-            name, p = member[0], member[1] if len(member) > 1 else None
-        else:
-            name, p = member, None
-        known = catalogue().get(str(name))
-        out.append(
-            {
-                "id": str(name),
-                "title": title_of(name),
-                "probability": percent(p),
-                "shows": known.shows if known else "",
-                "next_test": known.next_test if known else "",
-            }
-        )
-    return out
+    known = catalogue()
+    return [
+        {
+            "id": str(member["id"]),
+            "title": title_of(member["id"]),
+            "probability": percent(member.get("probability")),
+            "shows": known[member["id"]].shows if member["id"] in known else "",
+        }
+        for member in data.record["family"] or ()
+    ]
 
 
 def shift(data: DiagnosisData) -> list[dict[str, str]]:
@@ -336,11 +324,7 @@ def aliases(data: DiagnosisData) -> list[dict[str, str]]:
     """Say in words what the displacement history cannot separate."""
     out = []
     for alias in data.record["aliases"]:
-        if isinstance(alias, Mapping):
-            first, second = alias["pair"] if "pair" in alias else (alias["first"], alias["second"])
-            correlation = number(alias.get("correlation"))
-        else:
-            first, second, correlation = alias[0], alias[1], number(alias[2])
+        (first, second), correlation = alias["pair"], number(alias.get("correlation"))
         if second == "base law":
             text = f"“{title_of(first)}” cannot be seen: the base law takes it up."
         else:
@@ -400,66 +384,34 @@ def heldout_words(data: DiagnosisData) -> str:
     )
 
 
-def parity_words(before: Parity, capacity_kN: float) -> str:
-    """Say which symmetry holds most of the misfit."""
-    sizes = [(getattr(before, key), name.replace("\n", " "), causes) for key, name, causes in PARITY if key != "rest"]
-    size, name, causes = max(sizes)
-    return (
-        f"Of what the base law leaves over and what comes again over the stroke, the largest part, "
-        f"{words.short(size)} kN or {per_cent(size / capacity_kN)} % of the sliding force, is of the kind “{name}”: "
-        f"{causes}. {words.short(before.rest)} kN do not repeat."
-    )
-
-
-def unknown(data: DiagnosisData) -> dict[str, Any] | None:
+def unknown(data: DiagnosisData) -> dict[str, str] | None:
     """Describe what no effect explains."""
     u = data.record.get("unknown")
     if not u:
         return None
-    header, rows = shape_table(u.get("shape"))
-    period = u.get("period", u.get("scale"))
-    if isinstance(period, Mapping):
-        where = f" of {period['coordinate']}" if period.get("coordinate") else ""
-        period = f"{words.short(number(period.get('length')))} {period.get('unit', '')}{where}"
-    elif isinstance(period, (int, float)):
-        period = words.short(number(period))
-    size = number(u.get("size_kN"))
+    size, period = number(u.get("size_kN")), u.get("period")
     return {
         "coordinate": u.get("coordinate") or "not known",
         "size": f"{words.short(size)} kN, {per_cent(size / data.capacity_kN)} % of the sliding force",
         "formula": u.get("formula") or "",
         "formula_words": u.get("formula_words") or "",
-        "period": period or "",
+        "period": f"{words.short(number(period['length']))} {period['unit']} of {period['coordinate']}"
+        if period
+        else "",
         "words": u.get("words") or "",
-        "header": header,
-        "rows": [[_cell(v) for v in row] for row in rows[:MAX_SHAPE_ROWS]],
-        "more": max(0, len(rows) - MAX_SHAPE_ROWS),
     }
 
 
-def shape_table(shape: Any) -> tuple[list[str], list[list[Any]]]:
-    """Read a table given as rows of names and values, as columns by name, or as bare rows."""
-    if isinstance(shape, Mapping):
-        columns = {str(k): v for k, v in shape.items() if isinstance(v, (list, tuple))}
-        return list(columns), [list(row) for row in zip(*columns.values(), strict=False)]
-    if not isinstance(shape, (list, tuple)) or not shape:
-        return [], []
-    if isinstance(shape[0], Mapping):
-        names = [str(k) for k in shape[0]]
-        return names, [[row.get(k) for k in names] for row in shape if isinstance(row, Mapping)]
-    rows = [list(row) for row in shape if isinstance(row, (list, tuple))]
-    return [f"column {i + 1}" for i in range(len(rows[0]))] if rows else [], rows
+def shape_columns(shape: Any) -> dict[str, FloatArray]:
+    """Give the shape of what no effect explains, rows of names and numbers, as columns; none where it cannot be drawn.
 
-
-def shape_columns(shape: Any) -> tuple[str, FloatArray, list[tuple[str, FloatArray]]] | None:
-    """Give a table of numbers as a coordinate and its columns; None when it is not one."""
-    header, rows = shape_table(shape)
-    if len(header) < 2 or len(rows) < 2 or any(len(row) != len(header) for row in rows):
-        return None
-    table = np.array([[number(v) for v in row] for row in rows])
-    if not np.isfinite(table[:, 0]).all() or not np.isfinite(table[:, 1:]).any():
-        return None
-    return header[0], table[:, 0], [(name, table[:, i]) for i, name in enumerate(header) if i]
+    The first column is the coordinate.
+    """
+    rows = list(shape or ())
+    columns = {name: np.array([number(row.get(name)) for row in rows]) for name in rows[0]} if len(rows) > 1 else {}
+    if len(columns) < 2 or not np.isfinite(next(iter(columns.values()))).all():
+        return {}
+    return columns
 
 
 def percent(share: Any) -> str:
@@ -544,9 +496,3 @@ def _change(moved: float, before: float, *, gamma: bool) -> str:
         return f"{moved:+.2g}" if abs(moved) >= 5e-5 else "none"
     share = 100 * moved / before
     return f"{share:+.1f} %" if abs(share) >= 0.05 else "none"
-
-
-def _cell(entry: Any) -> str:
-    if entry is None:
-        return ""
-    return words.short(number(entry)) if isinstance(entry, (int, float)) else str(entry)

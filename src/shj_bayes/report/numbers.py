@@ -176,6 +176,8 @@ class CycleShape:
         Number of the run.
     push_kN, pull_kN : array
         Largest and smallest measured force: the envelope.
+    turn_mm, turn_kN, model_turn_kN : array, shape (2 n_cycles,)
+        Displacement where the cycles turn, and measured and modelled force there: the backbone.
     push_plateau_kN, pull_plateau_kN : array
         Median measured force over the middle half of the stroke, displacement growing and falling; NaN where the
         device does not slide there.
@@ -188,6 +190,9 @@ class CycleShape:
     run: int
     push_kN: FloatArray = field(repr=False)
     pull_kN: FloatArray = field(repr=False)
+    turn_mm: FloatArray = field(repr=False)
+    turn_kN: FloatArray = field(repr=False)
+    model_turn_kN: FloatArray = field(repr=False)
     push_plateau_kN: FloatArray = field(repr=False)
     pull_plateau_kN: FloatArray = field(repr=False)
     damping_percent: FloatArray = field(repr=False)
@@ -198,6 +203,7 @@ def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> Cyc
     """Envelope, plateau and damping of every full cycle of a run; `median_kN` is the modelled force."""
     spans = whole_spans(cycle_marks(run))
     x, f, direction = run.displacement_mm, run.force_kN, run.direction
+    turns = np.array([a + int(at) for a, b in spans for at in (np.argmax(x[a:b]), np.argmin(x[a:b]))], dtype=np.int64)
 
     def plateau(a: int, b: int, sign: int) -> float:
         middle, quarter = 0.5 * (x[a:b].max() + x[a:b].min()), 0.25 * np.ptp(x[a:b])
@@ -214,6 +220,9 @@ def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> Cyc
         run.number,
         np.array([f[a:b].max() for a, b in spans]),
         np.array([f[a:b].min() for a, b in spans]),
+        x[turns],
+        f[turns],
+        median_kN[turns],
         np.array([plateau(a, b, 1) for a, b in spans]),
         np.array([plateau(a, b, -1) for a, b in spans]),
         damping(energy.measured_J, f),
@@ -227,10 +236,10 @@ def whole_spans(marks: FloatArray) -> list[tuple[int, int]]:
     return [(int(a), max(int(b) + 1, int(a) + 2)) for a, b in pairwise(whole)]
 
 
-def pick_cycle(run: RunData, share: float = 1.0) -> slice:
+def pick_cycle(run: RunData) -> slice:
     """Choose the samples of a cycle to show.
 
-    The last of those whose amplitude is near `share` of the largest; cycles that have another of the same amplitude go
+    The last of those whose amplitude is near the largest; cycles that have another of the same amplitude go
     before those that have none (ramps, where loops do not close). All samples where there is no cycle.
     """
     spans = whole_spans(cycle_marks(run))
@@ -239,7 +248,7 @@ def pick_cycle(run: RunData, share: float = 1.0) -> slice:
     amplitude = np.array([np.ptp(run.displacement_mm[a:b]) for a, b in spans])
     alike = np.abs(amplitude[:, None] - amplitude) < 0.05 * amplitude
     repeated = alike.sum(axis=1) > 1
-    near = np.abs(amplitude - share * amplitude.max()) + np.where(repeated | ~repeated.any(), 0.0, np.inf)
+    near = amplitude.max() - amplitude + np.where(repeated | ~repeated.any(), 0.0, np.inf)
     return slice(*spans[int(np.flatnonzero(near <= near.min() + 0.03 * amplitude.max())[-1])])
 
 

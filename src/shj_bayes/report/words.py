@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from shj_bayes.report.residuals import Structure
-
-# Of the typical cycle. Against the shortest one (3.7 s in Table 1) ordinary noise of phi 0.7 at 5 Hz was called misfit.
-LONG_MEMORY = 0.2
+from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
 CONVERGENCE = {
@@ -24,6 +20,13 @@ FIT = {
     "fair": ("fair fit", "tentative"),
     "poor": ("poor fit", "unusable"),
     "undecided": ("fit undecided", "tentative"),
+}
+DIAGNOSED_WORDS = {
+    "": "Whether anything is missing, shj-bayes diagnose says.",
+    "adequate": "The diagnosis of these recordings found nothing beyond noise.",
+    "named": "The diagnosis of these recordings says what the law leaves out.",
+    "family": "The diagnosis of these recordings found that the law leaves something out, and what it may be.",
+    "unknown": "The diagnosis of these recordings found that the law leaves something out that has no name.",
 }
 _DETERMINES = {
     "K": "small cycles, or more samples where the force turns",
@@ -102,7 +105,7 @@ def alias_words(peak_mm_s: float | None) -> str:
     )
 
 
-def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0) -> str:
+def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0, *, family: str = "") -> str:
     """Say what the recordings do not tell of a parameter.
 
     Parameters
@@ -113,6 +116,8 @@ def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0) -> s
         Of the numbers shown, empty for none.
     factor : float
         To that unit.
+    family : str
+        Of the priors that were taken.
     """
     name = str(finding["parameter"])
     low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
@@ -123,108 +128,50 @@ def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0) -> s
             f"{name} is not determined by this recording: it may lie almost anywhere in its prior, {low} to {high}"
             f"{unit} (90 %)" + (f"; {wanted} would tell." if wanted else ".")
         )
+    check = "Check the units (--units), or g" if unit else "The law may not be that of this device; if it is, g"
     return (
         f"{name} is {short(factor * float(finding['q50']))}{unit}, which the prior holds nearly impossible ({low} to "
-        f"{high}{unit}, 90 %): the result is drawn towards it. Check the units (--units), or give priors for this kind "
-        "of device (--priors general, or a file of your own)."
+        f"{high}{unit}, 90 %): the result is drawn towards it. {check}ive priors for this kind of device "
+        f"(--priors {'with a file of your own' if family == 'general' else 'general, or a file of your own'})."
     )
 
 
-def fit_words(s: Structure) -> str:
+def fit_words(left: LeftOver) -> str:
     """How much of the force the model leaves unexplained."""
-    if s.grade == "undecided":
-        return f"{s.unexplained_percent:.2g} % of Fy unexplained, {s.n_cycles} full cycle{'s' * (s.n_cycles != 1)}"
-    return f"{s.unexplained_percent:.2g} % of Fy unexplained"
+    few = f", {left.n_cycles} full cycle{'s' * (left.n_cycles != 1)}" if left.grade == "undecided" else ""
+    percent = left.unexplained_percent
+    size = "more than 100" if percent > 100 else f"{percent:.0f}" if percent >= 10 else f"{percent:.2g}"
+    return f"{size} % of Fy unexplained{few}"
 
 
-def residual_headline(s: Structure, unit: str = "kN", factor: float = 1.0) -> str:
-    """One sentence: does the model describe this device."""
-    if s.grade == "undecided":
+def left_words(left: LeftOver) -> str:
+    """One sentence: does the model describe this device, and what the diagnosis found."""
+    if left.grade == "undecided":
         return (
-            f"Too few cycles to say whether the model describes this device ({s.n_cycles} full cycles, "
-            f"{s.least_cycles} are needed); it leaves {s.unexplained_percent:.2g} % of the sliding force unexplained."
+            f"Too few cycles to say whether the model describes this device: {left.n_cycles} full, and "
+            f"{FEWEST_CYCLES} are needed."
         )
-    if s.seen:
-        return f"The model leaves something out: the residuals are structured, {in_a_cell(s, unit, factor)}"
-    if s.absorbed:
-        return f"The model probably leaves something out: {in_a_cell(s, unit, factor)}"
-    if s.unmodelled_correlation:
-        return (
-            "The noise was taken as independent from sample to sample, and it is not: the intervals are too narrow. "
-            "Fit again with the default noise model."
-        )
-    if s.grade != "good":
-        return (
-            f"The residuals look like noise, but they are large: {s.unexplained_percent:.2g} % of the sliding force is "
-            "unexplained."
-        )
-    return "Nothing beyond noise is seen in the residuals."
+    text = "The model follows the force."
+    if left.grade == "poor":
+        text = "The model does not follow the force."
+    elif left.widening > 1.0:
+        text = "The cycles scatter more than the model and its noise allow."
+    elif left.grade == "fair":
+        text = "More is left over than a load cell drifts."
+    return f"{text} {DIAGNOSED_WORDS[left.diagnosed]}"
 
 
-def in_a_cell(s: Structure, unit: str = "kN", factor: float = 1.0) -> str:
-    """Say the same as `residual_headline`, as far as a cell of a table has room for it."""
-    force = f"{factor * abs(s.largest.mean_kN):.2g} {unit}"
-    size = f"{force} ({100 * s.largest.share:.1f} % of the sliding force) {s.largest.where}"
-    if s.seen and s.grade != "undecided":
-        return f"up to {size}, more than noise explains."
-    if s.absorbed and s.grade != "undecided":
-        return (
-            "what remains is too slow to be noise, and the noise term of the model has taken it up (mean residual up "
-            f"to {size})."
-        )
-    return "nothing beyond noise" if s.grade == "good" else residual_headline(s, unit, factor)
+def left_cell(left: LeftOver) -> str:
+    """Say the same as far as a cell of a table has room for it."""
+    more = "; the cycles scatter more than the noise allows" if left.widening > 1.0 else ""
+    return fit_words(left) + more + (f"; diagnosis: {left.diagnosed}" if left.diagnosed else "")
 
 
-def band_words(s: Structure) -> str:
+def band_words(left: LeftOver) -> str:
     """Say what the band of measured points is made of."""
-    if s.absorbed:
+    if left.unexplained_percent > FAIR_PERCENT:
         return (
-            "The band is this wide because the noise term has taken up what the model does not describe: look at how "
-            "far the line runs from the points, not at the band."
+            "The noise term takes up what the model does not describe, which widens the band: look at how far the line "
+            "runs from the points."
         )
     return "Points that leave the band over a stretch, cycle after cycle, are what the model does not describe."
-
-
-def residual_details(s: Structure, unit: str = "kN", factor: float = 1.0) -> list[str]:
-    """How that was found, one or two sentences for each look."""
-    out = [
-        f"Against noise: of residuals made of the fitted noise alone, {_share(s.p_noise)} are as structured as the "
-        "measured one over stroke, distance since reversal and time.",
-        _repeat_words(s),
-        *([] if s.independent_noise else [_memory_words(s)]),
-        f"Size: the residuals are {short(factor * s.size.rms_kN)} {unit} in root mean square; from one sample to the "
-        f"next they scatter by {short(factor * s.size.short_kN)} {unit}.",
-    ]
-    if s.size.rms_kN > 5 * s.size.short_kN:
-        out[-1] += " It changes far more slowly than the instruments scatter, so most of it is not their noise."
-    return out
-
-
-def _repeat_words(s: Structure) -> str:
-    if s.p_repeat is None:
-        return "From cycle to cycle: fewer than eight full cycles, too few to see what comes again."
-    return (
-        "From cycle to cycle: noise changes sign at random from one cycle to the next, shape comes again. If it were "
-        f"noise, {_share(s.p_repeat)} such tests would show as much repetition."
-    )
-
-
-def _memory_words(s: Structure) -> str:
-    text = (
-        f"Memory of the noise: the fitted noise remembers itself for {short(s.memory_s)} s; a typical cycle takes "
-        f"{short(s.typical_cycle_s)} s. "
-    )
-    if not s.absorbed:
-        return text + "Measurement noise forgets faster than the device moves, as it should."
-    share = 100 * s.memory_s / s.typical_cycle_s
-    return (
-        f"{text}That is {share:.0f} % of a cycle, above {100 * LONG_MEMORY:.0f} %: the noise model has absorbed "
-        "misfit. What stays inside the noise band of the pictures below is then not only noise."
-    )
-
-
-def _share(p: float) -> str:
-    """Return a p value as a share of tests."""
-    if p > 0.995:
-        return "nearly all"
-    return f"at most 1 in {float(f'{1 / p:.2g}'):.0f}" if p <= 0.02 else f"about {100 * p:.0f} in 100"

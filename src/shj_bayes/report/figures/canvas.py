@@ -17,13 +17,25 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E0
 INK, GREY, PALE = "#222222", "#777777", "#BBBBBB"
 SERIES = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 WIDE, NARROW = 8.6, 4.9
+LEFT, RIGHT, BOTTOM, TOP, ROW = 0.82, 0.16, 0.56, 0.12, 0.19  # inches: fixed margins, and a row of a key
 DPI = 125  # of what is dense and therefore drawn in pixels
 
 
-def sheet(width: float = NARROW, height: float = 3.5) -> tuple[Figure, Axes]:
-    """One empty diagram, size in inches."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+def sheet(width: float = NARROW, height: float = 3.5, *, measured: bool = True) -> tuple[Figure, Axes]:
+    """One empty diagram, size in inches; without `measured` its margins are those of `fixed`."""
+    if measured:
+        figure = Figure(figsize=(width, height), layout="constrained")
+        return figure, tidy(figure.add_subplot())
+    figure = fixed(width, height)
     return figure, tidy(figure.add_subplot())
+
+
+def fixed(width: float, height: float, *, left: float = LEFT, bottom: float = BOTTOM, top: float = TOP) -> Figure:
+    """Empty sheet with margins in inches; to measure what stands in them takes as long as to draw it."""
+    figure = Figure(figsize=(width, height))
+    edges = {"left": left / width, "right": 1 - RIGHT / width, "bottom": bottom / height, "top": 1 - top / height}
+    figure.subplots_adjust(**edges)
+    return figure
 
 
 def tidy(axes: Axes) -> Axes:
@@ -44,7 +56,11 @@ def label(axes: Axes, x: str, y: str, unit: ForceUnit = KN) -> None:
 
 
 def legend(axes: Axes, columns: int = 1) -> None:
-    """Key above the diagram, where it hides nothing."""
+    """Key above the diagram, where it hides nothing; the highest diagram of a sheet of fixed margins makes room."""
+    figure, place = axes.get_figure(root=True), axes.get_subplotspec()
+    if figure and place and figure.get_layout_engine() is None and place.rowspan.start == 0:
+        rows = -(-len(axes.get_legend_handles_labels()[1]) // columns)
+        figure.subplots_adjust(top=1 - (TOP + ROW * rows) / figure.get_size_inches()[1])
     axes.legend(
         loc="lower left",
         bbox_to_anchor=(-0.02, 1.0),

@@ -18,7 +18,6 @@ from shj_bayes.report.figures.canvas import (
     INK,
     NARROW,
     ORANGE,
-    PALE,
     RED,
     WIDE,
     label,
@@ -85,31 +84,6 @@ def maps(parts: Sequence[tuple[str, Map]]) -> str:
         bar = figure.colorbar(image, ax=panels, aspect=28, pad=0.01, extend="both")
         bar.set_label("left over (kN)", fontsize=10, color=INK)
         bar.ax.tick_params(labelsize=9)
-    return svg(figure)
-
-
-def bars(names: Sequence[str], before: Sequence[float], after: Sequence[float] | None, title: str) -> str:
-    """Pairs of horizontal bars with their values, the first name on top."""
-    figure, axes = sheet(NARROW, 0.95 + (0.56 if after is not None else 0.42) * len(names))
-    at = np.arange(len(names))
-    series = [(before, PALE if after is not None else BLUE, "before")]
-    series += [(after, BLUE, "after")] if after is not None else []
-    height = 0.8 / len(series)
-    longest = max((v for values, _, _ in series for v in values if np.isfinite(v)), default=1.0) or 1.0
-    for k, (values, colour, name) in enumerate(series):
-        y = at + (k - (len(series) - 1) / 2) * height
-        shown = np.nan_to_num(np.asarray(values, dtype=float))
-        axes.barh(y, shown, height * 0.92, color=colour, edgecolor=INK, linewidth=0.5, label=name)
-        for one, value in zip(y, values, strict=True):
-            text = f"{value:.3g}" if np.isfinite(value) else "not known"
-            axes.text(max(np.nan_to_num(value), 0) + 0.015 * longest, one, text, va="center", fontsize=8.5, color=INK)
-    axes.set_yticks(at, names, fontsize=9)
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_xlim(0, 1.18 * longest)
-    axes.grid(visible=False, axis="y")
-    label(axes, title, "")
-    if after is not None:
-        legend(axes, 2)
     return svg(figure)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.ticker import MaxNLocator
 
 from shj_bayes.model.parameters import FloatArray
@@ -21,6 +21,7 @@ from shj_bayes.report.figures.canvas import (
     RED,
     SERIES,
     WIDE,
+    fixed,
     label,
     legend,
     sheet,
@@ -34,9 +35,7 @@ STROKE, FORCE = "displacement (mm)", "force (kN)"
 MAX_POINTS, MAX_OVER_TIME, MAX_OVER_SPEED = 20_000, 6000, 4000
 
 
-def cycle(
-    parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit = KN, *, wide: bool = False
-) -> str:
+def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit = KN) -> str:
     """One cycle of each run: measured points, median of the law and the band of what would be measured.
 
     Parameters
@@ -45,10 +44,8 @@ def cycle(
         One for each run, arrays of shape (n,).
     unit : ForceUnit
         At the marks of the force.
-    wide : bool
-        Full width of the page.
     """
-    figure, axes = sheet(WIDE if wide else NARROW, 3.9 if wide else 4.1)
+    figure, axes = sheet(NARROW, 4.1, measured=False)
     for (name, x, force, band), colour in zip(parts, SERIES, strict=False):
         # A loop is two curves over the same stroke; one ribbon along the path covers both.
         axes.fill_between(x, band.force_low, band.force_high, color=colour, alpha=0.22, linewidth=0, rasterized=True)
@@ -63,14 +60,13 @@ def cycle(
 
 def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, unit: ForceUnit = KN) -> str:
     """All cycles of one run, measured over predicted; `starts` are the first samples of the half-cycles."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     step = max(1, x.size // MAX_POINTS)
     # Half-cycle by half-cycle: as one shape, ribbons that lie over one another would cancel.
-    for a, b in pairwise([*starts.tolist(), x.size]):
-        part = slice(a, b, step)
-        axes.fill_between(
-            x[part], band.force_low[part], band.force_high[part], color=BLUE, alpha=0.12, linewidth=0, rasterized=True
-        )
+    parts = [slice(a, b, step) for a, b in pairwise([*starts.tolist(), x.size])]
+    there, back = ([np.column_stack([x[p], edge[p]]) for p in parts] for edge in (band.force_low, band.force_high))
+    ribbons = [np.concatenate([low, high[::-1]]) for low, high in zip(there, back, strict=True)]
+    axes.add_collection(PolyCollection(ribbons, color=BLUE, alpha=0.12, linewidth=0, rasterized=True))
     keep = slice(None, None, step)
     axes.plot(x[keep], force[keep], color=INK, linewidth=0.6, alpha=0.8, label="measured", rasterized=True)
     axes.plot(x[keep], band.median[keep], color=RED, linewidth=0.8, label="model (median)", rasterized=True)
@@ -82,7 +78,7 @@ def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, u
 
 def energy(energies: Sequence[CycleEnergy]) -> str:
     """Energy of every cycle, measured and predicted."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     largest = max(float(e.measured_J.max()) for e in energies)
     unit, factor = ("kJ", 1e-3) if largest >= 1000 else ("J", 1.0)
     at = 0
@@ -92,7 +88,7 @@ def energy(energies: Sequence[CycleEnergy]) -> str:
         error = np.stack([(e.median_J - e.low_J), (e.high_J - e.median_J)]) * factor
         axes.errorbar(
             number, middle, np.maximum(error, 0.0), fmt="_", color=colour, markersize=13, capsize=5, elinewidth=2,
-            label=f"run {e.run}: predicted, 90 % band",
+            label=f"run {e.run}: model, 90 %",
         )  # fmt: skip
         axes.plot(
             number, e.measured_J * factor, "o", color=INK, markersize=4.5, markerfacecolor="none", markeredgewidth=1.2
@@ -110,8 +106,9 @@ def over_time(
     time_s: FloatArray, force: FloatArray, median: FloatArray, noise: tuple[float, float], unit: ForceUnit = KN
 ) -> str:
     """Force over time of one run, measured and modelled, and the residual below it with the band of the noise."""
-    figure = Figure(figsize=(WIDE, 4.6), layout="constrained")
-    above, below = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
+    figure = fixed(WIDE, 4.6)
+    split = {"height_ratios": (3, 2), "hspace": 0.22}
+    above, below = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, gridspec_kw=split))
     keep = slice(None, None, max(1, time_s.size // MAX_OVER_TIME))
     above.plot(time_s[keep], force[keep], color=INK, linewidth=0.8, label="measured", rasterized=True)
     above.plot(time_s[keep], median[keep], color=RED, linewidth=0.7, label="model (median)", rasterized=True)
@@ -130,7 +127,7 @@ def over_time(
 
 def channels(time_s: FloatArray, extras: Sequence[tuple[str, FloatArray]]) -> str:
     """Further channels over time, one below the other; title with unit, and values, of each."""
-    figure = Figure(figsize=(WIDE, 1.5 * len(extras) + 0.5), layout="constrained")
+    figure = fixed(WIDE, 1.5 * len(extras) + 0.6)
     panels = figure.subplots(len(extras), 1, sharex=True, squeeze=False)[:, 0]
     keep = slice(None, None, max(1, time_s.size // MAX_OVER_TIME))
     for axes, (title, values) in zip(panels, extras, strict=True):
@@ -143,7 +140,7 @@ def channels(time_s: FloatArray, extras: Sequence[tuple[str, FloatArray]]) -> st
 
 def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], unit: ForceUnit = KN) -> str:
     """Force over velocity: measured points and the model's; name, velocity, measured and modelled of each run."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     for (name, speed, force, median), colour in zip(runs, SERIES, strict=False):
         keep = slice(None, None, max(1, speed.size // MAX_OVER_SPEED))
         for values, ink, alpha in ((force, INK, 0.5), (median, colour, 0.6)):
@@ -158,7 +155,7 @@ def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], u
 
 def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
     """Largest force and plateau of every cycle, push and pull."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     at = 0
     for shape, colour in zip(shapes, SERIES, strict=False):
         number = at + np.arange(1, shape.push_kN.size + 1)
@@ -177,9 +174,22 @@ def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
     return svg(figure)
 
 
+def backbone(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
+    """Force where the cycles turn, measured and modelled, in the order of the displacement there."""
+    figure, axes = sheet(measured=False)
+    for shape, colour in zip(shapes, SERIES, strict=False):
+        order = np.argsort(shape.turn_mm)
+        axes.plot(shape.turn_mm[order], shape.model_turn_kN[order], "-", color=colour, linewidth=1.3)
+        axes.plot(shape.turn_mm, shape.turn_kN, "o", color=colour, markersize=4.5, markerfacecolor="none")
+        axes.plot([], [], "o-", color=colour, markersize=4.5, label=f"run {shape.run}")
+    label(axes, STROKE, FORCE, unit)
+    legend(axes, 3)
+    return svg(figure)
+
+
 def damping(shapes: Sequence[CycleShape]) -> str:
     """Equivalent viscous damping of every cycle, measured and modelled."""
-    figure, axes = sheet()
+    figure, axes = sheet(measured=False)
     at = 0
     for shape, colour in zip(shapes, SERIES, strict=False):
         number = at + np.arange(1, shape.damping_percent.size + 1)
@@ -207,11 +217,11 @@ def prior(
     prior_kN, paper_kN, posterior_kN : array, shape (m, n)
         Forces; ``paper_kN`` may have no rows.
     """
-    figure, axes = sheet(WIDE, 3.9)
-    axes.plot(x, prior_kN.T, color=PALE, linewidth=0.6, alpha=0.8, rasterized=True)
-    if paper_kN.size:
-        axes.plot(x, paper_kN.T, color=GREEN, linewidth=0.9, alpha=0.8, rasterized=True)
-    axes.plot(x, posterior_kN.T, color=BLUE, linewidth=1.6, alpha=0.9, rasterized=True)
+    figure, axes = sheet(WIDE, 3.9, measured=False)
+    for forces, colour, width in ((prior_kN, PALE, 0.6), (paper_kN, GREEN, 0.9), (posterior_kN, BLUE, 1.6)):
+        lines = [np.column_stack([x, force]) for force in forces]
+        axes.add_collection(LineCollection(lines, color=colour, linewidth=width, alpha=0.8, rasterized=True))
+    axes.set_xlim(1.05 * x.min(), 1.05 * x.max())
     axes.plot([], [], color=PALE, label="allowed before the test")
     if paper_kN.size:
         axes.plot([], [], color=GREEN, label="devices of the published tables")

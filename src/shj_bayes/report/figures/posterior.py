@@ -10,12 +10,13 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from shj_bayes._util.import_safety import without
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.figures.canvas import BLUE, INK, SERIES, WIDE, label, png, svg, tidy
+from shj_bayes.report.figures.canvas import BLUE, INK, SERIES, WIDE, fixed, label, png, svg, tidy
 
 with without("arviz"):
     import corner as corner_package
 
 MAX_DRAWS = 8000
+CORNER = 1.0  # inches: room for the slanted numbers and titles left of and below a corner plot
 
 
 def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
@@ -32,7 +33,7 @@ def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
     table = np.stack([draws[name] for name in names], axis=1)
     table = table[np.linspace(0, table.shape[0] - 1, min(MAX_DRAWS, table.shape[0])).astype(int)]
     spans = [_span(column) for column in table.T]
-    size = max(4.5, 1.25 * len(names))
+    size = CORNER + max(3.6, 1.2 * len(names))
     figure = Figure(figsize=(size, size))
     corner_package.corner(
         table,
@@ -61,7 +62,7 @@ def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
             axes[-1, i].xaxis.set_major_formatter(FuncFormatter(_gamma_and_dep))
             axes[-1, i].xaxis.set_major_locator(MaxNLocator(2, prune="lower"))
             axes[-1, i].set_xlabel(f"{name} s/mm\n(dep mm/s)", fontsize=9.5)
-    figure.subplots_adjust(left=0.1, bottom=0.12, right=0.99, top=0.99)
+    figure.subplots_adjust(left=CORNER / size, bottom=CORNER / size, right=0.99, top=0.99)
     return png(figure, 110)
 
 
@@ -92,22 +93,22 @@ def densities(
     """
     columns = 4
     rows = -(-len(parts) // columns)
-    figure = Figure(figsize=(width, 1.75 * rows + 0.3), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure = fixed(width, 1.75 * rows + 0.3, left=0.2, top=0.35)
+    panels = figure.subplots(rows, columns, squeeze=False, gridspec_kw={"wspace": 0.12, "hspace": 0.45}).ravel()
     for axes, (name, (draws, places, density)) in zip(panels, parts.items(), strict=False):
         tidy(axes)
         axes.grid(visible=False)
-        axes.hist(draws, bins=40, range=(places[0], places[-1]), density=True, color=BLUE, alpha=0.55)
-        axes.plot(places, density, color=INK, linewidth=1.2, linestyle="--")
+        # One shape: forty bars take as long to make as all else in the diagram.
+        look = {"histtype": "stepfilled", "color": BLUE, "alpha": 0.55, "label": "posterior"}
+        axes.hist(draws, bins=40, range=(places[0], places[-1]), density=True, **look)
+        axes.plot(places, density, color=INK, linewidth=1.2, linestyle="--", label="prior")
         axes.set_yticks([])
         axes.xaxis.set_major_locator(MaxNLocator(3))
         axes.tick_params(labelsize=8)
         axes.set_xlabel(_named(name, units).replace("\n", " "), fontsize=9)
     for axes in panels[len(parts) :]:
         axes.set_visible(False)
-    panels[0].hist([], color=BLUE, alpha=0.55, label="posterior")
-    panels[0].plot([], [], color=INK, linewidth=1.2, linestyle="--", label="prior")
-    figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=9)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="upper left", ncols=2, frameon=False, fontsize=9)
     return svg(figure)
 
 
@@ -121,13 +122,14 @@ def traces(chains: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
     units : mapping of str to str
         Unit of each.
     """
-    figure = Figure(figsize=(WIDE, 0.85 * len(chains) + 0.4), layout="constrained")
-    panels = figure.subplots(len(chains), 1, sharex=True, squeeze=False)[:, 0]
+    figure = fixed(WIDE, 0.85 * len(chains) + 0.6, left=1.0)
+    panels = figure.subplots(len(chains), 1, sharex=True, squeeze=False, gridspec_kw={"hspace": 0.2})[:, 0]
     for axes, (name, paths) in zip(panels, chains.items(), strict=True):
         tidy(axes)
         for path, colour in zip(paths, SERIES, strict=False):
             place = np.linspace(0, 100, path.size)
-            axes.plot(place, path, ".", color=colour, markersize=1.6, markeredgewidth=0, alpha=0.7)
+            axes.plot(place, path, ".", color=colour, markersize=3.6, markeredgewidth=0, alpha=0.6)
+        axes.set_xlim(0, 100)
         axes.yaxis.set_major_locator(MaxNLocator(3))
         axes.tick_params(labelsize=8)
         axes.set_ylabel(_named(name, units), fontsize=9)

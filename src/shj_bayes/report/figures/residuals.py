@@ -11,7 +11,7 @@ from shj_bayes.report.force_unit import KN, ForceUnit
 
 def over_stroke(profiles: Sequence[StrokeProfile], unit: ForceUnit = KN) -> str:
     """Mean residual over stroke, push and pull of one run, with what noise alone would give."""
-    figure, axes = sheet(NARROW, 3.2)
+    figure, axes = sheet(NARROW, 3.2, measured=False)
     for profile, colour, marker, name in zip(
         profiles, (BLUE, RED), ("o", "s"), ("displacement growing", "displacement falling"), strict=False
     ):
