@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from made_diagnosis import record, write
 from page_tools import Page, check_safe, folded
-from shj_bayes.pipeline import DiagnosisResult
 
+from shj_bayes.commands.pipeline import DiagnosisResult
 from shj_bayes.errors import ReportError
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.diagnosis_numbers import profile
-from shj_bayes.report.diagnosis_words import VERDICTS, per_cent, shape_columns, spaced
+from shj_bayes.report.diagnosis_words import VERDICTS, curve_words, fluctuation_words, per_cent, shape_columns, spaced
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +179,13 @@ def test_missing_or_damaged_files(tmp_path: Path) -> None:
     (folder / "diagnosis.nc").write_bytes(b"not channels")
     with pytest.raises(ReportError, match="cannot be read"):
         render_diagnosis(folder)
+
+
+def test_a_period_and_a_fluctuation_are_sentences() -> None:
+    period = {"action": "added", "coordinate": "time", "unit": "s", "period": 15.564, "range_percent": 3.86}
+    told = "An added force depends on the time: it changes by 3.9 % of Fy every 15.6 s, again and again."
+    assert curve_words(period) == told
+    row = {"action": "motion", "coordinate": "stick-slip", "size_percent": 23.4, "matches": ["stick_slip"]}
+    (told,) = fluctuation_words({"verdict": "unknown", "coordinates": [row]})
+    assert told.startswith("The force fluctuates within a stroke by 23 % of the sliding force")
+    assert fluctuation_words({"verdict": "named", "coordinates": [row]}) == []

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from shj_bayes.finished import DeviceResult
 
+from shj_bayes.commands.finished import DeviceResult
 from shj_bayes.report import words
 from shj_bayes.report.binned import stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData

@@ -200,7 +200,7 @@ def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
             "coordinate": WORDS.get(of.coordinate, of.coordinate),
             "shape": rows,
             "formula": f"{TERM[of.action]} = {formula}" if formula else None,
-            "period": {"length": curve.period, "unit": of.unit} if curve.period is not None else None,
+            "period": {"length": curve.period, "unit": of.unit, "coordinate": of.coordinate} if curve.period else None,
             "size_kN": finding.size * fy,
         }
     residual = answer.shown.state.residual

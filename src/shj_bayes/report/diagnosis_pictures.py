@@ -62,12 +62,13 @@ def _curves(data: DiagnosisData) -> list[Picture]:
         at, mean, low, high = (np.array([number(v) for v in table[key]]) for key in ("at", "mean", "q05", "q95"))
         name = say.COORDINATES.get(str(c["coordinate"]), str(c["coordinate"])).removeprefix("the ")
         unit = "" if c.get("unit") in (None, "1") else f" ({c['unit']})"
+        again = ", one period" if c.get("period") else ""
         what = "sliding force" if c.get("action") == "capacity" else "added force"
         names = "; ".join(say.title_of(n) for n in c.get("matches") or ())
         out.append(
             Picture(
-                draw_.curve(at, mean, low, high, f"{name}{unit}"),
-                f"Curve of the {what} over {name}, per cent of Fy, with its 90 % band.",
+                draw_.curve(at, mean, low, high, f"{name}{again}{unit}"),
+                f"Curve of the {what} over {name}{again}, per cent of Fy, with its 90 % band.",
                 f"{say.curve_words(c)} Probability {say.percent(c.get('probability'))}. "
                 + (f"Known mechanism: {names}." if names else "No known mechanism has this curve."),
                 f"Change of the {what} over {name}",

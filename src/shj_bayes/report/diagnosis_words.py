@@ -108,6 +108,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     for c in record.get("coordinates") or ():
         if not c.get("matches") and number(c.get("probability")) >= LIKELY:
             out.append(f"{curve_words(c)} No known mechanism has this curve.")
+    out += fluctuation_words(record)
     if verdict == "unknown":
         left = number(record.get("left_over_percent"))
         if math.isfinite(left) and left >= 1.0:
@@ -127,8 +128,22 @@ def curve_words(c: Mapping[str, Any]) -> str:
     """Say on what the force depends, and by how much."""
     what = {"capacity": "The sliding force", "added": "An added force"}.get(str(c.get("action")), "The motion")
     size = number(c.get("range_percent"))
-    much = f": it changes by {size:.2g} % of Fy over what was tested" if math.isfinite(size) else ""
+    period = number(c.get("period"))
+    over = f"every {period:.3g} {c.get('unit')}, again and again" if math.isfinite(period) else "over what was tested"
+    much = f": it changes by {size:.2g} % of Fy {over}" if math.isfinite(size) else ""
     return f"{what} depends on {COORDINATES.get(str(c.get('coordinate')), c.get('coordinate'))}{much}."
+
+
+def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
+    """Say what a force that fluctuates by more than noise can may be, and what would tell."""
+    return [
+        f"The force fluctuates within a stroke by {number(c.get('size_percent')):.2g} % of the sliding force, more "
+        "than the noise of a load cell. Surfaces that stick and jump do that, and so does a frame that swings. Effects "
+        "below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower the speed "
+        "or stiffen the grip: stick-slip changes with both."
+        for c in record.get("coordinates") or ()
+        if record["verdict"] == "unknown" and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
+    ]
 
 
 def coordinates(data: DiagnosisData) -> list[dict[str, str]]:

@@ -74,7 +74,8 @@ def test_what_comes_again_is_found_with_its_period(trials, look):
     assert record["verdict"] == "unknown"
     assert classes(record) == {("added", "time")}
     assert record["coordinates"][0]["period"] == pytest.approx(20.0, rel=0.005)
-    assert record["unknown"]["period"] == {"length": record["coordinates"][0]["period"], "unit": "s"}
+    own = {"length": record["coordinates"][0]["period"], "unit": "s", "coordinate": "time"}
+    assert record["unknown"]["period"] == own
     assert "sin(2 pi t / " in record["unknown"]["formula"]
     assert record["after"]["rmse_kN"] < 0.8 * record["before"]["rmse_kN"]
 
