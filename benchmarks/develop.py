@@ -1,9 +1,9 @@
 """Development trials of the diagnosis: the simulators of the proof, seeds of development, one line a trial.
 
 ``python benchmarks/develop.py --kind one -n 20`` takes a first look at 20 devices that hold one effect each and prints
-what is concealed, the verdict, the coordinates with their probabilities, the names and the seconds; then a table.
-``--effect wear`` holds the forms of wear in turn, ``--effect wear_power`` one form. Trial i of a seed is the same
-whatever ``-n`` is; ``--first`` goes on behind trials that are done. Every trial is a line of
+what is concealed, the verdict, the coordinates with their probabilities, the names and the seconds of processor time;
+then a table. ``--effect wear`` holds the forms of wear in turn, ``--effect wear_power`` one form. Trial i of a seed is
+the same whatever ``-n`` is; ``--first`` goes on behind trials that are done. Every trial is a line of
 ``build/develop/*.jsonl``, with its key. The figures set thresholds and prove nothing.
 """
 
@@ -65,15 +65,15 @@ def trial(key: Key) -> dict[str, Any]:
     truth = truth_of(key, made)
     row: dict[str, Any] = {"key": key.to_dict(), "each": {k: list(v) for k, v in truth.each.items()}}
     row["required"] = sorted(truth.required)
-    begin = time.perf_counter()
+    begin = time.process_time()
     try:
         runs = runs_of([one.recording for one in made])
         device = DeviceModel(len(runs), read_priors("afc"), variant=key.reversal)
         record = diagnose(runs, device, quick=True).record
     except (ShjError, ArithmeticError, ValueError) as error:
         row |= {"outcome": "failed", "right": False, "verdict": "failed", "reason": f"{type(error).__name__}: {error}"}
-        return row | {"seconds": time.perf_counter() - begin}
-    row |= {"seconds": time.perf_counter() - begin} | {name: record[name] for name in KEPT if name in record}
+        return row | {"seconds": time.process_time() - begin}
+    row |= {"seconds": time.process_time() - begin} | {name: record[name] for name in KEPT if name in record}
     row["outcome"] = outcome(key, record, truth.required)
     row["right"] = coordinate_right(key, record, truth.required)
     return row

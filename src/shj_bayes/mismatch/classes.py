@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -126,9 +126,10 @@ def classes(hidden: frozenset[str] = frozenset()) -> tuple[Class, ...]:
         action, name = key
         if key in CURVES:
             names = HEATS if name == "heat" else (name,)
+            smooth = (1.0 - FORMS) * (1.0 - coordinate_named(names[0]).repeats)
             lengths = coordinate_named(names[0]).lengths
             variants = tuple(
-                Variant(curve := Curve(action, n, length), curve.effect(), (1.0 - FORMS) * weight / len(names))
+                Variant(curve := Curve(action, n, length), curve.effect(), smooth * weight / len(names))
                 for n in names
                 for length, weight in lengths.items()
             )
@@ -180,7 +181,7 @@ def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candid
 def sized(curve: Curve, size: float) -> Curve:
     """Give the same curve the standard deviation of `SIZES` that is nearest to a size, as a share of Fy."""
     nearest = min(SIZES, key=lambda one: abs(np.log(one / size)))
-    return Curve(curve.action, curve.coordinate, curve.length, curve.sides, nearest)
+    return replace(curve, size=nearest)
 
 
 def size_weights() -> FloatArray:

@@ -14,7 +14,7 @@ from shj_bayes.mismatch.heldout import HeldOut, cycles_of
 from shj_bayes.mismatch.regions import Region, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import SCHEMA
-from shj_bayes.mismatch.search import Search
+from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.effects.catalogue import catalogue
@@ -122,14 +122,40 @@ def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
             "size_percent": 100 * finding.size if finding else None,
             "range_percent": None,
             "curve": None,
+            "period": None,
             "matches": mechanisms(out, answer, name) if finding is None or finding.named else [],
         }
         band = curve_band(out, finding) if finding else None
         if band is not None:
             row["range_percent"] = float(np.ptp(band["mean"]))
+            row["period"] = finding.period if finding else None
             row["curve"] = {key: values.tolist() for key, values in band.items()} | {"unit": "% of Fy"}
         rows.append(row)
+    if answer.reason is Reason.FLUCTUATES:
+        rows.insert(0, fluctuation(out))
     return rows
+
+
+STICK_SLIP = ("motion", "stick-slip")
+
+
+def fluctuation(out: Search) -> dict[str, Any]:
+    """Describe a force that fluctuates as a dependence: of the motion, as where surfaces stick, load up and jump."""
+    return {
+        "coordinate": "stick-slip",
+        "unit": "1",
+        "action": "motion",
+        "direction": "both",
+        "probability": 1.0,
+        "evidence": None,
+        "size_percent": 100 * LARGEST_OF * out.metric.fluctuation,
+        "range_percent": None,
+        "curve": None,
+        "period": None,
+        "matches": [
+            e.id for e in catalogue().values() if ("motion", "stick-slip") in e.acts and e.id not in out.hidden
+        ],
+    }
 
 
 def locations(regions: list[Region]) -> list[dict[str, Any]]:
@@ -163,10 +189,9 @@ def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
         band = curve_band(out, finding)
         assert band is not None
         assert finding.curve is not None
-        assert finding.curve.variant.curve is not None
-        of = finding.member.of
-        symbol = finding.curve.variant.curve.over.symbol
-        formula = formula_of(band["at"], band["mean"], band["q05"], band["q95"], symbol, of.unit)
+        curve, of = finding.curve.variant.curve, finding.member.of
+        assert curve is not None
+        formula = formula_of(band["at"], band["mean"], band["q05"], band["q95"], curve.over.symbol, of.unit)
         rows = [
             {"centre": float(x), "push_kN": float(y) * fy / 100, "pull_kN": float(y) * fy / 100 * _mirrored(of.action)}
             for x, y in zip(band["at"], band["mean"], strict=True)
@@ -175,7 +200,7 @@ def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
             "coordinate": WORDS.get(of.coordinate, of.coordinate),
             "shape": rows,
             "formula": f"{TERM[of.action]} = {formula}" if formula else None,
-            "period": None,
+            "period": {"length": curve.period, "unit": of.unit} if curve.period is not None else None,
             "size_kN": finding.size * fy,
         }
     residual = answer.shown.state.residual

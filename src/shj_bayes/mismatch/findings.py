@@ -10,12 +10,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import Candidate
-from shj_bayes.mismatch.search import DOUBT, MATTERS, Hypothesis, Search
+from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, NOISE_MOST, Hypothesis, Search
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.parameters import FloatArray
-
-NOISE_MOST = 0.03  # of Fy: slow noise beyond it is no noise of a load cell
-EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
 
 
 class Verdict(StrEnum):
@@ -35,6 +32,7 @@ class Reason(StrEnum):
     SEVERAL = "no set of coordinates holds 95 % of the probability"
     NO_FORM = "no known mechanism has the curve that was found"
     LEFT_OVER = "beside what was found more is left than a model may miss"
+    FLUCTUATES = "the force fluctuates within a stroke by more than noise can"
     SLOW_NOISE = "what is left changes slowly and is larger than noise can be"
 
 
@@ -72,6 +70,12 @@ class Finding:
     def named(self) -> bool:
         """Whether a mechanism of the catalogue has it."""
         return self.member.variant.curve is None
+
+    @property
+    def period(self) -> float | None:
+        """After what the curve comes again, in the unit of its coordinate; None where it does not."""
+        curve = self.curve.variant.curve if self.curve is not None else None
+        return curve.period if curve is not None else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +132,9 @@ def answer_of(out: Search) -> Answer:
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
     for h, p in zip(ranked, probability, strict=True):
-        key = frozenset(h.members[i].of.id for i in range(len(h.members)) if p < 1e-6 or size_of(out, h, i) >= MATTERS)
+        key = frozenset(
+            h.members[i].of.id for i in range(len(h.members)) if p < 1e-6 or size_of(out, h, i) >= out.matters
+        )
         reduced[key] = reduced.get(key, 0.0) + float(p)
         best.setdefault(key, h)
     sets = tuple(sorted(reduced.items(), key=lambda item: -item[1]))
@@ -146,7 +152,6 @@ def answer_of(out: Search) -> Answer:
     largest = max((f.size for f in findings), default=0.0)
     inclusion = {k: p for k, p in inclusion.items() if k not in top or k in {f.member.of.id for f in findings}}
     left = discrepancy_size(out, shown.state)
-    slow = out.metric.noise.get("sigma_slow", 0.0) / out.scene.scale_kN
     if nothing >= DOUBT:
         verdict, reason = Verdict.ADEQUATE, Reason.NOTHING
     elif any(not f.named for f in findings):
@@ -155,10 +160,10 @@ def answer_of(out: Search) -> Answer:
         verdict, reason = Verdict.FAMILY, Reason.SEVERAL
     else:
         verdict, reason = Verdict.NAMED, Reason.SURE
-    if left > MATTERS and left > largest / 3.0:
+    if left > out.matters and left > largest / 3.0:
         verdict, reason = Verdict.UNKNOWN, Reason.LEFT_OVER
-    elif slow > NOISE_MOST:
-        verdict, reason = Verdict.UNKNOWN, Reason.SLOW_NOISE
+    if out.metric.fluctuation > NOISE_MOST:
+        verdict, reason = Verdict.UNKNOWN, Reason.SLOW_NOISE if out.metric.is_slow else Reason.FLUCTUATES
     return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
 
 
@@ -255,7 +260,7 @@ def rivals_of(answer: Answer) -> list[tuple[frozenset[str], float]]:
 
 
 def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | None:
-    """Curve of a finding over its coordinate with its 90 % band, per cent of Fy; None where there is none."""
+    """Curve of a finding over its coordinate or its period, with its 90 % band, % of Fy; None where there is none."""
     if f.curve is None or f.curve_state is None or f.curve.variant.curve is None:
         return None
     curve, state = f.curve.variant.curve, f.curve_state
@@ -266,5 +271,5 @@ def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | 
     centre = rows @ mean
     half = 1.6449 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
     history = out.scene.posterior.averages[0].history
-    at = curve.over.value_of(share, history)
+    at = curve.over.value_of(share, history) if curve.period is None else curve.period * share
     return {"at": at, "mean": 100 * centre, "q05": 100 * (centre - half), "q95": 100 * (centre + half)}

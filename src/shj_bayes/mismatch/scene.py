@@ -21,12 +21,15 @@ from shj_bayes.inference.start import law_starts
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
-from shj_bayes.model.noise.filter import whiten
+from shj_bayes.model.noise.filter import Timing, whiten
 from shj_bayes.model.parameters import FloatArray
 
 COARSER = 2.5  # blocks than those of a fit: many models are compared
 STEP = 1e-4  # of the standardised parameters, for derivatives
 MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device
+AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the same at any sampling rate
+LOW_SPEED = 0.4  # of the peak speed, below which the noise may be another one
+ROUGHER = 0.7  # sd before the test of the logarithm of its ratio: a factor of two either way
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
 
@@ -112,6 +115,17 @@ class Scene:
         return self.blocks([np.asarray(getattr(p.history, name))[:, None] for p in self.posterior.averages])[:, 0]
 
     @cached_property
+    def waves(self) -> dict[tuple[str, str], FloatArray]:
+        """Columns of `mismatch.waves` by action and coordinate: they are looked at beside many models."""
+        return {}
+
+    @cached_property
+    def slow(self) -> FloatArray:
+        """How far each block is one of low speed, 1 at rest to 0 at the peak, shape (n,)."""
+        share = self.channel("speed_mm_s") / (LOW_SPEED * self.posterior.averages[0].history.peak_speed_mm_s)
+        return np.asarray(np.exp(-(share**2)))
+
+    @cached_property
     def discrepancy(self) -> FloatArray:
         """Functions of the generic discrepancy, kN for a size of 1 kN, shape (n, p).
 
@@ -120,7 +134,7 @@ class Scene:
         histories = [part.history for part in self.posterior.averages]
         rows = self.blocks(
             [
-                np.concatenate([c.rows(c.over.share(h, self.base), h.direction) for c in DISCREPANCY], axis=1)
+                np.concatenate([c.rows(c.place(h, self.base), h.direction) for c in DISCREPANCY], axis=1)
                 for h in histories
             ]
         )
@@ -141,10 +155,13 @@ class NoiseSetting:
         Parameters of the noise model in their unbounded space.
     model_error_kN : float
         Size of the discrepancy.
+    at_rest : float
+        Logarithm of the standard deviation of the noise at low speed over that at high speed.
     """
 
     z: tuple[float, ...]
     model_error_kN: float
+    at_rest: float = 0.0
 
 
 class Metric:
@@ -164,6 +181,7 @@ class Metric:
         self.scene, self.setting, self.slope = scene, setting, slope
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         self.noise = {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, setting.z, strict=True)}
+        self.rougher = 1.0 + math.expm1(setting.at_rest) * scene.slow
         white, log_det = self.whitened(scene.discrepancy)
         self._other = white * setting.model_error_kN
         inner = np.eye(white.shape[1]) + self._other.T @ self._other
@@ -176,6 +194,7 @@ class Metric:
             + 2.0 * float(np.log(np.diag(self._root[0])).sum())
             + float(np.dot(setting.z, setting.z))
             + relative**2
+            + (setting.at_rest / ROUGHER) ** 2
         ) + math.log(relative)
 
     def whitened(self, columns: FloatArray) -> tuple[FloatArray, float]:
@@ -184,17 +203,60 @@ class Metric:
         for part in self.scene.posterior.averages:
             own = slice(first, first + part.n)
             white, log_det = whiten(
-                self.scene.device.noise, self.noise, np.ascontiguousarray(columns[own]), self.slope[own], part.timing
+                self.scene.device.noise,
+                self.noise,
+                np.ascontiguousarray(columns[own] / self.rougher[own, None]),
+                self.slope[own] / self.rougher[own],
+                part.timing,
             )
             out.append(white)
             total, first = total + log_det, first + part.n
-        return np.concatenate(out), total
+        return np.concatenate(out), total + 2.0 * float(np.log(self.rougher) @ self.scene.used)
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
+        white, reduced = self.factors(columns)
+        return np.asarray(white.T @ reduced)
+
+    @cached_property
+    def fluctuation(self) -> float:
+        """Standard deviation of the noise where it is roughest, on averages over `AVERAGED_S`, as a share of Fy."""
+        rows = {name: np.array([value]) for name, value in self.noise.items()}
+        parts = self.scene.device.noise.parts(rows)
+        white = float(parts.white_kN[0]) * math.sqrt(min(1.0, self._timing.step_s / AVERAGED_S))
+        rough = max(1.0, math.exp(self.setting.at_rest))
+        return rough * math.hypot(white, float(parts.slow_kN[0])) / self.scene.scale_kN
+
+    @cached_property
+    def is_slow(self) -> bool:
+        """Whether most of the noise is remembered for longer than a half-cycle lasts."""
+        rows = {name: np.array([value]) for name, value in self.noise.items()}
+        parts = self.scene.device.noise.parts(rows)
+        history = self.scene.posterior.averages[0].history
+        lasts = history.time_s[-1] / history.motion.n_half
+        left = float(self.scene.device.noise.decay(rows, np.array([lasts]), self._timing.step_s)[0, 0])
+        return left * float(parts.slow_kN[0]) ** 2 > math.exp(-1.0) * float(
+            parts.slow_kN[0] ** 2 + parts.white_kN[0] ** 2 * min(1.0, self._timing.step_s / AVERAGED_S)
+        )
+
+    @property
+    def _timing(self) -> Timing:
+        return self.scene.posterior.averages[0].timing
+
+    def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Give whitened columns, and the same less what the discrepancy takes up: products are of one with the other.
+
+        Parameters
+        ----------
+        columns : array, shape (n, p)
+            In kN.
+
+        Returns
+        -------
+        two arrays, shape (n, p)
+        """
         white, _ = self.whitened(columns)
-        cross = self._other.T @ white
-        return np.asarray(white.T @ white - cross.T @ cho_solve(self._root, cross))
+        return white, np.asarray(white - self._other @ cho_solve(self._root, self._other.T @ white))
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import Candidate, size_weights, sized
 from shj_bayes.mismatch.scene import Metric, beside
@@ -42,23 +43,42 @@ def screen(metric: Metric, state: State, candidates: Sequence[Candidate]) -> lis
     return sorted(out, key=lambda c: -c.gain)
 
 
+def log_gain(inner: FloatArray, along: FloatArray, sizes: FloatArray, weights: FloatArray) -> FloatArray:
+    """Log Bayes factor of columns with normal coefficients of one size, averaged over the size.
+
+    Parameters
+    ----------
+    inner, along : array, shape (..., p, p) and (..., p)
+        Products of the columns with one another and with the data, as from `scene.beside`.
+    sizes, weights : array, shape (m,)
+        Standard deviations of the coefficients with their probabilities.
+
+    Returns
+    -------
+    array, shape (..., m)
+        By size; the average is the `logsumexp`.
+    """
+    values, vectors = np.linalg.eigh(inner)
+    values = np.maximum(values, 0.0)[..., None, :]
+    squares = np.einsum("...ij,...i->...j", vectors, along)[..., None, :] ** 2
+    v = sizes[:, None] ** 2
+    gains = 0.5 * np.sum(v * squares / (1.0 + v * values) - np.log1p(v * values), axis=-1)
+    return np.asarray(gains + np.log(weights))
+
+
 def _gained(c: Candidate, inner: FloatArray, along: FloatArray) -> Candidate:
     """Candidate with its gain, averaged over its size before the test."""
     curve = c.variant.curve
     sizes = SIZES_OF_STARTS if curve is None else np.array(SIZES) / curve.size
     weights = np.full(sizes.size, 1.0 / sizes.size) if curve is None else size_weights()
-    values, vectors = np.linalg.eigh(inner)
-    values, squares = np.maximum(values, 0.0), (vectors.T @ along) ** 2
-    v = sizes[:, None] ** 2
-    gains = 0.5 * np.sum(v * squares / (1.0 + v * values) - np.log1p(v * values), axis=1) + np.log(weights)
-    top = float(gains.max())
-    gain = top + float(np.log(np.exp(gains - top).sum())) + float(np.log(c.variant.weight))
-    best = v[np.argmax(gains), 0]
-    mean = vectors @ (best / (1.0 + best * values) * (vectors.T @ along))
+    parts = log_gain(inner, along, sizes, weights)
+    gain = float(logsumexp(parts) + np.log(c.variant.weight))
+    best = float(sizes[np.argmax(parts)]) ** 2
+    mean = np.linalg.solve(np.eye(along.size) / best + inner, along)
     c = replace(c, change=c.columns @ mean)
     if curve is None:
         return replace(c, gain=gain)
-    curve = sized(curve, curve.size * float(sizes[np.argmax(gains)]))
+    curve = sized(curve, curve.size * float(sizes[np.argmax(parts)]))
     effect = curve.effect()
     model = c.model.with_effects((*c.model.effects[:-1], effect))
     return replace(c, gain=gain, model=model, variant=replace(c.variant, curve=curve, effect=effect))

@@ -14,17 +14,21 @@ from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.state import State, find_noise, settle, visible
+from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
-PROMISING = 0.7 * MATTERS  # to first order; less is not followed
+NOISE_MOST = 0.03  # of Fy: noise beyond it is no noise of a load cell
+EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
+PROMISING = 0.7  # of what matters, to first order; less is not followed
 DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
 BEAM = 2
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
 DEPTH = 4
+LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
 LARGEST = 70  # parameters of a model that is grown further
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
@@ -98,6 +102,12 @@ class Search:
         return {c.of.id: c.of for c in self.looked}
 
     @property
+    def matters(self) -> float:
+        """Size that a class must have, as a share of Fy: beside a force that fluctuates a fifth of what that makes."""
+        noise = self.metric.fluctuation
+        return max(MATTERS, (1.0 - EXPLAINED) * LARGEST_OF * noise) if noise > NOISE_MOST else MATTERS
+
+    @property
     def best(self) -> Hypothesis:
         """The most probable hypothesis."""
         return max(self.found.values(), key=lambda h: h.log_weight)
@@ -154,7 +164,9 @@ class Search:
         """Candidates to add to a hypothesis, the best of each class, best first."""
         if h.key not in self.screened:
             rest = [c for c in self.looked if c.of.id not in h.key and not _same_place(c.of, h)]
-            self.screened[h.key] = screen(self.metric, h.state, rest)
+            free = {c.of.id: c.of for c in rest}.values()
+            again = [wave for of in free for wave in waves(self.scene, self.metric, h.state, of)]
+            self.screened[h.key] = screen(self.metric, h.state, [*rest, *again])
         return self.screened[h.key]
 
     def grow(self, h: Hypothesis) -> None:
@@ -174,7 +186,7 @@ class Search:
                 continue
             if len(followed) >= MOST and c.of.id not in followed:
                 continue
-            if visible(self.scene, h.state.jacobian, c.change) < PROMISING:
+            if visible(self.scene, h.state.jacobian, c.change) < PROMISING * self.matters:
                 continue
             tried[kind] = tried.get(kind, 0) + 1
             followed.add(c.of.id)
@@ -239,16 +251,27 @@ class Search:
         ranked += [h for h in (self.found[frozenset()],) if h not in ranked]
         search_metric, found = self.metric, {}
         for h in ranked:
-            none = np.zeros((h.state.residual.size, 0))
-            self.metric = Metric(
-                self.scene, find_noise(self.scene, h.state, none, search_metric.setting), h.state.slope
-            )
-            new = self.fitted(h.members, h.state.z)
+            new = self._with_own_noise(h, search_metric.setting)
             if new is not None:
-                found[h.key] = replace(new, metric=self.metric)
+                found[h.key] = new
+        # The noise of one is where another's search for its own may have to begin.
+        first = max(found.values(), key=lambda h: h.log_weight)
+        assert first.metric is not None
+        for h in list(found.values()):
+            rival = h is not first and h.log_weight > first.log_weight - RIVAL
+            new = self._with_own_noise(h, first.metric.setting) if rival else None
+            if new is not None and new.log_weight > h.log_weight:
+                found[h.key] = new
         self.found = found
         self.metric = self.best.metric or search_metric
         self.screened = {}
+
+    def _with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
+        """Fit a hypothesis under the noise that is most probable beside it."""
+        none = np.zeros((h.state.residual.size, 0))
+        self.metric = Metric(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)
+        new = self.fitted(h.members, h.state.z)
+        return replace(new, metric=self.metric) if new is not None else None
 
     def retune(self) -> None:
         """Find the noise beside the best hypothesis and everything that could be added; fit the best anew."""
@@ -288,8 +311,14 @@ def search(
     start = NoiseSetting(tuple(_middle(scene)), 0.003 * scene.scale_kN)
     slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
     rough = settle(scene, Metric(scene, start, slope), scene.device, scene.z)
+    shown = resolved(scene, Metric(scene, start, slope), rough, classes)
+    if shown is not scene:
+        scene = shown
+        slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
+        rough = settle(scene, Metric(scene, start, slope), scene.device, scene.z)
     looked = candidates(scene, rough, tuple(classes))
-    metric = noise_beside(scene, rough, looked, None)
+    again = [w for of in classes for w in waves(scene, Metric(scene, start, slope), rough, of)]
+    metric = noise_beside(scene, rough, [*looked, *again], None)
     out = Search(scene, looked, metric, hidden, tell)
     base = out.add((), scene.z)
     assert base is not None
@@ -327,9 +356,10 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
     for c in looked:
         curve = c.variant.curve
         smooth = curve is None or curve.length == max(0.15, min(v.curve.length for v in c.of.variants if v.curve))
-        if c.of.id in seen or not smooth:
+        kind = (c.of.id, curve is not None and curve.period is not None)
+        if kind in seen or not smooth:
             continue
-        seen.add(c.of.id)
+        seen.add(kind)
         columns.append(WIDE * c.columns)
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return Metric(scene, find_noise(scene, state, wide, start), state.slope)

@@ -147,22 +147,25 @@ def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSett
     wide = state.beside(columns)
     unit = MODEL_ERROR * scene.scale_kN
 
+    def setting(u: FloatArray) -> NoiseSetting:
+        return NoiseSetting(tuple(u[:-2].tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
+
     def negative(u: FloatArray) -> float:
-        if np.any(np.abs(u[:-1]) > 8.0) or abs(u[-1]) > 6.0:
+        if np.any(np.abs(u[:-2]) > 8.0) or abs(u[-2]) > 6.0 or abs(u[-1]) > 4.0:
             return 1e12
-        metric = Metric(scene, NoiseSetting(tuple(u[:-1].tolist()), unit * math.exp(u[-1])), state.slope)
+        metric = Metric(scene, setting(u), state.slope)
         value = log_evidence(metric, metric.products(wide))
         return -value if math.isfinite(value) else 1e12
 
     if start is None:
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law.name, scene)] for law in laws]
-        points = [np.array([*point, 0.0]) for point in product(*grids)]
+        points = [np.array([*point, 0.0, 0.0]) for point in product(*grids)]
         first = min(points, key=negative)
     else:
-        first = np.array([*start.z, math.log(start.model_error_kN / unit)])
-    found = minimize(negative, first, method="BFGS", options={"maxiter": 15, "gtol": 0.5, "eps": 1e-3})
-    return NoiseSetting(tuple(found.x[:-1].tolist()), unit * math.exp(float(found.x[-1])))
+        first = np.array([*start.z, math.log(start.model_error_kN / unit), start.at_rest])
+    found = minimize(negative, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
+    return setting(found.x)
 
 
 def _grid(name: str, scene: Scene) -> tuple[float, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 
@@ -22,6 +22,7 @@ def force_with_effects(
     *,
     variant: str = "published",
     start_force_kN: float = 0.0,
+    acted: dict[Hashable, Contribution] | None = None,
 ) -> FloatArray:
     """Force of one run with effects.
 
@@ -39,6 +40,8 @@ def force_with_effects(
         Reversal rule of the base law.
     start_force_kN : float
         Rate-free force at the first sample, kN.
+    acted : dict, optional
+        Contributions to this run that are known, to take from and to add to: parameter sets often share most values.
 
     Returns
     -------
@@ -49,7 +52,14 @@ def force_with_effects(
     late = delayed(history, lag_s) if lag_s else None
     # The law on the motion of a moment ago: the force itself has corners that thinning would cut.
     moved, own = late or history.turned
-    total = combine([effect.act(moved, values[effect.id], base) for effect in effects])
+    acted = {} if acted is None else acted
+    parts = []
+    for effect in effects:
+        key = (effect.id, lag_s, base, *values[effect.id].values())
+        if key not in acted:
+            acted[key] = effect.act(moved, values[effect.id], base)
+        parts.append(acted[key])
+    total = combine(parts)
     clamping = np.maximum(np.broadcast_to(total.clamping, moved.time_s.shape), LEAST)
     if np.ndim(total.clamping):
         limit_rise(clamping, moved.travel_m, moved.motion.start, 1000.0 * base.K / base.Fy)

@@ -46,10 +46,14 @@ class Coordinate:
         Where a curve over the coordinate is 0: there the base law holds as it is.
     lengths : mapping of float to float
         Correlation lengths of the curves, as shares of the range, each with its probability before the test.
+    repeats : float
+        Probability that a curve over it comes again and again: threads and clocks do, wear and heat do not.
     family : str
         Family of the effects that a curve over it belongs to, as in INTERFACE.
     symbol : str
         Letter in formulas.
+    of_base : bool
+        Whether it depends on the base parameters: sliding begins where the elastic branch ends.
     """
 
     id: str
@@ -60,8 +64,10 @@ class Coordinate:
     scale: float | None = None
     zero: str = "low"
     lengths: Mapping[float, float] = field(default_factory=lambda: SMOOTH)
+    repeats: float = 0.0
     family: str = "slow_change"
     symbol: str = "u"
+    of_base: bool = False
 
     def share(self, history: History, base: Base) -> FloatArray:
         """Coordinate as a share of its range on its scale, 0 to 1, shape (n,)."""
@@ -134,6 +140,7 @@ ALL = (
         lambda h: (-h.half_stroke_mm, h.half_stroke_mm),
         zero="middle",
         lengths=MappingProxyType({0.05: 0.2, 0.15: 0.4, 0.5: 0.4}),
+        repeats=0.2,
         family="odd_in_position",
         symbol="x",
     ),
@@ -163,6 +170,7 @@ ALL = (
         lambda h, b: h.begun_s + h.time_s,
         lambda h: (0.0, h.tested_s),
         lengths=MappingProxyType({0.05: 0.45, 0.15: 0.45, 0.5: 0.1}),
+        repeats=0.2,
         symbol="t",
     ),
     *(
@@ -172,6 +180,7 @@ ALL = (
             f"the heat state (cooling in {c:g} times the time that {STROKES:g} half strokes take)",
             _heat(c),
             partial(_heat_reach, c),
+            of_base=True,
         )
         for i, c in enumerate((0.03, 0.1, 0.3, 1.0), start=1)
     ),
@@ -195,6 +204,7 @@ ALL = (
         lengths=EITHER,
         family="start_of_stroke",
         symbol="d",
+        of_base=True,
     ),
     Coordinate(
         "speed",

@@ -3,7 +3,8 @@
 A curve is a Gaussian process over the share of a coordinate's range, with a squared-exponential kernel, pinned to 0
 where the base law holds as it is (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, chapters 2 and
 4). It is written in its principal components on a grid (Karhunen-Loeve), so it is linear in a few coefficients with
-standard normal priors, and is an `Effect` like any other.
+standard normal priors, and is an `Effect` like any other. A curve that comes again every so many millimetres or seconds
+is one over the share of its period; its components are then the sine waves of the period and its parts.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from shj_bayes.model.priors import Prior
 ACTIONS = ("capacity", "added")
 SIZES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)  # of Fy: standard deviations that a curve may have before the test
 KEPT = 1e-4  # of the variance: smaller components are left out
+RECALLED_NUMBERS = 2_000_000  # components at the points of a longer history are worked out anew each time
+PERIODS_PER_UNIT = 1000  # to which a period is rounded, so that a word can hold it
 
 
 @lru_cache(maxsize=256)
@@ -55,15 +58,32 @@ def components(length: float, zero: float) -> CubicSpline:
     return CubicSpline(at, vectors[:, kept] * sign * np.sqrt(values[kept]))
 
 
-IDS = re.compile(rf"({'|'.join(ACTIONS)})_over_([a-z]+[0-9]?)(_by_direction)?_([0-9]{{2}})_([0-9]{{2}})")
+def harmonics(length: float) -> FloatArray:
+    """Give the standard deviations of the waves of a period and its parts, the whole period first; the variance is 1.
+
+    Parameters
+    ----------
+    length : float
+        Correlation length of the squared-exponential kernel, as a share of the period.
+    """
+    k = np.arange(1.0, 65.0)
+    power = np.exp(-0.5 * (2.0 * np.pi * k * length) ** 2)
+    power = power[power > 1e-2 * power.sum()]
+    return np.asarray(np.sqrt(power / power.sum()))
+
+
+IDS = re.compile(
+    rf"({'|'.join(ACTIONS)})_over_([a-z]+[0-9]?)(_by_direction)?(?:_every_([0-9]{{1,9}}))?_([0-9]{{2}})_([0-9]{{2}})"
+)
 
 
 def curve_named(word: str) -> Curve | None:
     """Curve of an effect's id; None where it is no curve's."""
     found = IDS.fullmatch(word)
-    if found is None or found[2] not in coordinates():
+    if found is None or found[2] not in coordinates() or (found[4] and int(found[4]) == 0):
         return None
-    return Curve(found[1], found[2], int(found[4]) / 100.0, found[3] is not None, int(found[5]) / 100.0)
+    period = int(found[4]) / PERIODS_PER_UNIT if found[4] else None
+    return Curve(found[1], found[2], int(found[5]) / 100.0, found[3] is not None, int(found[6]) / 100.0, period)
 
 
 @dataclass(frozen=True)
@@ -77,11 +97,13 @@ class Curve:
     coordinate : str
         Over what.
     length : float
-        Correlation length, as a share of the range.
+        Correlation length, as a share of the range, or of the period.
     sides : bool
         Whether push and pull have curves of their own.
     size : float
         Standard deviation before the test, as a share of Fy.
+    period : float or None
+        After what it comes again, in the unit of the coordinate; None where it does not.
     """
 
     action: str
@@ -89,6 +111,7 @@ class Curve:
     length: float
     sides: bool = False
     size: float = 0.05
+    period: float | None = None
 
     @property
     def over(self) -> Coordinate:
@@ -99,21 +122,33 @@ class Curve:
     def id(self) -> str:
         """Word of the curve as an effect."""
         own = "_by_direction" if self.sides else ""
+        if self.period is not None:
+            own += f"_every_{round(PERIODS_PER_UNIT * self.period)}"
         return f"{self.action}_over_{self.coordinate}{own}_{round(100 * self.length):02d}_{round(100 * self.size):02d}"
-
-    @property
-    def spline(self) -> CubicSpline:
-        """Components at a share of the range."""
-        return components(self.length, self.over.zero_share)
 
     @property
     def n(self) -> int:
         """Number of coefficients."""
-        return int(self.spline.c.shape[-1]) * (2 if self.sides else 1)
+        each = int(self._spline.c.shape[-1]) if self.period is None else 2 * harmonics(self.length).size
+        return each * (2 if self.sides else 1)
 
-    def rows(self, share: FloatArray, direction: FloatArray) -> FloatArray:
+    def place(self, history: History, base: Base) -> FloatArray:
+        """Where the points of a history lie, shape (n,): shares of the range, or periods since 0."""
+        if self.period is None:
+            return self.over.share(history, base)
+        return np.asarray(self.over.values(history, base) / self.period)
+
+    def components(self, place: FloatArray) -> FloatArray:
+        """Components at given places, shape (n, r); of a curve that comes again, the waves of its period and parts."""
+        if self.period is None:
+            return np.asarray(self._spline(place))
+        sd = harmonics(self.length)
+        angle = 2.0 * np.pi * place[:, None] * np.arange(1, sd.size + 1)
+        return np.concatenate([sd * np.cos(angle), sd * np.sin(angle)], axis=1)
+
+    def rows(self, place: FloatArray, direction: FloatArray) -> FloatArray:
         """Basis functions, shape (n, r): what each coefficient adds, as a share of Fy."""
-        basis = self.size * self.spline(share)
+        basis = self.size * self.components(place)
         if not self.sides:
             return np.asarray(basis)
         push = (direction > 0)[:, None]
@@ -122,29 +157,42 @@ class Curve:
     def act(self, history: History, values: Values, base: Base) -> Contribution:
         """Clamping 1 + f, or Fy_first f added to the force."""
         coefficients = self.size * np.array([values[f"c{i}"] for i in range(1, self.n + 1)])
-        share = self.over.share(history, base)
         if self.sides:
             push, pull = np.split(coefficients, 2)
-            f = np.where(history.direction > 0, self._sum(push)(share), self._sum(pull)(share))
+            f = np.where(history.direction > 0, self._at(history, base, push), self._at(history, base, pull))
         else:
-            f = self._sum(coefficients)(share)
+            f = self._at(history, base, coefficients)
         if self.action == "capacity":
             return Contribution(clamping=1.0 + f)
         return Contribution(added_kN=base.Fy_first * f)
 
-    def _sum(self, coefficients: FloatArray) -> PPoly:
-        """Curve of given coefficients."""
-        spline = self.spline
-        return PPoly.construct_fast(spline.c @ coefficients, spline.x)
+    @property
+    def _spline(self) -> CubicSpline:
+        """Components at a share of the range."""
+        return components(self.length, self.over.zero_share)
+
+    def _at(self, history: History, base: Base, coefficients: FloatArray) -> FloatArray:
+        """Curve of given coefficients at the points of a history."""
+        if self.over.of_base or history.time_s.size * self.n > RECALLED_NUMBERS:
+            place = self.place(history, base)
+            if self.period is not None:
+                return np.asarray(self.components(place) @ coefficients)
+            spline = self._spline
+            return np.asarray(PPoly.construct_fast(spline.c @ coefficients, spline.x)(place))
+        rows = history.recall(
+            (self.coordinate, self.period, self.length), lambda: self.components(self.place(history, base))
+        )
+        return np.asarray(rows @ coefficients)
 
     def effect(self) -> Effect:
         """Give the curve as an effect of the device model."""
         what = "Sliding force" if self.action == "capacity" else "A force that is added"
+        again = "" if self.period is None else f" and comes again every {self.period:.3g} {self.over.unit}"
         return Effect(
             id=self.id,
             family=self.over.family,
             title=f"{what} over {self.over.title.removeprefix('the ')}",
-            statement=f"{what} changes with {self.over.title}: see the curve.",
+            statement=f"{what} changes with {self.over.title}{again}: see the curve.",
             equation="Fy -> Fy (1 + f(u))" if self.action == "capacity" else "F -> F + Fy f(u)",
             cause="No known mechanism has this curve.",
             shows=f"Alike wherever {self.over.title} is alike.",

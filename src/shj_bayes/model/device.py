@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,7 +14,7 @@ from shj_bayes.errors import ModelError
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base, Effect
+from shj_bayes.model.effects.effect import Base, Contribution, Effect
 from shj_bayes.model.history import History
 from shj_bayes.model.law import force_of_laws, variant_named
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
@@ -180,12 +180,13 @@ class DeviceModel:
             out = np.empty((theta.shape[0], history.time_s.size))
         first = theta[:, self.index("Fy")]
         places = {e.id: [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters] for e in self.effects}
+        acted: dict[Hashable, Contribution] = {}
         for j in range(theta.shape[0]):
             own = {name: {p: float(theta[j, i]) for p, i in of_effect} for name, of_effect in places.items()}
             stiffness, capacity, beta, gamma = laws[j].tolist()
             base = Base(stiffness, capacity, beta, gamma, float(first[j]))
             out[j] = force_with_effects(
-                history, base, self.effects, own, variant=self.variant, start_force_kN=start_force_kN
+                history, base, self.effects, own, variant=self.variant, start_force_kN=start_force_kN, acted=acted
             )
         return out
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,6 +17,8 @@ from shj_bayes.recording.motion import Motion
 
 Way = tuple[FloatArray, NDArray[np.int64]]
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
+
+RECALLED = 16  # arrays that a history keeps of what was worked out of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +110,26 @@ class History:
     def speed_mm_s(self) -> FloatArray:
         """Speed, mm/s."""
         return self.motion.speed_mm_s
+
+    def recall(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
+        """Give what follows from this history alone, worked out once: a model is asked for many parameters.
+
+        Parameters
+        ----------
+        key : hashable
+            What it is.
+        make : callable
+            Works it out.
+        """
+        if key not in self._recalled:
+            if len(self._recalled) >= RECALLED:
+                self._recalled.clear()
+            self._recalled[key] = make()
+        return self._recalled[key]
+
+    @cached_property
+    def _recalled(self) -> dict[Hashable, FloatArray]:
+        return {}
 
     def reduced(self, rows: FloatArray, motion: Motion, kept: NDArray[np.int64] | None = None) -> History:
         """Give the history at fewer points, which need not be samples.

@@ -12,6 +12,7 @@ _MIN_POINTS = 9
 _MANY_POINTS = 100
 _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
 _AT_REST = 5.0  # standard deviations of a sample from the level of a rest
+_STILL = 1e-5  # of the whole stroke: less is no motion, however exact the samples are
 _MOST = 0.5  # share of the samples near an extreme that stand still when it is a rest
 _POOR = 1.5  # a fit whose residual is this many times the noise is no smooth peak (a corner or a rest)
 
@@ -112,10 +113,13 @@ def place(
         before, after = edges[k], edges[k + 2]
         lo, hi = _neighbourhood(smoothed, before, index, after)
         peak = bool(smoothed[index] > smoothed[before])
+        rest = _rest(time_s, raw, smoothed, (lo, index, hi), noise)
         if np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
             found = _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
+            if rest and (not found or np.count_nonzero((time_s > found[0]) & (time_s < rest[0])) >= _MIN_POINTS):
+                found = rest  # the corner is where it begins, or elsewhere
         else:
-            found = _quartic(time_s, raw, lo, hi, noise, peak) or _rest(time_s, raw, smoothed, (lo, index, hi), noise)
+            found = _quartic(time_s, raw, lo, hi, noise, peak) or rest
         times[k], places[k] = found or _between_samples(time_s, smoothed, velocity, (lo, index, hi), peak)
     return times, places
 
@@ -173,14 +177,28 @@ def _rest(
     """
     lo, index, hi = around
     level = float(smoothed[index])
+    near = max(_AT_REST * noise, _STILL * float(np.ptp(raw)))
     for _ in range(3):
-        away = np.flatnonzero(np.abs(smoothed[lo : hi + 1] - level) > _AT_REST * noise) + lo
+        away = np.flatnonzero(np.abs(smoothed[lo : hi + 1] - level) > near) + lo
         first = int(away[away < index][-1]) + 1 if np.any(away < index) else lo
         last = int(away[away > index][0]) - 1 if np.any(away > index) else hi
         level = float(np.median(raw[first : last + 1]))
     if last - first + 1 < _MIN_POINTS or last - first < _MOST * (hi - lo):
         return None
-    return float(time_s[last]), level
+    return _departure(time_s, raw, last, hi, level, near), level
+
+
+def _departure(time_s: FloatArray, raw: FloatArray, last: int, hi: int, level: float, near: float) -> float:
+    """When the motion back begins, s: its distance from the rest grows as the square of the time, from 0.
+
+    A smoothed displacement leaves the rest before the device does.
+    """
+    far = last + np.flatnonzero(np.abs(raw[last : hi + 1] - level) > near)[:_MAX_POINTS]
+    if far.size < _MIN_POINTS:
+        return float(time_s[last])
+    slope, root = np.polyfit(time_s[far] - time_s[last], np.sqrt(np.abs(raw[far] - level)), 1)
+    begins = float(time_s[last] - root / slope) if slope > 0.0 else float(time_s[last])
+    return float(np.clip(begins, time_s[last], time_s[far[0]]))
 
 
 def _between_samples(

@@ -53,6 +53,23 @@ def test_the_parameters_of_the_noise_are_read_back(metric: Metric) -> None:
     assert metric.noise == pytest.approx(NOISE)
 
 
+def test_noise_may_be_rougher_at_low_speed(scene: Scene, metric: Metric) -> None:
+    """The covariance is scaled on both sides by a factor of the speed; the constant follows it."""
+    rough = Metric(scene, replace(metric.setting, at_rest=math.log(3.0)), metric.slope)
+    used = scene.used > 0
+    speed = scene.channel("speed_mm_s")[used]
+    assert rough.rougher[used][np.argmin(speed)] == pytest.approx(3.0, rel=0.02)
+    assert rough.rougher[used][np.argmax(speed)] == pytest.approx(1.0, abs=0.01)
+    still = Metric(scene, rough.setting, np.zeros(metric.slope.size))
+    plain = Metric(scene, metric.setting, np.zeros(metric.slope.size))
+    column = np.random.default_rng(3).normal(0, 1, (scene.used.size, 1))
+    (own, log_det), (other, less) = still.whitened(column), plain.whitened(column / rough.rougher[:, None])
+    np.testing.assert_allclose(own, other, rtol=1e-12)
+    assert log_det - less == pytest.approx(2.0 * np.log(rough.rougher[used]).sum())
+    assert rough.fluctuation == pytest.approx(3.0 * metric.fluctuation)
+    assert not metric.is_slow
+
+
 def test_products_are_those_of_the_covariance(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
     columns = np.random.default_rng(1).normal(0, 3, (scene.used.size, 4))
     own = columns[scene.used > 0]

@@ -58,7 +58,8 @@ def test_every_curve_of_a_search_is_known_by_its_word(action: str, size: float) 
 
 @pytest.mark.parametrize(
     "word",
-    ["wear", "capacity_over_travel", "capacity_over_travel_5_10", "capacity_over_trevel_50_10", "pull_over_time_50_10",
+    ["wear", "added_over_time_every_0_15_05", "added_over_time_every_15_05",
+     "capacity_over_travel", "capacity_over_travel_5_10", "capacity_over_trevel_50_10", "pull_over_time_50_10",
      "capacity_over_travel_50_10x", "capacity_over_travel_by_side_50_10"],
 )  # fmt: skip
 def test_other_words_are_no_curves(word: str) -> None:
@@ -114,6 +115,35 @@ def test_what_it_does_is_its_rows_times_the_coefficients(curve: Curve, history: 
         np.testing.assert_allclose(done.added_kN, BASE.Fy_first * f, rtol=0, atol=1e-10)
         assert np.all(np.asarray(done.clamping) == 1.0)
     assert np.abs(f).max() > 0.1 * curve.size
+
+
+AGAIN = [Curve("added", "time", 0.15, False, 0.05, 15.564), Curve("capacity", "position", 0.15, False, 0.1, 36.191)]
+
+
+@pytest.mark.parametrize("curve", AGAIN, ids=[c.id for c in AGAIN])
+def test_a_curve_may_come_again(curve: Curve, history: History) -> None:
+    """Alike a period later, as large as its size says, and made of its rows."""
+    assert curve_named(curve.id) == curve
+    place = np.linspace(0.0, 1.0, 40)
+    rows = curve.rows(place, np.ones(40))
+    np.testing.assert_allclose(rows, curve.rows(place + 7.0, np.ones(40)), atol=1e-12)
+    np.testing.assert_allclose(np.sum(rows**2, axis=1), curve.size**2, rtol=1e-12)
+    c = some(curve)
+    done = curve.act(history, values(c), BASE)
+    own = curve.over.values(history, BASE) / curve.period
+    f = curve.rows(own, history.direction) @ c
+    made = done.added_kN / BASE.Fy_first if curve.action == "added" else np.asarray(done.clamping) - 1.0
+    np.testing.assert_allclose(made, f, atol=1e-12)
+
+
+def test_a_history_forgets_what_it_recalled_when_it_is_too_much(history: History) -> None:
+    calls = []
+    for key in (*range(40), 39):
+        history.recall(key, lambda key=key: calls.append(key) or np.full(2, key))  # type: ignore[misc]
+    assert calls == list(range(40))
+    assert history.recall(39, lambda: np.zeros(2))[0] == 39
+    history.recall(0, lambda: calls.append(0) or np.zeros(2))  # type: ignore[arg-type, return-value]
+    assert calls[-1] == 0
 
 
 def test_push_and_pull_have_curves_of_their_own(history: History) -> None:

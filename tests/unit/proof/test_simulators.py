@@ -14,8 +14,9 @@ from shj_validation.proof.cases import stated_key
 from shj_validation.proof.device import Device
 from shj_validation.proof.make import make
 from shj_validation.proof.noise import NOISES, force_noise
-from shj_validation.proof.protocols import Course, course
+from shj_validation.proof.protocols import IMPROVED, Course, course
 from shj_validation.proof.simulators import bolt, forms, friction, heat
+from shj_validation.proof.simulators.branch import STILL_MM
 from shj_validation.proof.simulators.iwan import elements
 from shj_validation.proof.simulators.mechanism import two_poles
 from shj_validation.proof.simulators.rig import Acts, Drive, drives, rate_free
@@ -73,6 +74,15 @@ def test_a_rest_is_no_reversal():
     drive = Drive(1, Course(np.arange(x.size) * 0.01, x, 1), 60.0, np.zeros(x.size), 95.0, 10.0)
     own = rate_free(drive, DEVICE, Acts(), 1e6, "published")
     assert own[450:] == pytest.approx(60.0, abs=0.01)
+
+
+def test_tests_rest_at_the_end_of_a_stroke_without_turning_back():
+    """A step back to the peak behind a rest would be two reversals, at each of which the published rule jumps."""
+    x = course("improved", 5.0, 20).x_mm
+    steps = np.diff(x)[np.abs(np.diff(x)) > STILL_MM]
+    turned = np.flatnonzero(steps[1:] * steps[:-1] < 0)
+    assert turned.size == 2 * sum(cycles for _, _, cycles, _ in IMPROVED)
+    assert np.diff(turned).min() > 20
 
 
 def test_a_mass_cannot_follow_the_jump():

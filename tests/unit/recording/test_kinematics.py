@@ -94,6 +94,20 @@ def test_corners_and_rests_are_kept(rest, noise):
         assert np.allclose(t[motion.start[1:-1]], np.arange(1, 10) * 7.0, atol=0.05)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_long_rest_at_the_end_of_a_sine_belongs_to_the_stroke_before_it(noise):
+    """However exact the samples are: the published rule jumps when the motion back begins, not before."""
+    rate, amplitude, speed = 20.0, 48.0, 10.0
+    moving = np.arange(0.0, 3.0 * 2 * np.pi * amplitude / speed, 1.0 / rate)
+    sine = amplitude * np.sin(speed / amplitude * moving)
+    top = int(0.5 * np.pi * amplitude / speed * rate) + 1
+    x = np.concatenate([np.zeros(40), sine[:top], np.full(3000, amplitude), sine[top:]])
+    t = np.arange(x.size) / rate
+    motion = motion_of(Recording(t, x + noise * np.random.default_rng(1).standard_normal(x.size), np.zeros(x.size)))
+    assert motion.n_half == 7
+    assert t[motion.start[1]] == pytest.approx(t[40 + top + 3000], abs=0.4)
+
+
 def test_a_long_rest_with_noise_and_counts_makes_no_reversals():
     rng = np.random.default_rng(5)
     _, exact = exact_motion((Block(6.0, 0.25, 3),), 50.0)

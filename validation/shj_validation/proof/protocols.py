@@ -115,8 +115,9 @@ def _sine(amplitude: float, speed: float, cycles: int, rest: float, dt: float) -
     x = amplitude * np.sin(speed / amplitude * moving)
     if not rest:
         return np.asarray(x)
-    first = int(np.pi / 2 * amplitude / speed / dt)
-    return np.concatenate([x[:first], np.full(round(rest / dt), amplitude), x[first:]])
+    # The motion goes on behind the peak: going back to it would be a reversal, at which Eq. (1) as published jumps.
+    behind = int(np.pi / 2 * amplitude / speed / dt) + 1
+    return np.concatenate([x[:behind], np.full(round(rest / dt), amplitude), x[behind:]])
 
 
 def _earthquake(rng: np.random.Generator, speed: float, dt: float) -> FloatArray:

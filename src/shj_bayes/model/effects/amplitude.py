@@ -5,14 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.effects.sliding import remembered, slid_since_mm
 from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + c log2(A/A_max); amplitudes below a hundredth of the largest count as that."""
-    share = np.maximum(history.amplitude_mm / history.half_stroke_mm, 0.01)
-    return Contribution(clamping=1.0 + values["size"] * np.log2(share))
+    """Clamping 1 + c log2(A/A_max)."""
+    return Contribution(clamping=1.0 + values["size"] * _doublings(history))
+
+
+def _gradual(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + c m, m the doublings log2(A/A_max) that the contact has got used to over a distance slid."""
+    goal = _doublings(history)
+    late = goal[0] + remembered(goal - goal[0], slid_since_mm(history, base), values["length"])
+    return Contribution(clamping=1.0 + values["size"] * late)
+
+
+def _doublings(history: History) -> FloatArray:
+    """Binary logarithm of A/A_max; amplitudes below a hundredth of the largest count as that."""
+    return np.asarray(np.log2(np.maximum(history.amplitude_mm / history.half_stroke_mm, 0.01)))
 
 
 EFFECT = Effect(
@@ -34,4 +47,17 @@ EFFECT = Effect(
     acts=(("capacity", "amplitude"),),
     source="DOMAIN E18.",
     start={"size": (0.02, -0.02)},
+).with_form(
+    "gradual",
+    statement="Each doubling of the amplitude changes the sliding force by {size:+.1%}, {length:.0f} mm of slip late.",
+    equation="Fy -> Fy (1 + c m), L dm/ds + m = log2(A/A_max), s slid",
+    parameters=(
+        Prior(
+            "size", "1", "normal", 0.0, 0.04, "Per doubling; 16 % from the smallest to the largest block of Table 1."
+        ),
+        Prior("length", "mm", "loguniform", 10.0, 3000.0, "From a part of a stroke to all strokes of a block."),
+    ),
+    act=_gradual,
+    source="Debris is swept out stroke by stroke: the film follows with a slip length, as in rate and state friction.",
+    start={"size": (0.02, -0.02), "length": (60.0, 300.0, 1000.0)},
 )

@@ -2,29 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
-
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
-from shj_bayes.model.effects.sliding import slid_since_mm
+from shj_bayes.model.effects.sliding import remembered, slid_since_mm
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
-
-
-@njit(cache=True)
-def _remembered(speed: FloatArray, moved: FloatArray, length: float) -> FloatArray:
-    """Solve L dm/ds + m = u from rest, exactly for a speed that is straight over each step in slip."""
-    out = np.zeros_like(speed)
-    for i in range(1, speed.size):
-        step = moved[i] / length
-        if step < 1e-9:
-            out[i] = out[i - 1]
-            continue
-        rise = (speed[i] - speed[i - 1]) / step
-        keep = np.exp(-step)
-        out[i] = speed[i] - rise + (out[i - 1] - speed[i - 1] + rise) * keep
-    return out
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
@@ -33,10 +14,8 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     At a steady speed both cancel. The speed of the moment acts as Eq. (2) does, on the elastic branches as well.
     """
     speed = history.speed_mm_s / history.peak_speed_mm_s
-    remembered = _remembered(speed, slid_since_mm(history, base), values["length"])
-    return Contribution(
-        clamping=1.0 - values["size"] * remembered, gamma_s_per_mm=values["size"] / history.peak_speed_mm_s
-    )
+    late = remembered(speed, slid_since_mm(history, base), values["length"])
+    return Contribution(clamping=1.0 - values["size"] * late, gamma_s_per_mm=values["size"] / history.peak_speed_mm_s)
 
 
 EFFECT = Effect(

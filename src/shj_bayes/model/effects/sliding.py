@@ -40,3 +40,28 @@ def slid_since_mm(history: History, base: Base) -> FloatArray:
     Motion of the elastic branches is not sliding; in small cycles it is most of the travel.
     """
     return np.asarray(np.maximum(np.diff(slid_mm(history, base), prepend=0.0), 0.0))
+
+
+@njit(cache=True)
+def remembered(goal: FloatArray, moved: FloatArray, length: float) -> FloatArray:
+    """State that follows a goal late, L dm/ds + m = u from 0, shape (n,); exact for a goal straight over each step.
+
+    Parameters
+    ----------
+    goal : array, shape (n,)
+        The goal u.
+    moved : array, shape (n,)
+        Distance slid since the sample before, mm.
+    length : float
+        L, mm.
+    """
+    out = np.zeros_like(goal)
+    for i in range(1, goal.size):
+        step = moved[i] / length
+        if step < 1e-9:
+            out[i] = out[i - 1]
+            continue
+        rise = (goal[i] - goal[i - 1]) / step
+        keep = np.exp(-step)
+        out[i] = goal[i] - rise + (out[i - 1] - goal[i - 1] + rise) * keep
+    return out
