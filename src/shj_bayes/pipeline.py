@@ -298,9 +298,10 @@ def diagnose_device(
         render_device(folder)
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 
+    given = options.device_model(len(runs), priors)
     diagnosis = diagnose(
         runs,
-        options.device_model(len(runs), priors),
+        given,
         name=name,
         without=without,
         seed=options.seed,
@@ -309,7 +310,8 @@ def diagnose_device(
         tell=tell,
     )
     findings = [finding.code for recording in recordings for finding in recording.findings]
-    diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings})
+    key = _key(paths, recordings, options, given, name)  # of the fit that it looks beyond
+    diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings, "key": key})
     diagnosis.write(folder)
     return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
 
