@@ -256,20 +256,27 @@ def run_campaign(
         devices = tuple(replace(device, diagnose=diagnose) for device in devices)
     crew = _Crew(folder, workers or os.cpu_count() or 1, cluster, progress)
     outcomes = crew.run("fits", _fit_one, devices, [_kept(device, folder) for device in devices])
-    together = _together(outcomes, folder)
+    outcomes, together = _together(outcomes, folder)
     outcomes = _fitted_with_sets(crew, outcomes, together, folder)
     write_text(folder / "campaign.json", json.dumps(campaign_record(manifest, outcomes, together), indent=1))
     return outcomes
 
 
-def _together(outcomes: Sequence[Outcome], folder: Path) -> tuple[Together, ...]:
+def _together(outcomes: Sequence[Outcome], folder: Path) -> tuple[list[Outcome], tuple[Together, ...]]:
     """Add up what the diagnosed devices of each set, and all of them, have in common."""
-    diagnosed = [o.device for o in outcomes if o.status != FAILED and o.diagnosis not in ("off", FAILED)]
-    if not diagnosed:
-        return ()
-    from shj_bayes.mismatch.together import together  # noqa: PLC0415  (needs half of scipy)
+    out, devices = [], []
+    for o in outcomes:
+        if o.status == FAILED or o.diagnosis in ("off", FAILED):
+            out.append(o)
+            continue
+        from shj_bayes.mismatch.together import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
 
-    return together([(d.set_name, d.name, d.folder, folder / d.folder / DIAGNOSIS) for d in diagnosed])
+        try:
+            devices.append((o.device.set_name, read_diagnosed(folder / o.device.folder / DIAGNOSIS, o.device.folder)))
+            out.append(o)
+        except ShjError as error:
+            out.append(replace(o, diagnosis=FAILED, diagnosis_reason=str(error)))
+    return out, together(devices) if devices else ()
 
 
 def _fitted_with_sets(
@@ -330,12 +337,16 @@ def _kept(device: Device, folder: Path) -> Outcome | None:
 
 
 def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
-    """Verdict of a diagnosis that was made earlier of the same recordings with the same options; None without one."""
+    """Verdict of a diagnosis that was made earlier of the same recordings with the same options; None without one.
+
+    A full one does where a quick one is asked for.
+    """
     files = [place / DIAGNOSIS / name for name in ("diagnosis.json", "diagnosis.html")]
     try:
         record = read_json(files[0], CampaignError)
-        same = (record["key"], record["quick"]) == (key, device.diagnose == "quick")
-        whole = same and files[1].stat().st_mtime_ns >= files[0].stat().st_mtime_ns
+        same = record["key"] == key and not record["model"]["without"]
+        enough = device.diagnose == "quick" or not record["quick"]
+        whole = same and enough and files[1].stat().st_mtime_ns >= files[0].stat().st_mtime_ns
         return str(record["verdict"]) if whole else None
     except (CampaignError, OSError, KeyError, TypeError):
         return None

@@ -22,6 +22,8 @@ from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
 
 DIGITS = 3  # of a log weight, nats
+SMALLER = (1.0, 0.2, 0.04)  # of the size that fits best alone: sizes at which two candidates are weighed together
+CLEAR = 0.1  # nats; less between two candidates is nothing
 
 
 def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
@@ -60,11 +62,13 @@ def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
     sizes = {f.member.of.id: f.size for f in answer.findings}
     bands = {f.member.of.id: curve_band(out, f, 2) for f in answer.findings}
     changes = {name: band["mean"][1] - band["mean"][0] for name, band in bands.items() if band is not None}
-    others = {name: c for name, c in _best(out.screen(answer.shown)).items() if name not in own}
-    first = _FirstOrder(out, answer.shown, list(others.values()))
+    # The model that is shown may hold classes of a size that does not matter, too: here they are others.
+    plain = out.found.get(frozenset(own), out.found[frozenset()])
+    others = {name: c for name, c in _best(out.screen(plain)).items() if name not in own}
+    first = _FirstOrder(out, plain, list(others.values()))
     for i, (name, c) in enumerate(others.items()):
         mean = first.mean(i)
-        sizes[name] = visible(out.scene, answer.shown.state.jacobian, first.columns[i] @ mean)
+        sizes[name] = visible(out.scene, plain.state.jacobian, first.columns[i] @ mean)
         if c.variant.curve is not None:
             ends = c.variant.curve.rows(np.array([0.0, 1.0]), np.ones(2)) @ mean
             changes[name] = 100.0 * (ends[1] - ends[0])
@@ -94,9 +98,8 @@ def _gains_beside(out: Search, h: Hypothesis) -> dict[frozenset[str], float]:
     alone = {name: _averaged(own) for name, own in by_class.items()}
     gains = {frozenset((name,)): gain for name, gain in alone.items()}
     first = _FirstOrder(out, h, [own[0] for own in by_class.values()])
-    one = [first.log_factor(i) for i in range(len(by_class))]
     for (i, a), (j, b) in combinations(enumerate(by_class), 2):
-        gains[frozenset((a, b))] = alone[a] + alone[b] + first.log_factor(i, j) - one[i] - one[j]
+        gains[frozenset((a, b))] = alone[a] + alone[b] + first.interplay(i, j)
     return gains
 
 
@@ -109,12 +112,24 @@ class _FirstOrder:
         ends = np.cumsum([0, *(c.shape[1] for c in self.columns)])
         self._places = [np.arange(a, b) for a, b in pairwise(ends)]
 
-    def log_factor(self, *which: int) -> float:
-        """Log Bayes factor of some candidates together; their coefficients have standard normal priors."""
-        own = np.concatenate([self._places[i] for i in which])
-        values, vectors = np.linalg.eigh(self._inner[np.ix_(own, own)])
+    def interplay(self, i: int, j: int) -> float:
+        """Log Bayes factor of two candidates over the product of theirs; 0 where neither does what the other does."""
+        extra = self._log_factor((i, 1.0), (j, 1.0)) - self._log_factor((i, 1.0)) - self._log_factor((j, 1.0))
+        if abs(extra) < CLEAR:
+            return extra
+        # The size that fits a candidate alone need not fit it beside the other.
+        both = [self._log_factor((i, u), (j, v)) for u in SMALLER for v in SMALLER]
+        one, other = ([self._log_factor((k, u)) for u in SMALLER] for k in (i, j))
+        return float(logsumexp(both) - logsumexp(one) - logsumexp(other))
+
+    def _log_factor(self, *which: tuple[int, float]) -> float:
+        """Log Bayes factor of candidates of some size each together; their coefficients have standard normal priors."""
+        own = np.concatenate([self._places[i] for i, _ in which])
+        size = np.concatenate([np.full(self._places[i].size, size) for i, size in which])
+        values, vectors = np.linalg.eigh(self._inner[np.ix_(own, own)] * np.outer(size, size))
         values = np.maximum(values, 0.0)
-        return float(0.5 * np.sum((vectors.T @ self._along[own]) ** 2 / (1.0 + values) - np.log1p(values)))
+        along = vectors.T @ (self._along[own] * size)
+        return float(0.5 * np.sum(along**2 / (1.0 + values) - np.log1p(values)))
 
     def mean(self, i: int) -> FloatArray:
         """Posterior mean of the coefficients of one candidate alone."""

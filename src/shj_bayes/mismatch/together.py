@@ -100,34 +100,43 @@ class Together:
         return device.evidence.own.get(name) or device.evidence.written.get(name, "")
 
 
-def together(devices: Iterable[tuple[str, str, str, Path]]) -> tuple[Together, ...]:
+def together(devices: Iterable[tuple[str, Diagnosed]]) -> tuple[Together, ...]:
     """Add up the diagnoses of a campaign.
 
     Parameters
     ----------
-    devices : iterable of (str, str, str, Path)
-        Of each device its set, its name, its folder below the campaign's, and the folder of its diagnosis.
+    devices : iterable of (str, Diagnosed)
+        Each device, behind the name of its set.
 
     Returns
     -------
     tuple of Together
         One for each set; behind them, where there are several sets, one for all devices.
-
-    Raises
-    ------
-    InferenceError
-        If a diagnosis cannot be read.
     """
     by_set: dict[str, list[Diagnosed]] = {}
-    for set_name, name, folder, place in devices:
-        by_set.setdefault(set_name, []).append(_read(place, folder, f"{set_name}, {name}"))
+    for set_name, device in devices:
+        by_set.setdefault(set_name, []).append(device)
     groups: list[tuple[str, Sequence[Diagnosed]]] = list(by_set.items())
     if len(groups) > 1:
         groups.append(("", [device for _, own in groups for device in own]))
     return tuple(Together(name, tuple(own), common_to([d.evidence for d in own])) for name, own in groups)
 
 
-def _read(place: Path, folder: str, name: str) -> Diagnosed:
+def read_diagnosed(place: Path, folder: str) -> Diagnosed:
+    """Read what a diagnosis says for the set of its device.
+
+    Parameters
+    ----------
+    place : Path
+        Folder of the diagnosis.
+    folder : str
+        Folder of the device below the campaign's.
+
+    Raises
+    ------
+    InferenceError
+        If it cannot be read.
+    """
     record: Mapping[str, Any] = read_json(place / "diagnosis.json", InferenceError)
     try:
         evidence = device_evidence(record["evidence"])
@@ -135,5 +144,5 @@ def _read(place: Path, folder: str, name: str) -> Diagnosed:
         return Diagnosed(folder, evidence, modelled, not record["quick"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InferenceError(
-            f"{name}: the evidence in its diagnosis.json cannot be read ({error}); delete the file and run again"
+            f"the evidence in its diagnosis.json cannot be read ({error}); delete that file and run again"
         ) from error

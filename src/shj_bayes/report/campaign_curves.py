@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,35 +13,14 @@ from shj_bayes.errors import ShjError
 from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.curve import curve_named
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
 from shj_bayes.report.diagnosis_words import COORDINATES
 from shj_bayes.report.figures import campaign as figures
+from shj_bayes.report.figures.campaign import DeviceCurve
 from shj_bayes.report.page import Picture
 
 PLACES = 61  # of a curve
 MOST = 40  # curves in a panel, and panels in a picture
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """Curve of a device with its 90 % band.
-
-    Parameters
-    ----------
-    at : array, shape (n,)
-        Coordinate in its unit.
-    mean, low, high : array, shape (n,)
-        Change, per cent of Fy.
-    alone : bool
-        The device shows it alone; otherwise its set makes it certain.
-    """
-
-    at: FloatArray
-    mean: FloatArray
-    low: FloatArray
-    high: FloatArray
-    alone: bool
 
 
 def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, str]]) -> list[Picture]:
@@ -58,7 +36,7 @@ def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, 
         For the folder of each device those of its diagnosis and of its fit with what its set has, below the campaign's;
         empty where there is none.
     """
-    by_class: dict[str, list[tuple[Row, list[Curve]]]] = {}
+    by_class: dict[str, list[tuple[Row, list[DeviceCurve]]]] = {}
     for row in rows:
         if row.set_name and row.certain and row.action != "motion":
             curves = [
@@ -69,7 +47,7 @@ def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, 
     return [_picture(parts[:MOST]) for parts in by_class.values()]
 
 
-def _picture(parts: Sequence[tuple[Row, list[Curve]]]) -> Picture:
+def _picture(parts: Sequence[tuple[Row, list[DeviceCurve]]]) -> Picture:
     first = parts[0][0]
     name = COORDINATES.get(first.coordinate, first.coordinate).removeprefix("the ")
     unit = "" if first.unit == "1" else f" ({first.unit})"
@@ -83,7 +61,7 @@ def _picture(parts: Sequence[tuple[Row, list[Curve]]]) -> Picture:
     )
 
 
-def _curve(folder: Path, row: Row, i: int, diagnosis: str, with_set: str) -> Curve | None:
+def _curve(folder: Path, row: Row, i: int, diagnosis: str, with_set: str) -> DeviceCurve | None:
     """Curve of a device: of its fit with what its set has, or of its diagnosis; None where neither holds one."""
     try:
         if with_set and curve_named(row.effects[i]) is not None:
@@ -93,7 +71,7 @@ def _curve(folder: Path, row: Row, i: int, diagnosis: str, with_set: str) -> Cur
         return None
 
 
-def _of_fit(place: Path, fit: Path, effect: str, *, alone: bool) -> Curve | None:
+def _of_fit(place: Path, fit: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
     """Curve of a fit that holds it, from its posterior."""
     curve = curve_named(effect)
     held = {str(word) for word in read_record(fit)["model"]["effects"]}
@@ -105,10 +83,10 @@ def _of_fit(place: Path, fit: Path, effect: str, *, alone: bool) -> Curve | None
     share = np.linspace(0.0, 1.0, PLACES)
     values = 100.0 * curve.rows(share, np.ones(PLACES)) @ coefficients
     low, high = np.quantile(values, [0.05, 0.95], axis=1)
-    return Curve(curve.over.value_of(share, history), values.mean(axis=1), low, high, alone)
+    return DeviceCurve(curve.over.value_of(share, history), values.mean(axis=1), low, high, alone)
 
 
-def _of_diagnosis(place: Path, row: Row) -> Curve | None:
+def _of_diagnosis(place: Path, row: Row) -> DeviceCurve | None:
     """Curve that the diagnosis of a device found."""
     record: Mapping[str, Any] = read_json(place / "diagnosis.json", ShjError)
     for one in record["coordinates"]:
@@ -116,5 +94,5 @@ def _of_diagnosis(place: Path, row: Row) -> Curve | None:
             at, mean, low, high = (
                 np.array(one["curve"][key], dtype=np.float64) for key in ("at", "mean", "q05", "q95")
             )
-            return Curve(at, mean, low, high, alone=True)
+            return DeviceCurve(at, mean, low, high, alone=True)
     return None

@@ -13,6 +13,11 @@ from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.diagnosis_words import COORDINATES, percent
 
 ALL = "all devices of the campaign"
+# Where a coordinate is no quantity that varies.
+PLAIN = {
+    "added over constant": "a constant force beside friction",
+    "capacity over direction": "another force in push than in pull",
+}
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten"}
 
 
@@ -148,13 +153,14 @@ def statement(row: Row) -> str:
     one_way = len(known) == len(has) and len({c > 0 for c in known}) == 1
     # A curve that only rises or falls changes by more from end to end than can be seen beside the law.
     one_way = one_way and all(abs(c) >= s for c, s in zip(known, sizes, strict=True))
-    who = f"{_count(len(has))} of {_count(n).lower()} devices{f' of set {row.set_name}' if row.set_name else ''}"
+    of = f"devices of set {row.set_name}" if row.set_name else "devices of the campaign"
+    who = f"{_count(len(has))} of {_count(n).lower()} {of}"
     where = COORDINATES.get(row.coordinate, row.coordinate)
     if row.action == "capacity" and one_way:
         verb = "gain" if known[0] > 0 else "lose"
         text = f"{who} {verb} sliding force with {where}: {_span(map(abs, known))} of Fy over what was tested"
-    elif row.action == "motion":
-        text = f"{who} show {where}: up to {_span(sizes)} of Fy"
+    elif row.id in PLAIN or row.action == "motion":
+        text = f"{who} show {PLAIN.get(row.id, where)}: up to {_span(sizes)} of Fy"
     else:
         what = "sliding force" if row.action == "capacity" else "force that is added"
         text = f"{who} have a {what} that depends on {where}: {_span(sizes)} of Fy"
@@ -172,6 +178,8 @@ def statement(row: Row) -> str:
 
 def class_words(word: str) -> str:
     """Name a class."""
+    if word in PLAIN:
+        return PLAIN[word]
     action, _, coordinate = word.partition(" over ")
     what = {"capacity": "sliding force over ", "added": "added force over ", "motion": ""}.get(action, "")
     return f"{what}{COORDINATES.get(coordinate, coordinate)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
@@ -14,8 +14,19 @@ from shj_bayes.report.figures.canvas import BLUE, INK, ORANGE, WIDE, label, lege
 COLUMNS = 3
 
 
-class Band(Protocol):
-    """A curve with its band; see `campaign_curves.Curve`."""
+@dataclass(frozen=True, eq=False)
+class DeviceCurve:
+    """Curve of a device with its 90 % band.
+
+    Parameters
+    ----------
+    at : array, shape (n,)
+        Coordinate in its unit.
+    mean, low, high : array, shape (n,)
+        Change, per cent of Fy.
+    alone : bool
+        The device shows it alone; otherwise its set makes it certain.
+    """
 
     at: FloatArray
     mean: FloatArray
@@ -24,12 +35,12 @@ class Band(Protocol):
     alone: bool
 
 
-def curves(parts: Sequence[tuple[str, Sequence[Band]]], axis: str) -> str:
+def curves(parts: Sequence[tuple[str, Sequence[DeviceCurve]]], axis: str) -> str:
     """Draw the curves of devices with their 90 % bands, per cent of Fy; the same scale in all panels.
 
     Parameters
     ----------
-    parts : sequence of (str, sequence of Band)
+    parts : sequence of (str, sequence of DeviceCurve)
         Name of each set, and the curves of its devices.
     axis : str
         The coordinate with its unit.
