@@ -42,7 +42,7 @@ def test_a_loss_of_force_is_said_with_its_size_and_who_shows_it():
     ("change", "words"),
     [
         ({"change_percent": [2.0, 4.0, 2.6, 0.1]}, "gain sliding force with the distance travelled: 2 to 4 %"),
-        ({"change_percent": [2.0, -4.0, 2.6, 0.1]}, "a sliding force that depends on the distance travelled: 0.8 to 1.6 %"),
+        ({"change_percent": [2.0, -4.0, 2.6, 0.1]}, "that depends on the distance travelled: 0.8 to 1.6 %"),
         ({"change_percent": [None] * 4}, "have a sliding force that depends on"),
         ({"rivals": ["capacity over time"]}, "Their tests do not tell it from sliding force over the time."),
         ({"alone": [True] * 4}, "each shows it alone"),
