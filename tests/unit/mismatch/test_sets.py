@@ -9,6 +9,7 @@ import pytest
 from shj_bayes.mismatch.classes import PRESENT
 from shj_bayes.mismatch.search import ODDS
 from shj_bayes.mismatch.sets import ALONE, DeviceEvidence, common_to, device_evidence, log_shared
+from shj_bayes.mismatch.together import Diagnosed, together
 
 N = 401  # points of the brute force, over each share
 
@@ -159,3 +160,34 @@ def test_a_record_is_read_as_it_was_written():
 def test_a_damaged_record_is_refused(change):
     with pytest.raises(ValueError, match="set"):
         device_evidence(RECORD | change)
+
+
+def held(folder, *, own=(), sampled=False, evidence=(1.2, -1.0, 0.2)):
+    """A diagnosed device whose own model holds what its diagnosis found."""
+    return Diagnosed(folder, device(evidence, own=own), ("effect",) * len(own), sampled)
+
+
+def test_what_enters_is_fitted_with_what_the_device_shows_alone():
+    """A class of the set that only the set makes certain is added; nothing is fitted that a fit holds already."""
+    own = {"own": ("a",), "evidence": (30.0, -1.0, 29.0)}
+    rest = [("bare", held(f"weak {i}")) for i in range(6)]
+    found = together([*rest, ("bare", held("quick", **own)), ("bare", held("full", **own, sampled=True))])
+    (one,) = found
+    assert one.effects == {f"weak {i}": ("curve a",) for i in range(6)} | {"quick": ("effect",)}
+    assert one.to_dict()["classes"][0]["effects"] == ["curve a"] * 6 + ["effect"] * 2
+
+
+def test_a_device_that_has_it_not_is_left_as_it_is():
+    found = together(
+        [
+            *[("bare", held(f"{i}", evidence=(3.0, -1.0, 2.0))) for i in range(7)],
+            ("bare", held("without", evidence=(-9.0, -1.0, -10.0))),
+        ]
+    )
+    assert "without" not in found[0].effects
+    assert len(found[0].effects) == 7
+
+
+def test_all_devices_stand_behind_the_sets():
+    found = together([(name, held(f"{name} {i}")) for name in ("bare", "zinc") for i in range(2)])
+    assert [(one.set_name, len(one.devices)) for one in found] == [("bare", 2), ("zinc", 2), ("", 4)]
