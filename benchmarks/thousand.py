@@ -109,9 +109,8 @@ def make(folder: Path, n: int, seed: int, max_steps: int, *, whole: bool = False
         if number % 250 == 0:
             text += f'[[set]]\nname = "set {number // 250 + 1}"\n'
         text += f'[[set.device]]\nname = "{name}"\nrecordings = {json.dumps(names)}\n'
-    head = (
-        f'schema = "shj-bayes/campaign/1"\nname = "thousand"\nsimulated = true\n[defaults]\nmax_steps = {max_steps}\n'
-    )
+    head = 'schema = "shj-bayes/campaign/1"\nname = "thousand"\nsimulated = true\ndiagnose = "off"\n'
+    head += f"[defaults]\nmax_steps = {max_steps}\n"
     (folder / "campaign.toml").write_text(head + text, encoding="utf-8")
     return ways
 

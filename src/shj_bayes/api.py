@@ -228,9 +228,15 @@ class Campaign:
         return cls(read_manifest(Path(path)))
 
     def run(
-        self, out: str | Path | None = None, *, seed: int = 1, workers: int = 0, progress: bool = False
+        self,
+        out: str | Path | None = None,
+        *,
+        seed: int = 1,
+        workers: int = 0,
+        diagnose: str | None = None,
+        progress: bool = False,
     ) -> CampaignResult:
-        """Fit what is missing or changed, then pool, compare and write the page.
+        """Fit and diagnose what is missing or changed, then pool, compare and write the page.
 
         Parameters
         ----------
@@ -241,6 +247,8 @@ class Campaign:
         workers : int
             Devices at the same time, 0 for one per processor. Where processes are spawned (Windows, macOS), a script
             needs ``if __name__ == "__main__":`` around this call.
+        diagnose : {"quick", "full", "off"}, optional
+            How to look for what the law leaves out, in place of what the manifest says.
         progress : bool
             Show a progress bar.
 
@@ -249,7 +257,7 @@ class Campaign:
         CampaignResult
         """
         folder, held = _place(out)
-        outcomes = run_campaign(self.manifest, folder, workers=workers, progress=progress)
+        outcomes = run_campaign(self.manifest, folder, workers=workers, diagnose=diagnose, progress=progress)
         result = summarise_campaign(self.manifest, outcomes, folder, seed=seed, progress=progress)
         return CampaignResult(folder, result.record, held)
 

@@ -285,11 +285,24 @@ def diagnose(
 @SEED
 @WORKERS
 @click.option("--dask", "cluster", metavar="ADDRESS", help="Of a dask scheduler whose workers fit the devices.")
+@click.option(
+    "--diagnose",
+    "diagnosis",
+    type=click.Choice(["quick", "full", "off"]),
+    help="Look for what the law leaves out; by default as the manifest says, quick where it says nothing.",
+)
 @OUTPUT
 def campaign(
-    manifest: Path, out: Path, seed: int, workers: int | None, cluster: str | None, as_json: bool, quiet: bool
+    manifest: Path,
+    out: Path,
+    seed: int,
+    workers: int | None,
+    cluster: str | None,
+    diagnosis: str | None,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
-    """Fit every device of a TOML manifest, then population, comparison and report; resumes where it stopped.
+    """Fit and diagnose every device of a TOML manifest, then population and report; resumes where it stopped.
 
     Exit status 3 when it is done but for devices that failed.
     """
@@ -297,7 +310,9 @@ def campaign(
         raise click.UsageError("--workers is for this machine and --dask for a cluster; give one of them.")
     if cluster is not None and not cluster.strip():
         raise click.UsageError("--dask needs an address, such as tcp://10.0.0.5:8786.")
-    _run_campaign(manifest, out, seed=seed, workers=workers, cluster=cluster, quiet=quiet, as_json=as_json)
+    _run_campaign(
+        manifest, out, seed=seed, workers=workers, cluster=cluster, diagnosis=diagnosis, quiet=quiet, as_json=as_json
+    )
 
 
 def _run_campaign(
@@ -309,6 +324,7 @@ def _run_campaign(
     quiet: bool,
     as_json: bool,
     cluster: str | None = None,
+    diagnosis: str | None = None,
 ) -> None:
     need_files([manifest], CampaignError)
     make_writable(out)
@@ -317,7 +333,7 @@ def _run_campaign(
 
     speak = not (quiet or as_json)
     plan = read_manifest(manifest)
-    outcomes = run_campaign(plan, out, workers=workers or 0, cluster=cluster or "", progress=speak)
+    outcomes = run_campaign(plan, out, workers=workers or 0, cluster=cluster or "", diagnose=diagnosis, progress=speak)
     result = summarise_campaign(plan, outcomes, out, seed=seed, progress=speak)
     if as_json:
         click.echo(json.dumps(result.record, indent=1))
@@ -325,7 +341,7 @@ def _run_campaign(
         click.echo(result.text)
     if not result.usable:
         raise CampaignError("no device could be used; the reasons stand above and in campaign.json")
-    if failed := [f"{o.device.set_name}, {o.device.name} ({o.reason})" for o in outcomes if o.status == "failed"]:
+    if failed := [f"{o.device.set_name}, {o.device.name} ({'; '.join(o.failures)})" for o in outcomes if o.failures]:
         more = f"; and {len(failed) - NAMED} more, in campaign.json" if len(failed) > NAMED else ""
         done = f"done, but {len(failed)} of {len(outcomes)} devices failed: {'; '.join(failed[:NAMED])}{more}"
         click.echo(f"shj-bayes: {done}", err=True)

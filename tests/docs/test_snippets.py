@@ -46,6 +46,7 @@ TRUTH = {
 MANIFEST = """
 schema = "shj-bayes/campaign/1"
 name = "Spring"
+diagnose = "off"
 [defaults]
 max_steps = 800
 [[set]]
@@ -114,7 +115,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setattr(hierarchy, "fit_quantity", partial(hierarchy.fit_quantity, **short))
         patch.setattr(hierarchy, "_SHORT", short)
         # In this process, where pictures are left empty; tests/unit/test_campaign.py runs the workers.
-        patch.setattr(campaign, "_fit_all", lambda devices, out, _: (campaign._fit_one(d, out) for d in devices))
+        patch.setattr(campaign, "_in_processes", lambda job, devices, out, _: (job(d, out) for d in devices))
         patch.chdir(folder)
         yield folder
 

@@ -76,7 +76,8 @@ def make_inputs(folder: Path, steps: int) -> dict[str, list[str]]:
         runs = simulate_device(Truth(Fy=70.0 + 5 * number, phi=0.3), seed=number, rate_Hz=6.0, blocks=BLOCKS)
         names = [write_csv(folder / f"d{number}-{i}.csv", run).name for i, run in enumerate(runs, start=1)]
         entries.append(f'[[set.device]]\nname = "{number}"\nrecordings = {json.dumps(names)}\n')
-    head = f'schema = "shj-bayes/campaign/1"\nname = "kill"\n[defaults]\nmax_steps = {steps}\n[[set]]\nname = "a"\n'
+    head = 'schema = "shj-bayes/campaign/1"\nname = "kill"\ndiagnose = "off"\n[defaults]\n'
+    head += f'max_steps = {steps}\n[[set]]\nname = "a"\n'
     manifest = folder / "campaign.toml"
     manifest.write_text(head + "".join(entries), encoding="utf-8")
     runs_of_one = [str(folder / "d1-1.csv"), str(folder / "d1-2.csv")]

@@ -24,6 +24,7 @@ with alone(pathlib.Path(sys.argv[1])):
     time.sleep(60)
 """
 MANIFEST = """schema = "shj-bayes/campaign/1"
+diagnose = "off"
 [[set]]
 name = "a"
 [[set.device]]

@@ -39,7 +39,7 @@ def campaign(tmp_path_factory):
     path = folder / "campaign.toml"
     path.write_text(text, encoding="utf-8")
     manifest = read_manifest(path)
-    return manifest, folder / "out", run_campaign(manifest, folder / "out", workers=2)
+    return manifest, folder / "out", run_campaign(manifest, folder / "out", workers=2, diagnose="off")
 
 
 def test_good_devices_are_done_and_the_bad_one_is_named(campaign):
@@ -56,7 +56,12 @@ def test_good_devices_are_done_and_the_bad_one_is_named(campaign):
 def test_second_call_keeps_what_is_unchanged(campaign):
     manifest, out, _ = campaign
     stamps = {p: p.stat().st_mtime_ns for p in out.glob("devices/*/posterior.nc")}
-    assert [o.status for o in run_campaign(manifest, out, workers=1)] == ["kept", "kept", "kept", "failed"]
+    assert [o.status for o in run_campaign(manifest, out, workers=1, diagnose="off")] == [
+        "kept",
+        "kept",
+        "kept",
+        "failed",
+    ]
     assert {p: p.stat().st_mtime_ns for p in out.glob("devices/*/posterior.nc")} == stamps
 
 
@@ -180,7 +185,7 @@ def test_failed_devices_have_a_status_of_their_own_even_when_quiet(campaign):
     _, out, _ = campaign
     path = out.parent / "campaign.toml"
     for option in ("--quiet", "--json"):
-        done = CliRunner().invoke(main, ["campaign", str(path), "-o", str(out), option])
+        done = CliRunner().invoke(main, ["campaign", str(path), "-o", str(out), "--diagnose", "off", option])
         assert done.exit_code == 3
         assert "1 of 4 devices failed: coated <b>, ../../broken" in done.stderr
         assert (option == "--json") == bool(done.stdout)
@@ -198,7 +203,7 @@ def test_what_recordings_say_of_themselves_reaches_campaign_and_sheet(tmp_path):
     manifest = read_manifest(tmp_path / "m.toml")
     assert manifest.simulated is False
     out = tmp_path / "out"
-    result = summarise_campaign(manifest, run_campaign(manifest, out, workers=1), out, seed=1)
+    result = summarise_campaign(manifest, run_campaign(manifest, out, workers=1, diagnose="off"), out, seed=1)
     said = "The same recording is in 2 devices, which counts one test as several: bare, d (a.csv), coated, d (b.csv)."
     assert said in result.text
     for page in ("report.html", "margins.html"):
@@ -248,3 +253,53 @@ def test_folder_names_stay_inside_and_differ():
         assert not set(folder) & set('/\\:*?"<>|\x00')
         assert not folder.startswith(".")
         assert len(folder) < 80
+
+
+@pytest.mark.parametrize(
+    ("text", "modes"),
+    [
+        ("", ["quick", "quick", "quick"]),
+        ('diagnose = "off"\n', ["off", "off", "off"]),
+        ('diagnose = "full"\n[defaults]\nseed = 2\n', ["full", "full", "full"]),
+    ],
+)
+def test_how_to_diagnose_stands_in_the_manifest_for_all_for_a_set_or_for_a_device(tmp_path, text, modes):
+    device = '[[set.device]]\nname = "{}"\nrecordings = ["x.csv"]\n'
+    rest = '[[set]]\nname = "a"\n' + device.format("d") + device.format("e") + '[[set]]\nname = "b"\n{}'
+    rest += device.format("f")
+    path = tmp_path / "m.toml"
+    start = 'schema = "shj-bayes/campaign/1"\n' + text
+    path.write_text(start + rest.format(""), encoding="utf-8")
+    assert [d.diagnose for d in read_manifest(path).devices] == modes
+    own = rest.format('diagnose = "full"\n').replace('name = "e"\n', 'name = "e"\ndiagnose = "off"\n')
+    path.write_text(start + own, encoding="utf-8")
+    assert [d.diagnose for d in read_manifest(path).devices] == [modes[0], "off", "full"]
+
+
+@pytest.mark.parametrize(
+    ("before", "below", "words"),
+    [
+        ('diagnose = "quik"\n', "", "m.toml, line 2: the manifest has diagnose = 'quik'"),
+        ('diagnose = "quik"\n', "", 'allowed are "quick", "full", "off"; did you mean \'quick\'?'),
+        ("diagnose = false\n", "", "m.toml, line 2: the manifest has diagnose = False"),
+        ("", "diagnose = 1\n", "m.toml, line 7: set 'a', device 'd' has diagnose = 1"),
+        ('diagnos = "off"\n', "", "did you mean 'diagnose'?"),
+        ('[defaults]\ndiagnose = "off"\n', "", "line 3: the manifest has the option 'diagnose', which is no option"),
+        ("", '[set.device.options]\ndiagnose = "off"\n', "put it at the top of the manifest, below [[set]] or below"),
+    ],
+)  # fmt: skip
+def test_a_wrong_way_to_diagnose_is_refused_with_its_line(tmp_path, before, below, words):
+    path = tmp_path / "m.toml"
+    path.write_text('schema = "shj-bayes/campaign/1"\n' + before + SET + below, encoding="utf-8")
+    with pytest.raises(CampaignError) as error:
+        read_manifest(path)
+    assert words in str(error.value)
+
+
+def test_a_wrong_way_to_diagnose_is_refused_where_a_campaign_is_run(tmp_path):
+    path = tmp_path / "m.toml"
+    path.write_text(HEAD + SET, encoding="utf-8")
+    with pytest.raises(CampaignError, match=r"diagnose = 'ful'; allowed are quick, full, off; did you mean 'full'\?"):
+        run_campaign(read_manifest(path), tmp_path / "out", diagnose="ful")
+    done = CliRunner().invoke(main, ["campaign", str(path), "-o", str(tmp_path / "out"), "--diagnose", "ful"])
+    assert done.exit_code == 2

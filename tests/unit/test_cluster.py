@@ -57,7 +57,8 @@ def scheduler(processes, tmp_path) -> Path:
 @pytest.fixture
 def manifest(tmp_path) -> Manifest:
     """Two good devices and one without a displacement."""
-    text = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n[[set]]\nname = "bare"\n'
+    text = 'schema = "shj-bayes/campaign/1"\nname = "small"\ndiagnose = "off"\n'
+    text += '[defaults]\nmax_steps = 200\n[[set]]\nname = "bare"\n'
     for number in range(N):
         runs = simulate_device(Truth(Fy=70.0 + 5 * number, phi=0.3), seed=number, rate_Hz=4.0, blocks=BLOCKS)
         names = [write_csv(tmp_path / f"d{number}-{i}.csv", r).name for i, r in enumerate(runs, start=1)]

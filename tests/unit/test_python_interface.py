@@ -126,7 +126,7 @@ def test_a_campaign_runs_compares_and_loads(runs: list[Path], tmp_path: Path) ->
     manifest.write_text(
         f'schema = "shj-bayes/campaign/1"\nname = "c"\n[defaults]\nmax_steps = 200\n{sets}\n', encoding="utf-8"
     )
-    result = shj_bayes.Campaign.read(manifest).run(tmp_path / "out", workers=1)
+    result = shj_bayes.Campaign.read(manifest).run(tmp_path / "out", workers=1, diagnose="off")
     assert set(result.bands["set"]) >= {"bare", "zinc"}
     assert ("bare", "bare 1") in result.devices
     assert "Fy" in set(result.compare("bare", "zinc")["quantity"])

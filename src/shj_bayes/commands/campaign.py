@@ -1,4 +1,9 @@
-"""Many devices to many posteriors: a TOML manifest, parallel processes, only what is missing or changed."""
+"""Many devices to many posteriors and diagnoses: a TOML manifest, parallel processes, only what is missing or changed.
+
+Each device is fitted and diagnosed. Then the evidence of the devices of each set is added, and where a set has physics
+that a device's own model lacks, the device is fitted with it too: that fit lies in the device's folder, and the margins
+take it.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +14,36 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
-from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tqdm import tqdm
 
 from shj_bayes._util.child_processes import Workers
 from shj_bayes._util.dask_cluster import results_on
 from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes._util.files import folder_name, make_writable, plain_name, read_toml, sealed, toml_line, write_text
+from shj_bayes._util.files import (
+    folder_name,
+    make_writable,
+    plain_name,
+    read_json,
+    read_toml,
+    sealed,
+    toml_line,
+    write_text,
+)
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.finished import DeviceResult, kept_result
 from shj_bayes.commands.mistaken import repeated
-from shj_bayes.commands.pipeline import Options, fit_device
+from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags
+from shj_bayes.report.campaign import DIAGNOSIS, WITH_SET
 from shj_bayes.report.device import is_simulated
+
+if TYPE_CHECKING:  # only a campaign with diagnoses needs it
+    from shj_bayes.mismatch.together import Together
 
 SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
@@ -53,7 +70,12 @@ TAG_KINDS: dict[str, tuple[Any, str]] = {
     "coverage_percent": (int | float, "a number"),
     "corroded": (bool, "true or false"),
 }
+DIAGNOSES = ("quick", "full", "off")
+FAILED = "failed"
 MAX_TRIES = 2  # a device that was under way when a worker died is tried once more
+
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -70,6 +92,8 @@ class Device:
         How to read and fit it.
     tags : Tags
         What makes its set what it is: material, coating, coverage, corroded.
+    diagnose : {"quick", "full", "off"}
+        How to look for what the law leaves out: a first look, with the posterior of what is found, or not at all.
     """
 
     name: str
@@ -77,6 +101,7 @@ class Device:
     recordings: tuple[Path, ...]
     options: Options
     tags: Tags = NO_TAGS
+    diagnose: str = DIAGNOSES[0]
 
     @property
     def folder(self) -> str:
@@ -119,6 +144,10 @@ class Outcome:
         A recording says that it is simulated.
     inputs : tuple of (str, str)
         Name and digest of each recording.
+    diagnosis, diagnosis_reason : str
+        Verdict of the diagnosis, ``off``, or ``failed`` with why.
+    with_set, with_set_reason : str
+        Verdict of the fit with what its set makes certain, or ``failed`` with why; empty where there is none.
     """
 
     device: Device
@@ -127,6 +156,23 @@ class Outcome:
     verdict: str = ""
     simulated: bool = False
     inputs: tuple[tuple[str, str], ...] = ()
+    diagnosis: str = ""
+    diagnosis_reason: str = ""
+    with_set: str = ""
+    with_set_reason: str = ""
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What was not done for the device, with why."""
+        parts = (
+            ("", self.reason if self.status == FAILED else ""),
+            ("not diagnosed: ", self.diagnosis_reason if self.diagnosis == FAILED else ""),
+            ("not fitted with what its set has: ", self.with_set_reason if self.with_set == FAILED else ""),
+        )
+        return tuple(f"{head}{reason}" for head, reason in parts if reason)
+
+
+Job = Callable[[Device, Path], Outcome]
 
 
 def read_manifest(path: Path) -> Manifest:
@@ -135,8 +181,8 @@ def read_manifest(path: Path) -> Manifest:
     Parameters
     ----------
     path : Path
-        TOML file with ``schema``, ``name``, optional ``[defaults]`` and ``[[set]]`` tables, each with a ``name`` and
-        ``[[set.device]]`` tables of ``name`` and ``recordings`` (paths relative to the manifest).
+        TOML file with ``schema``, ``name``, optional ``diagnose``, ``[defaults]`` and ``[[set]]`` tables, each with a
+        ``name`` and ``[[set.device]]`` tables of ``name`` and ``recordings`` (paths relative to the manifest).
 
     Returns
     -------
@@ -151,13 +197,13 @@ def read_manifest(path: Path) -> Manifest:
         cache.cache_clear()  # the files may have changed since
     table, _ = read_toml(path, SCHEMA, 50_000_000, CampaignError)
     top = _Place(path, "the manifest")
-    _known(top, table, ("schema", "name", "simulated", "defaults", "set"), "[defaults]")
+    _known(top, table, ("schema", "name", "simulated", "diagnose", "defaults", "set"), "[defaults]")
     name = _text(top, table, "name") if "name" in table else plain_name(path.stem)
     simulated = table.get("simulated", False)
     if not isinstance(simulated, bool):
         raise top.error(f"has simulated = {shown(simulated)}; allowed are true and false", "simulated")
     defaults = _options(top, Options(), table, "defaults")
-    devices = tuple(_devices(top, table, defaults))
+    devices = tuple(_devices(top, table, defaults, _diagnose(top, table, DIAGNOSES[0])))
     if not 1 <= len(devices) <= MAX_DEVICES:
         raise CampaignError(f"{path.name} names {len(devices)} devices; allowed are 1 to {MAX_DEVICES}")
     seen: set[str] = set()
@@ -170,9 +216,15 @@ def read_manifest(path: Path) -> Manifest:
 
 @alone_in("folder")
 def run_campaign(
-    manifest: Manifest, folder: Path, *, workers: int = 0, cluster: str = "", progress: bool = False
+    manifest: Manifest,
+    folder: Path,
+    *,
+    workers: int = 0,
+    cluster: str = "",
+    diagnose: str | None = None,
+    progress: bool = False,
 ) -> list[Outcome]:
-    """Fit every device that is missing or changed; one bad device never stops the rest.
+    """Fit and diagnose every device that is missing or changed; one bad device never stops the rest.
 
     Parameters
     ----------
@@ -185,6 +237,8 @@ def run_campaign(
     cluster : str
         Address of a dask scheduler whose workers fit the devices instead; they must see `folder` and the recordings
         under the same paths.
+    diagnose : {"quick", "full", "off"}, optional
+        For all devices, in place of what the manifest says.
     progress : bool
         Show a progress bar on standard error.
 
@@ -194,30 +248,118 @@ def run_campaign(
         One per device, in the manifest's order; also written to ``campaign.json``.
     """
     make_writable(folder)
-    outcomes: dict[str, Outcome] = {}
-    bar = tqdm(total=len(manifest.devices), unit="device", desc="devices", disable=None if progress else True)
-    kept = {device.folder: result for device in manifest.devices if (result := _kept(device, folder))}
-    waiting = [device for device in manifest.devices if device.folder not in kept]
-    if cluster:
-        coming = _fit_on_cluster(waiting, folder, cluster, bar.set_postfix_str)
-    else:
-        coming = _fit_all(waiting, folder, workers or os.cpu_count() or 1)
-    with bar:
-        for outcome in chain(kept.values(), coming):
-            outcomes[outcome.device.folder] = outcome
-            bar.update()
-    ordered = [outcomes[device.folder] for device in manifest.devices]
-    write_text(folder / "campaign.json", json.dumps(campaign_record(manifest, ordered), indent=1))
-    return ordered
+    devices = manifest.devices
+    if diagnose is not None:
+        if diagnose not in DIAGNOSES:
+            words = did_you_mean(diagnose, DIAGNOSES)
+            raise CampaignError(f"diagnose = {shown(diagnose)}; allowed are {', '.join(DIAGNOSES)}{words}")
+        devices = tuple(replace(device, diagnose=diagnose) for device in devices)
+    crew = _Crew(folder, workers or os.cpu_count() or 1, cluster, progress)
+    outcomes = crew.run("fits", _fit_one, devices, [_kept(device, folder) for device in devices])
+    outcomes, together = _together(outcomes, folder)
+    outcomes = _fitted_with_sets(crew, outcomes, together, folder)
+    write_text(folder / "campaign.json", json.dumps(campaign_record(manifest, outcomes, together), indent=1))
+    return outcomes
+
+
+def _together(outcomes: Sequence[Outcome], folder: Path) -> tuple[list[Outcome], tuple[Together, ...]]:
+    """Add up what the diagnosed devices of each set, and all of them, have in common."""
+    out, devices = [], []
+    for o in outcomes:
+        if o.status == FAILED or o.diagnosis in ("off", FAILED):
+            out.append(o)
+            continue
+        from shj_bayes.mismatch.together import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
+
+        try:
+            devices.append((o.device.set_name, read_diagnosed(folder / o.device.folder / DIAGNOSIS, o.device.folder)))
+            out.append(o)
+        except ShjError as error:
+            out.append(replace(o, diagnosis=FAILED, diagnosis_reason=str(error)))
+    return out, together(devices) if devices else ()
+
+
+def _fitted_with_sets(
+    crew: _Crew, outcomes: Sequence[Outcome], found: Sequence[Together], folder: Path
+) -> list[Outcome]:
+    """Fit the devices whose own fit lacks what their set has; the outcomes of the campaign with those of these fits."""
+    wanted = {place: effects for one in found if one.set_name for place, effects in one.effects.items()}
+    devices = []
+    for o in outcomes:
+        if o.device.folder in wanted:
+            effects = (*o.device.options.effects, *wanted[o.device.folder])
+            devices.append(replace(o.device, options=replace(o.device.options, effects=effects)))
+    known = [_kept_with_set(device, folder) for device in devices]
+    done = {o.device.folder: o for o in crew.run("with what the set has", _fit_with_set, devices, known)}
+    out = []
+    for o in outcomes:
+        new = done.get(o.device.folder)
+        if new is not None:
+            verdict = FAILED if new.status == FAILED else new.verdict
+            o = replace(o, with_set=verdict, with_set_reason=new.reason)  # noqa: PLW2901
+        out.append(o)
+    return out
+
+
+@dataclass(frozen=True)
+class _Crew:
+    """Processes, of this machine or of a cluster, that do a job for many devices."""
+
+    folder: Path
+    workers: int
+    cluster: str
+    progress: bool
+
+    def run(self, words: str, job: Job, devices: Sequence[Device], known: Sequence[Outcome | None]) -> list[Outcome]:
+        """Outcome of each device, in order; those that are known already are taken as they are."""
+        outcomes = {device.folder: outcome for device, outcome in zip(devices, known, strict=True) if outcome}
+        waiting = [device for device in devices if device.folder not in outcomes]
+        quiet = None if self.progress and devices else True
+        with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
+            if self.cluster:
+                coming = _on_cluster(job, waiting, self.folder, self.cluster, bar.set_postfix_str)
+            else:
+                coming = _in_processes(job, waiting, self.folder, self.workers)
+            for outcome in coming:
+                outcomes[outcome.device.folder] = outcome
+                bar.update()
+        return [outcomes[device.folder] for device in devices]
 
 
 def _kept(device: Device, folder: Path) -> Outcome | None:
-    """Outcome of a device that was fitted earlier and has not changed: no process is started for it."""
-    result = kept_result(device.recordings, folder / device.folder, asdict(device.options), device.name)
+    """Outcome of a device that was fitted and diagnosed earlier and has not changed: no process is started for it."""
+    place = folder / device.folder
+    result = kept_result(device.recordings, place, asdict(device.options), device.name)
+    if result is None:
+        return None
+    known = "off" if device.diagnose == "off" else _kept_diagnosis(device, place, result.record["key"])
+    return None if known is None else replace(_outcome(device, result), diagnosis=known)
+
+
+def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
+    """Verdict of a diagnosis that was made earlier of the same recordings with the same options; None without one.
+
+    A full one does where a quick one is asked for.
+    """
+    files = [place / DIAGNOSIS / name for name in ("diagnosis.json", "diagnosis.html")]
+    try:
+        record = read_json(files[0], CampaignError)
+        same = record["key"] == key and not record["model"]["without"]
+        enough = device.diagnose == "quick" or not record["quick"]
+        whole = same and enough and files[1].stat().st_mtime_ns >= files[0].stat().st_mtime_ns
+        return str(record["verdict"]) if whole else None
+    except (CampaignError, OSError, KeyError, TypeError):
+        return None
+
+
+def _kept_with_set(device: Device, folder: Path) -> Outcome | None:
+    """Outcome of a fit with what the set of the device has, where it was made earlier."""
+    place = folder / device.folder / WITH_SET
+    result = kept_result(device.recordings, place, asdict(device.options), device.name)
     return None if result is None else _outcome(device, result)
 
 
-def _fit_all(devices: Sequence[Device], folder: Path, workers: int) -> Iterator[Outcome]:
+def _in_processes(job: Job, devices: Sequence[Device], folder: Path, workers: int) -> Iterator[Outcome]:
     """Outcomes as they come; a pool whose worker died is replaced and its devices are tried once more."""
     waiting = list(devices)
     tries: dict[str, int] = {}
@@ -230,7 +372,7 @@ def _fit_all(devices: Sequence[Device], folder: Path, workers: int) -> Iterator[
                 while waiting and not broken and len(running) < 2 * workers:
                     device = waiting.pop(0)
                     try:
-                        running[pool.submit(_fit_one, device, folder)] = device
+                        running[pool.submit(job, device, folder)] = device
                     except BrokenProcessPool:
                         waiting.insert(0, device)
                         broken = True
@@ -245,25 +387,30 @@ def _fit_all(devices: Sequence[Device], folder: Path, workers: int) -> Iterator[
                         if tries[device.folder] < MAX_TRIES:
                             waiting.append(device)
                         else:
-                            yield Outcome(device, "failed", "the process that fitted it died twice (memory, or killed)")
+                            yield Outcome(device, FAILED, "the process that fitted it died twice (memory, or killed)")
         except BaseException:
             pool.stop()
             raise
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _fit_on_cluster(
-    devices: Sequence[Device], folder: Path, address: str, tell: Callable[[str], None]
+def _on_cluster(
+    job: Job, devices: Sequence[Device], folder: Path, address: str, tell: Callable[[str], None]
 ) -> Iterator[Outcome]:
     """Outcomes as a dask cluster finishes them; it hands the devices of a lost worker to another."""
     if not devices:
         return
     there = {d.folder: d for d in devices}  # an outcome speaks of the device as the manifest names it
     sent = [_with_whole_paths(device) for device in devices]
-    fit_there = partial(_fit_one, folder=folder.absolute())
-    for device, outcome, reason in results_on(address, folder.absolute(), fit_there, sent, tell=tell):
+    do_there = partial(_with_folder, job, folder.absolute())
+    for device, outcome, reason in results_on(address, folder.absolute(), do_there, sent, tell=tell):
         mine = there[device.folder]
-        yield replace(outcome, device=mine) if outcome else Outcome(mine, "failed", reason)
+        yield replace(outcome, device=mine) if outcome else Outcome(mine, FAILED, reason)
+
+
+def _with_folder(job: Job, folder: Path, device: Device) -> Outcome:
+    """Do the job of a device, as a function that travels to a worker."""
+    return job(device, folder)
 
 
 def _with_whole_paths(device: Device) -> Device:
@@ -275,22 +422,48 @@ def _with_whole_paths(device: Device) -> Device:
 
 
 def _fit_one(device: Device, folder: Path) -> Outcome:
-    """Fit one device in a worker process."""
-    try:
-        result: DeviceResult = fit_device(
-            device.recordings, folder / device.folder, device.options, name=device.name, threads=1
+    """Fit and diagnose one device in a worker process."""
+    place = folder / device.folder
+    result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1))
+    if isinstance(result, str):
+        return Outcome(device, FAILED, result)
+    outcome = _outcome(device, result)
+    if device.diagnose == "off":
+        return replace(outcome, diagnosis="off")
+    known = _kept_diagnosis(device, place, result.record["key"])
+    if known is not None:
+        return replace(outcome, diagnosis=known)
+    quick = device.diagnose == "quick"
+    found = _tried(
+        lambda: diagnose_device(
+            device.recordings, place / DIAGNOSIS, device.options, name=device.name, quick=quick, threads=1
         )
+    )
+    if isinstance(found, str):
+        return replace(outcome, status="done", diagnosis=FAILED, diagnosis_reason=found)
+    return replace(outcome, status="done", diagnosis=str(found.record["verdict"]))
+
+
+def _fit_with_set(device: Device, folder: Path) -> Outcome:
+    """Fit one device with what its set makes certain, in a worker process."""
+    place = folder / device.folder / WITH_SET
+    result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1))
+    return Outcome(device, FAILED, result) if isinstance(result, str) else _outcome(device, result)
+
+
+def _tried(job: Callable[[], Result]) -> Result | str:
+    """Do a job; give why it failed, in words, where it did: one bad device must not stop a thousand good ones."""
+    try:
+        return job()
     except ShjError as error:
-        return Outcome(device, "failed", str(error))
+        return str(error)
     except OSError as error:
         where = f" ({Path(str(error.filename)).name})" if error.filename else ""
-        reason = plain_text(error.strerror or str(error))
-        return Outcome(device, "failed", f"{reason}{where}; check the path, the rights and the free space")
+        return f"{plain_text(error.strerror or str(error))}{where}; check the path, the rights and the free space"
     except MemoryError:
-        return Outcome(device, "failed", "not enough memory; use fewer --workers, or export fewer samples")
-    except Exception as error:  # one bad device must not stop a thousand good ones; the type says it is a bug
-        return Outcome(device, "failed", plain_text(f"unexpected {type(error).__name__}: {error}"))
-    return _outcome(device, result)
+        return "not enough memory; use fewer --workers, or export fewer samples"
+    except Exception as error:  # the type says that it is a bug
+        return plain_text(f"unexpected {type(error).__name__}: {error}")
 
 
 def _outcome(device: Device, result: DeviceResult) -> Outcome:
@@ -306,12 +479,14 @@ def _outcome(device: Device, result: DeviceResult) -> Outcome:
     )
 
 
-def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome], found: Sequence[Together] = ()) -> dict[str, Any]:
     """Content of ``campaign.json``."""
     sets: dict[str, list[dict[str, str]]] = {}
     for o in outcomes:
         entry = {"name": o.device.name, "folder": o.device.folder}
         entry |= {"status": o.status, "reason": o.reason, "verdict": o.verdict}
+        entry |= {"diagnosis": o.diagnosis, "diagnosis_reason": o.diagnosis_reason}
+        entry |= {"with_set": o.with_set, "with_set_reason": o.with_set_reason}
         sets.setdefault(o.device.set_name, []).append(entry)
     return sealed(
         {
@@ -322,6 +497,7 @@ def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome]) -> dict[str
                 (f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs
             ),
             "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
+            "together": [one.to_dict() for one in found],
         }
     )
 
@@ -344,7 +520,7 @@ class _Place:
         return CampaignError(f"{self.path.name}{f', line {line}' if line else ''}: {self.words} {said}")
 
 
-def _devices(top: _Place, table: dict[str, Any], defaults: Options) -> Iterator[Device]:
+def _devices(top: _Place, table: dict[str, Any], defaults: Options, diagnose: str) -> Iterator[Device]:
     sets = table.get("set", [])
     if not isinstance(sets, list) or not sets:
         raise top.error("has no [[set]] table; each set needs a name and [[set.device]] tables")
@@ -352,15 +528,15 @@ def _devices(top: _Place, table: dict[str, Any], defaults: Options) -> Iterator[
         at = top.inside(f"[[set]] number {i + 1}", "set", i)
         set_name = _text(at, entry, "name")
         at = top.inside(f"set '{set_name}'", "set", i)
-        _known(at, entry, ("name", "options", "device", *TAG_KINDS), "[set.options]")
-        tags = _tags(at, entry)
+        _known(at, entry, ("name", "diagnose", "options", "device", *TAG_KINDS), "[set.options]")
+        tags, for_set = _tags(at, entry), _diagnose(at, entry, diagnose)
         if not isinstance(entry.get("device"), list) or not entry["device"]:
             raise at.error("has no [[set.device]] table (mind the double brackets)")
         own = _options(at, defaults, entry)
         for j, device in enumerate(entry["device"]):
             name = _text(at.inside(at.words, "device", j), device, "name")
             here = at.inside(f"{at.words}, device '{name}'", "device", j)
-            _known(here, device, ("name", "recordings", "runs", "options"), "[set.device.options]")
+            _known(here, device, ("name", "recordings", "runs", "diagnose", "options"), "[set.device.options]")
             files = device.get("recordings")
             if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
                 raise here.error(
@@ -376,7 +552,7 @@ def _devices(top: _Place, table: dict[str, Any], defaults: Options) -> Iterator[
                 _fit_for(options, len(files))
             except ShjError as error:
                 raise here.error(f"cannot be fitted: {error}", "recordings") from error
-            yield Device(name, set_name, recordings, options, tags)
+            yield Device(name, set_name, recordings, options, tags, _diagnose(here, device, for_set))
 
 
 @lru_cache
@@ -407,6 +583,16 @@ def _tags(at: _Place, entry: dict[str, Any]) -> Tags:
             raise at.error(f"has coverage_percent = {shown(percent)}; allowed is 0 to 100", "coverage_percent")
         values["coverage_percent"] = float(percent)
     return Tags(**values)
+
+
+def _diagnose(at: _Place, entry: Any, otherwise: str) -> str:
+    """How devices of a table are to be diagnosed."""
+    value = entry.get("diagnose", otherwise) if isinstance(entry, dict) else otherwise
+    if value in DIAGNOSES:
+        return str(value)
+    hint = did_you_mean(value, DIAGNOSES) if isinstance(value, str) else ""
+    allowed = ", ".join(f'"{word}"' for word in DIAGNOSES)
+    raise at.error(f"has diagnose = {shown(value)}; allowed are {allowed}{hint}", "diagnose")
 
 
 def _known(at: _Place, entry: Any, allowed: tuple[str, ...], options: str) -> None:
@@ -445,6 +631,9 @@ def _options(at: _Place, base: Options, table: dict[str, Any], key: str = "optio
 
 def _with_option(at: _Place, base: Options, name: str, value: Any, where: tuple[str, ...]) -> Options:
     """Options with one more of a manifest table, which stands at `where`."""
+    if name == "diagnose":
+        places = "the top of the manifest, below [[set]] or below [[set.device]]"
+        raise at.error(f"has the option 'diagnose', which is no option of a fit: put it at {places}", *where)
     if name not in OPTION_KINDS:
         known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(name, OPTION_KINDS)}"
         raise at.error(f"has the option '{name}'; {known}", *where)

@@ -24,7 +24,9 @@ from shj_bayes.margins.trial import try_all
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
+from shj_bayes.report.campaign import WITH_SET
 from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 
@@ -175,15 +177,17 @@ def _specimens(
         return specimens_of_table(result), ()
     out, found, notes = [], {}, []
     places = _places(campaign, result)
-    for place, name, of_set in places:
+    for place, name, of_set, with_set in places:
         diagnosis, why = find_diagnosis(folder / place)
         if why:
             notes.append(f"{of_set}, {name}: {why}")
         if diagnosis is not None:
             found[of_set, name] = diagnosis
         better = diagnosis.fit if diagnosis is not None and diagnosis.verdict != "adequate" else None
+        if with_set:
+            better = folder / place / WITH_SET
         out.append(read_specimen(folder / place, name, of_set, better))
-    return tuple(out), words_of(found, len(places), notes)
+    return tuple(out), (*statements(campaign), *words_of(found, len(places), notes))
 
 
 def _campaign(folder: Path) -> dict[str, Any] | None:
@@ -191,11 +195,19 @@ def _campaign(folder: Path) -> dict[str, Any] | None:
     return read_campaign(folder) if (folder / "campaign.json").exists() else None
 
 
-def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[tuple[str, str, str]]:
-    """Folder, name and set of every device of a campaign that is in its population; none for the tables."""
+def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[tuple[str, str, str, bool]]:
+    """Folder, name and set of every device of a campaign in its population, and whether it was fitted with its set's.
+
+    None for the tables.
+    """
     members = {group.name: group.devices for group in result.sets}
     return [
-        (str(entry["folder"]), str(entry["name"]), str(group["name"]))
+        (
+            str(entry["folder"]),
+            str(entry["name"]),
+            str(group["name"]),
+            entry.get("with_set") in ("reliable", "tentative"),
+        )
         for group in (campaign["sets"] if campaign else ())
         for entry in group["devices"]
         if str(entry["name"]) in members.get(str(group["name"]), ())

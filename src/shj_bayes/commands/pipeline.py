@@ -310,9 +310,10 @@ def diagnose_device(
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 
+    given = options.device_model(len(runs), priors)
     diagnosis = diagnose(
         runs,
-        options.device_model(len(runs), priors),
+        given,
         name=name,
         without=without,
         seed=options.seed,
@@ -321,7 +322,8 @@ def diagnose_device(
         tell=tell,
     )
     findings = [finding.code for recording in recordings for finding in recording.findings]
-    diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings})
+    key = _key(paths, recordings, options, given, name)  # of the fit that it looks beyond
+    diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings, "key": key})
     diagnosis.write(folder)
     tell("drawing the pages")
     if (folder / "fit.json").exists():  # its page repeats the verdict

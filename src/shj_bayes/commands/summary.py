@@ -9,7 +9,7 @@ from typing import Any
 
 from shj_bayes._util.files import make_writable
 from shj_bayes._util.lock import alone_in
-from shj_bayes.commands.campaign import Manifest, Outcome, campaign_record
+from shj_bayes.commands.campaign import FAILED, Manifest, Outcome
 from shj_bayes.commands.design import design_margins
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
@@ -19,6 +19,8 @@ from shj_bayes.population.published import Claim, published_devices
 from shj_bayes.population.results import to_json, write_population
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
+from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.sets import name_of
 
 SHOWN = ("Fy", *RUN_FORCES, *RUN_FORCES.values(), "K", "gamma")
@@ -67,9 +69,9 @@ def summarise_campaign(
     Summary
     """
     usable = [o for o in outcomes if o.status != "failed" and o.verdict != "unusable"]
-    lines = [f"{o.device.set_name}, {o.device.name}: {o.status}, {o.verdict or o.reason}" for o in outcomes]
-    record = campaign_record(manifest, outcomes)
-    lines += record["warnings"]
+    lines = [_line(o) for o in outcomes]
+    record = read_campaign(folder)
+    lines += [*record["warnings"], *statements(record)]
     population = None
     if usable:
         places = [folder / o.device.folder for o in usable]
@@ -88,6 +90,16 @@ def summarise_campaign(
         lines += ["", band_text(population), "", design.text]
     page = render_campaign(folder, population)
     return Summary(record, "\n".join([*lines, f"report: {page}"]), bool(usable))
+
+
+def _line(o: Outcome) -> str:
+    """Say what became of a device."""
+    parts = [o.status, o.verdict or o.reason]
+    if o.diagnosis not in ("", "off"):
+        parts.append(f"{o.diagnosis}{f' ({o.diagnosis_reason})' if o.diagnosis_reason else ''}")
+    if o.with_set:
+        parts.append(f"with what its set has: {o.with_set}{f' ({o.with_set_reason})' if o.with_set == FAILED else ''}")
+    return f"{o.device.set_name}, {o.device.name}: {', '.join(parts)}"
 
 
 @alone_in("folder")

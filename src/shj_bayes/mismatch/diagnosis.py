@@ -19,6 +19,7 @@ from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
 from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes
+from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.findings import answer_of
 from shj_bayes.mismatch.heldout import held_out
 from shj_bayes.mismatch.regions import regions_of
@@ -129,6 +130,7 @@ def diagnose(
         "p_value": answer.p_value,
         "coordinates": content.coordinates(out, answer),
         "sets": content.hypotheses(answer),
+        "evidence": evidence_of(out, answer),
         "effects": content.effects(out, answer, draws),
         "modelled": content.modelled(answer, draws),
         "family": content.family(out, answer),

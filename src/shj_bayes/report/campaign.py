@@ -14,11 +14,16 @@ from shj_bayes.population.published import Claim
 from shj_bayes.population.results import load_population
 from shj_bayes.report import words
 from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.report.campaign_physics import rows_of, statements, table
 from shj_bayes.report.page import PAGE, write_page
 from shj_bayes.report.residual_file import read_residual
 from shj_bayes.report.sets import Interval
 from shj_bayes.report.sets_page import population_content, tested_motion
 
+DIAGNOSIS, WITH_SET = (
+    "diagnosis",
+    "with-set",
+)  # in the folder of a device: its diagnosis, its fit with its set's physics
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
 
@@ -62,8 +67,26 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
         "n_poor": sum(d["grade"] == "poor" for d in done),
         "population": population_content(population, intervals, motion) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
+        "physics": _physics(folder, record),
     }
     return write_page(folder, "campaign.html", content)
+
+
+def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Give what sets have in common; None where no device was diagnosed."""
+    found = table(record)
+    if found is None:
+        return None
+    from shj_bayes.report.campaign_curves import pictures  # noqa: PLC0415  (drawing needs matplotlib)
+
+    fitted = {}
+    for group in record["sets"]:
+        for device in group["devices"]:
+            diagnosis, with_set = (f"{device['folder']}/{name}" for name in (DIAGNOSIS, WITH_SET))
+            usable = device.get("with_set") in ("reliable", "tentative")
+            fitted[device["folder"]] = (diagnosis, with_set if usable else "")
+    rows = [row for row in rows_of(record) if all(place in fitted for place in row.folders)]
+    return {"said": statements(record), "table": found, "pictures": pictures(folder, rows, fitted)}
 
 
 def render_tables(folder: Path, population: PopulationResult, claims: Sequence[Claim] = ()) -> Path:
@@ -112,11 +135,20 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
         "intervals": {},
         "grade": "",
         "residual": "",
+        "diagnosis": str(device.get("diagnosis", "")),
+        "diagnosis_link": "",
+        "with_set": str(device.get("with_set", "")),
+        "with_set_link": "",
+        "trouble": "; ".join(filter(None, (str(device.get(f"{key}_reason", "")) for key in ("diagnosis", "with_set")))),
     }
     if row["status"] == "failed":
         return row
-    if (folder / place / PAGE).exists():
-        row["link"] = quote(f"{place}/{PAGE}")
+    pages = {"link": PAGE, "diagnosis_link": f"{DIAGNOSIS}/diagnosis.html", "with_set_link": f"{WITH_SET}/{PAGE}"}
+    for key, page in pages.items():
+        if (key == "link" or row[key.removesuffix("_link")] not in ("", "off", "failed")) and (
+            folder / place / page
+        ).exists():
+            row[key] = quote(f"{place}/{page}")
     for parameter in _parameters(folder / place):
         key = str(parameter["name"])
         row["intervals"][key] = _interval(parameter)

@@ -10,7 +10,9 @@ from typing import Any
 from shj_bayes._util.files import check_seal, read_json
 from shj_bayes.errors import ReportError, shown
 
-WORDS = ("name", "folder", "status", "reason", "verdict")  # of a device; all are texts
+WORDS = (  # of a device; all are texts
+    "name", "folder", "status", "reason", "verdict", "diagnosis", "diagnosis_reason", "with_set", "with_set_reason"
+)  # fmt: skip
 
 
 def read_campaign(folder: Path) -> dict[str, Any]:

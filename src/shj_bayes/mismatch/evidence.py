@@ -1,0 +1,168 @@
+"""What one device says of every class, weak or strong: log weights of sets of classes, for sums over devices.
+
+A search fits the sets of classes that a single device makes probable. What it leaves out as too weak may be certain in
+eight devices; so every set that was fitted and is in contention is also weighed with each other class beside it, and
+with each pair of them, to first order (`screen`). All stand on one scale: evidence times the prior probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from shj_bayes.mismatch.classes import Candidate
+from shj_bayes.mismatch.findings import Answer, curve_band
+from shj_bayes.mismatch.scene import beside
+from shj_bayes.mismatch.search import ODDS, RIVAL, Hypothesis, Search
+from shj_bayes.mismatch.state import visible
+from shj_bayes.model.parameters import FloatArray
+
+DIGITS = 3  # of a log weight, nats
+SMALLER = (1.0, 0.2, 0.04)  # of the size that fits best alone: sizes at which two candidates are weighed together
+CLEAR = 0.1  # nats; less between two candidates is nothing
+
+
+def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
+    """Log weights of sets of classes, and how each class would be written in the model of the device.
+
+    Parameters
+    ----------
+    out : Search
+        A finished search.
+    answer : Answer
+        What it found.
+
+    Returns
+    -------
+    dict
+        ``classes``, the ids of all that were looked for; ``log_odds`` of each before the test; ``own``, the effect that
+        stands for a class in the model that is shown; ``written``, the effect that would stand for each other class;
+        ``size_percent`` of both, per cent of Fy that nothing else could make; ``change_percent``, where a class is a
+        curve, from one end of its coordinate to the other, both to first order where the class is not in the model;
+        ``sets``, each a list of positions in ``classes``, with its log weight over the empty set in ``nats``; the first
+        ``fitted`` of them were fitted, the others are of first order.
+    """
+    names = sorted(out.classes)
+    position = {name: i for i, name in enumerate(names)}
+    fitted = {h.key: h.log_weight for h in out.found.values()}
+    added: dict[frozenset[str], float] = {}
+    height = out.best.log_weight
+    for h in out.found.values():
+        if h.log_weight > height - RIVAL:
+            for key, gain in _gains_beside(out, h).items():
+                weight = h.log_weight + len(key) * ODDS + gain
+                if weight > added.get(h.key | key, -np.inf):
+                    added[h.key | key] = weight
+    rows = fitted | {key: weight for key, weight in added.items() if key not in fitted}
+    own = {f.member.of.id: f.member.variant.effect.id for f in answer.findings}
+    sizes = {f.member.of.id: f.size for f in answer.findings}
+    bands = {f.member.of.id: curve_band(out, f, 2) for f in answer.findings}
+    changes = {name: band["mean"][1] - band["mean"][0] for name, band in bands.items() if band is not None}
+    # The model that is shown may hold classes of a size that does not matter, too: here they are others.
+    plain = out.found.get(frozenset(own), out.found[frozenset()])
+    others = {name: c for name, c in _best(out.screen(plain)).items() if name not in own}
+    first = _FirstOrder(out, plain, list(others.values()))
+    for i, (name, c) in enumerate(others.items()):
+        mean = first.mean(i)
+        sizes[name] = visible(out.scene, plain.state.jacobian, first.columns[i] @ mean)
+        if c.variant.curve is not None:
+            ends = c.variant.curve.rows(np.array([0.0, 1.0]), np.ones(2)) @ mean
+            changes[name] = 100.0 * (ends[1] - ends[0])
+    return {
+        "classes": names,
+        "log_odds": ODDS,
+        "own": own,
+        "written": {name: c.variant.effect.id for name, c in sorted(others.items())},
+        "size_percent": {name: round(100.0 * size, DIGITS) for name, size in sizes.items()},
+        "change_percent": {name: round(float(change), DIGITS) for name, change in changes.items()},
+        "sets": [sorted(position[name] for name in key) for key in rows],
+        "nats": [round(weight - fitted[frozenset()], DIGITS) for weight in rows.values()],
+        "fitted": len(fitted),
+    }
+
+
+def _gains_beside(out: Search, h: Hypothesis) -> dict[frozenset[str], float]:
+    """Log Bayes factor to first order of each class, and of each pair of classes, beside a hypothesis.
+
+    That of a class is averaged over the ways to write it, where it begins, and its size. That of a pair is the product
+    of both, times what the best way to write the one makes of the best way to write the other: far below 1 where the
+    two do the same.
+    """
+    by_class: dict[str, list[Candidate]] = {}
+    for c in out.screen(h):
+        by_class.setdefault(c.of.id, []).append(c)
+    alone = {name: _averaged(own) for name, own in by_class.items()}
+    gains = {frozenset((name,)): gain for name, gain in alone.items()}
+    first = _FirstOrder(out, h, [own[0] for own in by_class.values()])
+    for (i, a), (j, b) in combinations(enumerate(by_class), 2):
+        gains[frozenset((a, b))] = alone[a] + alone[b] + first.interplay(i, j)
+    return gains
+
+
+class _FirstOrder:
+    """Candidates beside a hypothesis to first order, each of the size that fits best."""
+
+    def __init__(self, out: Search, h: Hypothesis, candidates: Sequence[Candidate]) -> None:
+        self.columns = [_unit_columns(c) for c in candidates]
+        self._along, self._inner = beside(out.metric.products(h.state.beside(*self.columns)), h.state.z.size)
+        ends = np.cumsum([0, *(c.shape[1] for c in self.columns)])
+        self._places = [np.arange(a, b) for a, b in pairwise(ends)]
+
+    def interplay(self, i: int, j: int) -> float:
+        """Log Bayes factor of two candidates over the product of theirs; 0 where neither does what the other does."""
+        extra = self._log_factor((i, 1.0), (j, 1.0)) - self._log_factor((i, 1.0)) - self._log_factor((j, 1.0))
+        if abs(extra) < CLEAR:
+            return extra
+        # The size that fits a candidate alone need not fit it beside the other.
+        both = [self._log_factor((i, u), (j, v)) for u in SMALLER for v in SMALLER]
+        one, other = ([self._log_factor((k, u)) for u in SMALLER] for k in (i, j))
+        return float(logsumexp(both) - logsumexp(one) - logsumexp(other))
+
+    def _log_factor(self, *which: tuple[int, float]) -> float:
+        """Log Bayes factor of candidates of some size each together; their coefficients have standard normal priors."""
+        own = np.concatenate([self._places[i] for i, _ in which])
+        size = np.concatenate([np.full(self._places[i].size, size) for i, size in which])
+        values, vectors = np.linalg.eigh(self._inner[np.ix_(own, own)] * np.outer(size, size))
+        values = np.maximum(values, 0.0)
+        along = vectors.T @ (self._along[own] * size)
+        return float(0.5 * np.sum(along**2 / (1.0 + values) - np.log1p(values)))
+
+    def mean(self, i: int) -> FloatArray:
+        """Posterior mean of the coefficients of one candidate alone."""
+        own = self._places[i]
+        inner = np.eye(own.size) + self._inner[np.ix_(own, own)]
+        return np.asarray(np.linalg.solve(inner, self._along[own]), dtype=np.float64)
+
+
+def _best(listed: Sequence[Candidate]) -> dict[str, Candidate]:
+    """Best candidate of each class; its best curve where it has one: a name is matched to a curve, not the reverse."""
+    out: dict[str, Candidate] = {}
+    for c in listed:
+        kept = out.setdefault(c.of.id, c)
+        if kept.variant.curve is None and c.variant.curve is not None:
+            out[c.of.id] = c
+    return out
+
+
+def _averaged(own: list[Candidate]) -> float:
+    """Log Bayes factor of a class: a mean over its variants, with their weights, and over their starts."""
+    starts: dict[str, list[float]] = {}
+    for c in own:
+        curve = c.variant.curve
+        word = c.variant.effect.id if curve is None else f"{curve.coordinate} {curve.length}"
+        starts.setdefault(word, []).append(c.gain)
+    return float(logsumexp([logsumexp(gains) - np.log(len(gains)) for gains in starts.values()]))
+
+
+def _unit_columns(c: Candidate) -> FloatArray:
+    """Columns of a candidate of the size that fits best, for coefficients with standard normal priors."""
+    curve = c.variant.curve
+    if curve is None:
+        return c.columns
+    alike = (v.curve for v in c.of.variants if v.curve)  # the columns are those of the size that the class states
+    stated = next(one.size for one in alike if (one.coordinate, one.length) == (curve.coordinate, curve.length))
+    return np.asarray(c.columns * (curve.size / stated))

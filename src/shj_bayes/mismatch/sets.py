@@ -1,0 +1,311 @@
+"""What devices have in common: the evidence of each class added over the devices of a set.
+
+The model, for the devices of a set (or of a campaign) and each class of coordinates:
+
+- the set has the class with probability `PRESENT`, as a device has;
+- where the set has it, each device has it with probability theta, the share of devices that have it, of which nothing
+  is known: uniform between 0 and 1, integrated out;
+- where the set has it not, a device may still have it alone, with the probability that leaves `PRESENT` for a device of
+  which nothing is known: PRESENT = PRESENT E(theta) + (1 - PRESENT) q;
+- what a device says of a class is its Bayes factor B, from the log weights of the sets of classes that were weighed for
+  it (`evidence`), the other classes of the device integrated out.
+
+So the set has class c with odds ``PRESENT / (1 - PRESENT)`` times ``integral of prod(1 - theta + theta B_i)`` over
+``prod(1 - q + q B_i)``. Classes that do the same in a test, such as travel and time, must not be counted twice: what is
+compared are combinations of classes that a set has, grown and shrunk until none is better, and a device's B of one
+class is taken with each other class of the combination at the share that was found for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from shj_bayes.mismatch.classes import PRESENT
+from shj_bayes.mismatch.search import DOUBT, PROMISING
+from shj_bayes.model.parameters import FloatArray
+
+ALONE = PRESENT * 0.5 / (1.0 - PRESENT)  # of a device whose set has not what it has; see the module
+LIKELY = 0.5  # a device is given what more probably than not it has
+NODES = (8, 100)  # of Gauss and Legendre for theta: exact for up to 2 n - 1 devices
+NEGLIGIBLE = 1e-4  # probability of a combination below which it is left out of sums
+Combination = frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceEvidence:
+    """What a device says of every class.
+
+    Parameters
+    ----------
+    classes : tuple of str
+        Ids of what was looked for in it.
+    holds : array of bool, shape (m, n)
+        Sets of classes that were weighed.
+    nats : array, shape (m,)
+        Log weight of each: evidence times the prior odds of its classes.
+    log_odds : float
+        Of a class before the test, as they stand in the weights.
+    own : mapping of str to str
+        Effect that stands for each class in the model that its diagnosis ended in.
+    written : mapping of str to str
+        Effect that would stand for each of the other classes.
+    size_percent, change_percent : mapping of str to float
+        Size of each, and where it is a curve its change from one end of its coordinate to the other, per cent of Fy.
+    """
+
+    classes: tuple[str, ...]
+    holds: NDArray[np.bool_]
+    nats: FloatArray
+    log_odds: float
+    own: Mapping[str, str] = field(default_factory=dict)
+    written: Mapping[str, str] = field(default_factory=dict)
+    size_percent: Mapping[str, float] = field(default_factory=dict)
+    change_percent: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def _bare(self) -> FloatArray:
+        """Log evidence of each set, without prior odds, shape (m,)."""
+        return np.asarray(self.nats - self.log_odds * self.holds.sum(axis=1))
+
+    def log_factor(self, name: str, log_odds: Mapping[str, float]) -> float:
+        """Log Bayes factor of a class, with every other class at its odds; 0 where the device says nothing of it.
+
+        Parameters
+        ----------
+        name : str
+            The class.
+        log_odds : mapping of str to float
+            Of every class before the test.
+        """
+        if name not in self.classes:
+            return 0.0
+        place = self.classes.index(name)
+        odds = np.array([0.0 if other == name else log_odds[other] for other in self.classes])
+        weights, has = self._bare + self.holds @ odds, self.holds[:, place]
+        if not has.any():
+            return 0.0
+        return float(logsumexp(weights[has]) - logsumexp(weights[~has]))
+
+
+@dataclass(frozen=True)
+class Shared:
+    """A class, and how probable it is in a set.
+
+    Parameters
+    ----------
+    id : str
+        The class.
+    probability : float
+        That the set has it.
+    devices : tuple of float
+        That each device has it, given the evidence of all.
+    alone : tuple of bool
+        Whether the diagnosis of each device found it.
+    rivals : tuple of str
+        Classes that may stand in its place.
+    enters : bool
+        The set has it, or a rival, with 95 %, and it is large enough to be followed: models of its devices hold it.
+    """
+
+    id: str
+    probability: float
+    devices: tuple[float, ...]
+    alone: tuple[bool, ...]
+    rivals: tuple[str, ...] = ()
+    enters: bool = False
+
+    @property
+    def holders(self) -> tuple[bool, ...]:
+        """Which devices have it, more probably than not."""
+        return tuple(p >= LIKELY for p in self.devices)
+
+
+@dataclass(frozen=True)
+class Common:
+    """What devices have in common.
+
+    Parameters
+    ----------
+    shared : tuple of Shared
+        Every class, most probable first.
+    combinations : tuple of (frozenset of str, float)
+        What the set has, with probabilities, most probable first.
+    """
+
+    shared: tuple[Shared, ...]
+    combinations: tuple[tuple[Combination, float], ...]
+
+
+def device_evidence(record: Mapping[str, Any]) -> DeviceEvidence:
+    """Read the evidence of a device.
+
+    Parameters
+    ----------
+    record : mapping
+        ``evidence`` of ``diagnosis.json``.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If it is not as `evidence.evidence_of` writes it.
+    """
+    names = tuple(str(name) for name in record["classes"])
+    nats = np.array([float(x) for x in record["nats"]])
+    holds = np.zeros((len(record["sets"]), len(names)), dtype=bool)
+    for row, places in zip(holds, record["sets"], strict=True):
+        for place in places:
+            if not 0 <= int(place) < len(names):
+                raise ValueError(f"a set names class {place} of {len(names)}")
+            row[int(place)] = True
+    empty = ~holds.any(axis=1)
+    if nats.shape != empty.shape or not np.all(np.isfinite(nats)) or not empty.any():
+        raise ValueError("sets of classes and their weights do not belong together")
+    own, written = ({str(k): str(v) for k, v in record[key].items()} for key in ("own", "written"))
+    sizes, changes = ({str(k): float(v) for k, v in record[key].items()} for key in ("size_percent", "change_percent"))
+    return DeviceEvidence(names, holds, nats, float(record["log_odds"]), own, written, sizes, changes)
+
+
+def log_shared(log_factors: FloatArray) -> tuple[float, float]:
+    """Weigh that a set has a class, from the log Bayes factors of its devices; see the module.
+
+    Parameters
+    ----------
+    log_factors : array, shape (n,)
+        Of each device.
+
+    Returns
+    -------
+    float
+        Log Bayes factor of the set.
+    float
+        Share of the devices that have it where the set has: the posterior mean of theta.
+    """
+    theta, logs = _over_share(log_factors)
+    total = float(logsumexp(logs))
+    return total - float(_mixed(log_factors, ALONE).sum()), float(np.exp(logs - total) @ theta)
+
+
+def _over_share(log_factors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shares theta, and the log of the likelihood of the devices times the weight of each, shape (k,) both."""
+    n = int(np.clip(log_factors.size // 2 + 1, *NODES))
+    at, weight = np.polynomial.legendre.leggauss(n)
+    theta = (at + 1.0) / 2.0
+    return theta, np.log(weight / 2.0) + _mixed(log_factors[:, None], theta).sum(axis=0)
+
+
+def _mixed(log_factors: FloatArray, share: FloatArray | float) -> FloatArray:
+    """Log of 1 - share + share B."""
+    return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + log_factors))
+
+
+def _log_odds(p: float) -> float:
+    return math.log(p / (1.0 - p))
+
+
+class _Weighing:
+    """Combinations of classes weighed for some devices, each once."""
+
+    def __init__(self, devices: Sequence[DeviceEvidence]) -> None:
+        self.devices = devices
+        self.names = sorted({name for device in devices for name in device.classes})
+        self.weights: dict[Combination, float] = {frozenset(): 0.0}
+        self.odds: dict[Combination, dict[str, float]] = {frozenset(): dict.fromkeys(self.names, _log_odds(ALONE))}
+        self._gains: dict[tuple[Combination, str], tuple[float, float]] = {}
+
+    def factors(self, name: str, odds: Mapping[str, float]) -> FloatArray:
+        """Log Bayes factor of a class in each device, shape (n,)."""
+        return np.array([device.log_factor(name, odds) for device in self.devices])
+
+    def gain(self, combination: Combination, name: str) -> tuple[float, float]:
+        """Log Bayes factor of one class more, and the share of devices that have it."""
+        key = (combination, name)
+        if key not in self._gains:
+            self._gains[key] = log_shared(self.factors(name, self.odds[combination]))
+        return self._gains[key]
+
+    def weigh(self, combination: Combination) -> float:
+        """Log weight of a combination over that of none, its classes added one by one, the strongest first."""
+        if combination not in self.weights:
+            known: Combination = frozenset()
+            while known != combination:
+                name = max(sorted(combination - known), key=lambda one: self.gain(known, one)[0])
+                gain, share = self.gain(known, name)
+                larger = known | {name}
+                self.odds[larger] = self.odds[known] | {name: _log_odds(share)}
+                self.weights[larger] = self.weights[known] + gain + _log_odds(PRESENT)
+                known = larger
+        return self.weights[combination]
+
+    def grow(self) -> Combination:
+        """Find the most probable combination, and weigh those around it: one class less, more, or another."""
+        best: Combination = frozenset()
+        while True:
+            around = {best ^ {name} for name in self.names}
+            around |= {best - {old} | {new} for old in best for new in self.names if new not in best}
+            better = max(sorted(around, key=sorted), key=self.weigh)
+            if self.weigh(better) <= self.weigh(best):
+                return best
+            best = better
+
+    def of_devices(self, combination: Combination, name: str) -> FloatArray:
+        """Probability that each device has a class where the set has a combination, shape (n,)."""
+        b = self.factors(name, self.odds[combination])
+        if name not in combination:
+            return np.asarray(np.exp(math.log(ALONE) + b - _mixed(b, ALONE)))
+        theta, logs = _over_share(b)
+        each = np.exp(np.log(theta) + b[:, None] - _mixed(b[:, None], theta))
+        return np.asarray(each @ np.exp(logs - logsumexp(logs)))
+
+
+def common_to(devices: Sequence[DeviceEvidence]) -> Common:
+    """Find what devices have in common; see the module for the model.
+
+    Parameters
+    ----------
+    devices : sequence of DeviceEvidence
+        Devices of a set, or of a campaign.
+
+    Returns
+    -------
+    Common
+    """
+    out = _Weighing(devices)
+    best = out.grow()
+    names = sorted(out.weights, key=lambda key: (-out.weights[key], sorted(key)))
+    logs = np.array([out.weights[key] for key in names])
+    probability = np.exp(logs - logsumexp(logs))
+    listed = [(key, float(p)) for key, p in zip(names, probability, strict=True)]
+    likely = [(key, p) for key, p in listed if p >= NEGLIGIBLE]
+    total = sum(p for _, p in likely)
+    shared = []
+    for name in out.names:
+        each = sum((p / total * out.of_devices(key, name) for key, p in likely), np.zeros(len(devices)))
+        held = sum(p for key, p in listed if name in key)
+        rivals = _rivals(listed, best, name) if name in best else ()
+        # Nothing less than the best combination explains the devices as well: it holds this class, or a rival.
+        sure = name in best and sum(p for key, p in listed if key <= best - {name}) < DOUBT
+        holders = [device for device, p in zip(devices, each, strict=True) if p >= LIKELY]
+        sizes = [device.size_percent.get(name, 0.0) for device in holders]
+        large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING
+        alone = tuple(name in device.own for device in devices)
+        shared.append(Shared(name, held, tuple(each.tolist()), alone, rivals, sure and large))
+    order = sorted(shared, key=lambda one: (-one.probability, one.id))
+    return Common(tuple(order), tuple(likely))
+
+
+def _rivals(listed: Iterable[tuple[Combination, float]], best: Combination, name: str) -> tuple[str, ...]:
+    """Classes that stand in the place of one in combinations that 5 % of doubt do not leave out."""
+    others: dict[str, float] = {}
+    for key, p in listed:
+        if name not in key and len(key) >= len(best):
+            for other in key - best:
+                others[other] = others.get(other, 0.0) + p
+    return tuple(sorted((k for k, p in others.items() if p >= DOUBT), key=lambda k: -others[k]))

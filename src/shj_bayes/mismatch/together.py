@@ -1,0 +1,148 @@
+"""Diagnoses of a campaign taken together: read, added up by set and over all devices, and what follows for models."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from shj_bayes._util.files import read_json
+from shj_bayes.errors import InferenceError
+from shj_bayes.mismatch.sets import Common, DeviceEvidence, Shared, common_to, device_evidence
+from shj_bayes.model.coordinates import coordinates
+
+DIGITS = 6  # of probabilities in files
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosed:
+    """A diagnosed device.
+
+    Parameters
+    ----------
+    folder : str
+        Its folder below the campaign's.
+    evidence : DeviceEvidence
+        What it says of every class.
+    modelled : tuple of str
+        Effects of the model that its diagnosis ended in.
+    sampled : bool
+        That model was fitted: the diagnosis was no first look.
+    """
+
+    folder: str
+    evidence: DeviceEvidence
+    modelled: tuple[str, ...]
+    sampled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """What the devices of a set have in common.
+
+    Parameters
+    ----------
+    set_name : str
+        The set; empty for all devices of the campaign.
+    devices : tuple of Diagnosed
+        Its diagnosed devices.
+    common : Common
+        What they have in common.
+    """
+
+    set_name: str
+    devices: tuple[Diagnosed, ...]
+    common: Common
+
+    @property
+    def effects(self) -> dict[str, tuple[str, ...]]:
+        """Effects of the models of devices that hold what is certain of the set, where no fit does so yet; by folder.
+
+        They are those that the device's own diagnosis found, and those that only the set makes certain.
+        """
+        out = {}
+        for place, device in enumerate(self.devices):
+            entering = [one for one in self.common.shared if one.enters and one.holders[place]]
+            own, written = device.evidence.own, device.evidence.written
+            added = tuple(written[one.id] for one in entering if one.id not in own and one.id in written)
+            if added or (not device.sampled and any(one.id in own for one in entering)):
+                out[device.folder] = (*device.modelled, *added)
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as they stand in ``campaign.json``."""
+        return {
+            "set": self.set_name,
+            "devices": [device.folder for device in self.devices],
+            "classes": [self._class(one) for one in self.common.shared],
+        }
+
+    def _class(self, one: Shared) -> dict[str, Any]:
+        action, _, coordinate = one.id.partition(" over ")
+        known = coordinates().get("heat1" if coordinate == "heat" else coordinate)
+        return {
+            "action": action,
+            "coordinate": coordinate,
+            "unit": known.unit if known else "1",
+            "probability": round(one.probability, DIGITS),
+            "enters": one.enters,
+            "rivals": list(one.rivals),
+            "of_devices": [round(p, DIGITS) for p in one.devices],
+            "alone": list(one.alone),
+            "effects": [self._effect(device, one.id) for device in self.devices],
+            "size_percent": [device.evidence.size_percent.get(one.id) for device in self.devices],
+            "change_percent": [device.evidence.change_percent.get(one.id) for device in self.devices],
+        }
+
+    def _effect(self, device: Diagnosed, name: str) -> str:
+        """Effect that stands for a class in the model of a device, or would."""
+        return device.evidence.own.get(name) or device.evidence.written.get(name, "")
+
+
+def together(devices: Iterable[tuple[str, Diagnosed]]) -> tuple[Together, ...]:
+    """Add up the diagnoses of a campaign.
+
+    Parameters
+    ----------
+    devices : iterable of (str, Diagnosed)
+        Each device, behind the name of its set.
+
+    Returns
+    -------
+    tuple of Together
+        One for each set; behind them, where there are several sets, one for all devices.
+    """
+    by_set: dict[str, list[Diagnosed]] = {}
+    for set_name, device in devices:
+        by_set.setdefault(set_name, []).append(device)
+    groups: list[tuple[str, Sequence[Diagnosed]]] = list(by_set.items())
+    if len(groups) > 1:
+        groups.append(("", [device for _, own in groups for device in own]))
+    return tuple(Together(name, tuple(own), common_to([d.evidence for d in own])) for name, own in groups)
+
+
+def read_diagnosed(place: Path, folder: str) -> Diagnosed:
+    """Read what a diagnosis says for the set of its device.
+
+    Parameters
+    ----------
+    place : Path
+        Folder of the diagnosis.
+    folder : str
+        Folder of the device below the campaign's.
+
+    Raises
+    ------
+    InferenceError
+        If it cannot be read.
+    """
+    record: Mapping[str, Any] = read_json(place / "diagnosis.json", InferenceError)
+    try:
+        evidence = device_evidence(record["evidence"])
+        modelled = tuple(str(word) for word in record["modelled"])
+        return Diagnosed(folder, evidence, modelled, not record["quick"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InferenceError(
+            f"the evidence in its diagnosis.json cannot be read ({error}); delete that file and run again"
+        ) from error

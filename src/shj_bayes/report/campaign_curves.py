@@ -1,0 +1,98 @@
+"""Curves of devices over the coordinates that their sets have in common. Importing this imports matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes._util.files import read_json
+from shj_bayes.errors import ShjError
+from shj_bayes.inference.record import read_group, read_record
+from shj_bayes.margins.specimen import read_specimen
+from shj_bayes.model.curve import curve_named
+from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
+from shj_bayes.report.diagnosis_words import COORDINATES
+from shj_bayes.report.figures import campaign as figures
+from shj_bayes.report.figures.campaign import DeviceCurve
+from shj_bayes.report.page import Picture
+
+PLACES = 61  # of a curve
+MOST = 40  # curves in a panel, and panels in a picture
+
+
+def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, str]]) -> list[Picture]:
+    """Draw one picture for each class that some set has: a panel for each set, a curve for each device.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    rows : sequence of Row
+        What sets have in common.
+    fitted : mapping of str to (str, str)
+        For the folder of each device those of its diagnosis and of its fit with what its set has, below the campaign's;
+        empty where there is none.
+    """
+    by_class: dict[str, list[tuple[Row, list[DeviceCurve]]]] = {}
+    for row in rows:
+        if row.set_name and row.certain and row.action != "motion":
+            curves = [
+                c for i in row.holders[:MOST] if (c := _curve(folder, row, i, *fitted[row.folders[i]])) is not None
+            ]
+            if curves:
+                by_class.setdefault(row.id, []).append((row, curves))
+    return [_picture(parts[:MOST]) for parts in by_class.values()]
+
+
+def _picture(parts: Sequence[tuple[Row, list[DeviceCurve]]]) -> Picture:
+    first = parts[0][0]
+    name = COORDINATES.get(first.coordinate, first.coordinate).removeprefix("the ")
+    unit = "" if first.unit == "1" else f" ({first.unit})"
+    what = class_words(first.id)
+    return Picture(
+        figures.curves([(row.set_name, curves) for row, curves in parts], f"{name}{unit}"),
+        f"Change of the {what}, per cent of Fy, for each device of {', '.join(set_words(row) for row, _ in parts)}.",
+        " ".join(statement(row) for row, _ in parts),
+        f"Change of the {what}",
+        wide=True,
+    )
+
+
+def _curve(folder: Path, row: Row, i: int, diagnosis: str, with_set: str) -> DeviceCurve | None:
+    """Curve of a device: of its fit with what its set has, or of its diagnosis; None where neither holds one."""
+    try:
+        if with_set and curve_named(row.effects[i]) is not None:
+            return _of_fit(folder / row.folders[i], folder / with_set, row.effects[i], alone=row.alone[i])
+        return _of_diagnosis(folder / diagnosis, row) if diagnosis else None
+    except (ShjError, OSError, KeyError, TypeError, ValueError):  # a damaged file: the page goes without that curve
+        return None
+
+
+def _of_fit(place: Path, fit: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
+    """Curve of a fit that holds it, from its posterior."""
+    curve = curve_named(effect)
+    held = {str(word) for word in read_record(fit)["model"]["effects"]}
+    if curve is None or effect not in held:
+        return None
+    history = read_specimen(place, "", "").histories[0]
+    draws = read_group(fit, "posterior")
+    coefficients = np.stack([draws[f"{effect}.c{k}"].ravel() for k in range(1, curve.n + 1)])
+    share = np.linspace(0.0, 1.0, PLACES)
+    values = 100.0 * curve.rows(share, np.ones(PLACES)) @ coefficients
+    low, high = np.quantile(values, [0.05, 0.95], axis=1)
+    return DeviceCurve(curve.over.value_of(share, history), values.mean(axis=1), low, high, alone)
+
+
+def _of_diagnosis(place: Path, row: Row) -> DeviceCurve | None:
+    """Curve that the diagnosis of a device found."""
+    record: Mapping[str, Any] = read_json(place / "diagnosis.json", ShjError)
+    for one in record["coordinates"]:
+        if (one["action"], one["coordinate"]) == (row.action, row.coordinate) and one["curve"]:
+            at, mean, low, high = (
+                np.array(one["curve"][key], dtype=np.float64) for key in ("at", "mean", "q05", "q95")
+            )
+            return DeviceCurve(at, mean, low, high, alone=True)
+    return None

@@ -1,0 +1,234 @@
+"""What the devices of each set have in common, in words and numbers, from ``campaign.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from shj_bayes.errors import ReportError, shown
+from shj_bayes.mismatch.search import DOUBT, MATTERS
+from shj_bayes.mismatch.sets import LIKELY
+from shj_bayes.report.campaign_file import safe_folder
+from shj_bayes.report.diagnosis_words import COORDINATES, percent
+
+ALL = "all devices of the campaign"
+# Where a coordinate is no quantity that varies.
+PLAIN = {
+    "added over constant": "a constant force beside friction",
+    "capacity over direction": "another force in push than in pull",
+}
+NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A class of coordinates in a set.
+
+    Parameters
+    ----------
+    set_name : str
+        The set; empty for all devices of the campaign.
+    folders : tuple of str
+        Folders of its diagnosed devices.
+    action, coordinate, unit : str
+        The class.
+    probability : float
+        That the set has it.
+    enters : bool
+        Whether models of its devices hold it.
+    rivals : tuple of str
+        Classes that may stand in its place.
+    of_devices : tuple of float
+        That each device has it.
+    alone : tuple of bool
+        Whether each device shows it alone.
+    effects : tuple of str
+        Effect that stands, or would stand, for it in each.
+    size_percent, change_percent : tuple of (float or None)
+        Size in each, and its change from one end of the coordinate to the other, per cent of Fy.
+    """
+
+    set_name: str
+    folders: tuple[str, ...]
+    action: str
+    coordinate: str
+    unit: str
+    probability: float
+    enters: bool
+    rivals: tuple[str, ...]
+    of_devices: tuple[float, ...]
+    alone: tuple[bool, ...]
+    effects: tuple[str, ...]
+    size_percent: tuple[float | None, ...]
+    change_percent: tuple[float | None, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what does not belong together."""
+        lists = (self.of_devices, self.alone, self.effects, self.size_percent, self.change_percent)
+        if any(len(one) != len(self.folders) for one in lists) or not all(map(safe_folder, self.folders)):
+            raise ValueError(f"{self.id} of {shown(self.set_name)}")
+
+    @property
+    def id(self) -> str:
+        """Word of the class."""
+        return f"{self.action} over {self.coordinate}"
+
+    @property
+    def holders(self) -> tuple[int, ...]:
+        """Places of the devices that have it, more probably than not."""
+        return tuple(i for i, p in enumerate(self.of_devices) if p >= LIKELY)
+
+    @property
+    def certain(self) -> bool:
+        """Whether something is said of it: the set has it, or it or a rival, with 95 %."""
+        return bool(self.holders) and (self.enters or self.probability >= 1.0 - DOUBT)
+
+
+def rows_of(record: Mapping[str, Any]) -> tuple[Row, ...]:
+    """Read what the devices of each set have in common.
+
+    Parameters
+    ----------
+    record : mapping
+        Content of ``campaign.json``.
+
+    Raises
+    ------
+    ReportError
+        If it cannot be read.
+    """
+    try:
+        return tuple(_rows(record.get("together", ())))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ReportError(f"campaign.json: what sets have in common cannot be read ({error})") from error
+
+
+def _rows(groups: Any) -> Iterator[Row]:
+    def numbers(values: Any) -> tuple[float | None, ...]:
+        return tuple(None if value is None else float(value) for value in values)
+
+    for group in groups:
+        for one in group["classes"]:
+            yield Row(
+                str(group["set"]),
+                tuple(str(folder) for folder in group["devices"]),
+                str(one["action"]),
+                str(one["coordinate"]),
+                str(one["unit"]),
+                float(one["probability"]),
+                bool(one["enters"]),
+                tuple(str(word) for word in one["rivals"]),
+                tuple(float(p) for p in one["of_devices"]),
+                tuple(bool(found) for found in one["alone"]),
+                tuple(str(word) for word in one["effects"]),
+                numbers(one["size_percent"]),
+                numbers(one["change_percent"]),
+            )
+
+
+def statements(record: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """Say what each set of two devices or more has in common; nothing where no device was diagnosed.
+
+    Parameters
+    ----------
+    record : mapping or None
+        Content of ``campaign.json``.
+    """
+    rows = [row for row in rows_of(record or {}) if len(row.folders) > 1]
+    out = []
+    for name in dict.fromkeys(row.set_name for row in rows):
+        own = [row for row in rows if row.set_name == name]
+        said = [statement(row) for row in own if row.certain]
+        out += said or [f"Nothing beyond the law is certain to be common to {set_words(own[0])}."]
+    return tuple(out)
+
+
+def statement(row: Row) -> str:
+    """Say of one class what a set has in common, how much, how surely, and what it may be instead."""
+    has, n = row.holders, len(row.folders)
+    changes = [row.change_percent[i] for i in has]
+    sizes = [row.size_percent[i] or 0.0 for i in has]
+    known = [c for c in changes if c is not None]
+    one_way = len(known) == len(has) and len({c > 0 for c in known}) == 1
+    # A curve that only rises or falls changes by more from end to end than can be seen beside the law.
+    one_way = one_way and all(abs(c) >= s for c, s in zip(known, sizes, strict=True))
+    of = f"devices of set {row.set_name}" if row.set_name else "devices of the campaign"
+    who = f"{_count(len(has))} of {_count(n).lower()} {of}"
+    where = COORDINATES.get(row.coordinate, row.coordinate)
+    if row.action == "capacity" and one_way:
+        verb = "gain" if known[0] > 0 else "lose"
+        text = f"{who} {verb} sliding force with {where}: {_span(map(abs, known))} of Fy over what was tested"
+    elif row.id in PLAIN or row.action == "motion":
+        text = f"{who} show {PLAIN.get(row.id, where)}: up to {_span(sizes)} of Fy"
+    else:
+        what = "sliding force" if row.action == "capacity" else "force that is added"
+        text = f"{who} have a {what} that depends on {where}: {_span(sizes)} of Fy"
+    alone = sum(row.alone)
+    shows = "each shows it alone" if alone == n else f"{_count(alone).lower()} shows it alone"
+    shows = shows if alone <= 1 or alone == n else f"{_count(alone).lower()} show it alone"
+    text += f" (probability {percent(row.probability)}; {shows})."
+    if row.rivals:
+        others = ", ".join(class_words(word) for word in row.rivals)
+        text += f" Their tests do not tell it from {others}."
+    if max(sizes) < 100.0 * MATTERS:
+        text += f" In none of them can more than {100 * MATTERS:g} % of Fy be seen beside the law: little for design."
+    return text
+
+
+def class_words(word: str) -> str:
+    """Name a class."""
+    if word in PLAIN:
+        return PLAIN[word]
+    action, _, coordinate = word.partition(" over ")
+    what = {"capacity": "sliding force over ", "added": "added force over ", "motion": ""}.get(action, "")
+    return f"{what}{COORDINATES.get(coordinate, coordinate)}"
+
+
+def set_words(row: Row) -> str:
+    """Name the devices that a row speaks of."""
+    return f"the devices of set {row.set_name}" if row.set_name else ALL
+
+
+def table(record: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Tabulate every class that is not excluded in some set, or that a device shows alone; None without diagnoses."""
+    rows = rows_of(record)
+    if not rows:
+        return None
+    names = list(dict.fromkeys(row.set_name for row in rows))
+    by_class: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        by_class.setdefault(row.id, {})[row.set_name] = row
+    kept = {
+        word: own
+        for word, own in by_class.items()
+        if any(row.probability >= DOUBT or any(row.alone) for row in own.values())
+    }
+    order = sorted(kept, key=lambda word: (-max(row.probability for row in kept[word].values()), word))
+    return {
+        "sets": [
+            {"name": name or ALL, "n": next(len(r.folders) for r in rows if r.set_name == name)} for name in names
+        ],
+        "classes": [
+            {"words": class_words(word), "cells": [_cell(kept[word].get(name)) for name in names]} for word in order
+        ],
+        "excluded": [class_words(word) for word in sorted(by_class) if word not in kept],
+    }
+
+
+def _cell(row: Row | None) -> dict[str, str]:
+    if row is None:
+        return {"exact": "", "probability": "", "devices": ""}
+    parts = f"{len(row.holders)} of {len(row.folders)} devices; {sum(row.alone)} alone"
+    return {"exact": repr(row.probability), "probability": percent(row.probability), "devices": parts}
+
+
+def _count(n: int) -> str:
+    return {0: "None", 1: "One"}.get(n) or NUMBERS.get(n, str(n)).capitalize()
+
+
+def _span(values: Iterable[float]) -> str:
+    """Give the range of some percentages."""
+    own = sorted(values)
+    low, high = f"{own[0]:.2g}", f"{own[-1]:.2g}"
+    return f"{low} %" if low == high else f"{low} to {high} %"

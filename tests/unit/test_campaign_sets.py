@@ -1,0 +1,88 @@
+"""A campaign that diagnoses: what its sets have in common enters the models of its devices, and the margins."""
+
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shj_bayes.commands.campaign import read_manifest, run_campaign
+from shj_bayes.commands.summary import summarise_campaign
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.writer import write_csv
+
+BLOCKS = (Block(12.0, 0.13, 3), Block(24.0, 0.067, 3), Block(12.0, 0.13, 2))
+WEAR = 0.08  # of the force, over the test
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """A set of two devices that wear, run once; one of another set that is not diagnosed."""
+    folder = tmp_path_factory.mktemp("campaign")
+    text = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'
+    for number, set_name in enumerate(("bare", "bare", "other"), start=1):
+        runs = simulate_device(Truth(phi=0.0, sigma=0.4), seed=number, rate_Hz=4.0, blocks=BLOCKS, n_runs=1)
+        x = runs[0].displacement_mm
+        travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))])
+        worn = replace(runs[0], force_kN=runs[0].force_kN * (1.0 - WEAR * travel / travel[-1]))
+        name = write_csv(folder / f"d{number}.csv", worn).name
+        text += f'[[set]]\nname = "{set_name}"\n' if number != 2 else ""
+        text += f'[[set.device]]\nname = "device {number}"\nrecordings = ["{name}"]\n'
+    text += 'diagnose = "off"\n'
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    manifest = read_manifest(folder / "campaign.toml")
+    return manifest, folder / "out", run_campaign(manifest, folder / "out", workers=1)
+
+
+@pytest.mark.slow
+def test_what_a_set_has_enters_models_and_margins(campaign):
+    manifest, out, outcomes = campaign
+    assert [o.status for o in outcomes] == ["done"] * 3
+    assert [o.diagnosis for o in outcomes][2] == "off"
+    assert {o.diagnosis for o in outcomes[:2]} <= {"named", "family", "unknown"}
+    assert [bool(o.with_set) for o in outcomes] == [True, True, False]
+    assert not any(o.failures for o in outcomes)
+    (together,) = json.loads((out / "campaign.json").read_text(encoding="utf-8"))["together"]
+    first = together["classes"][0]
+    assert together["set"] == "bare"
+    assert first["enters"]
+    assert first["coordinate"] in ("travel", "time", "heat")
+    assert min(first["of_devices"]) > 0.95
+    result = summarise_campaign(manifest, outcomes, out, seed=1)
+    assert "devices of set bare" in result.text
+    assert "What sets have in common" in (out / "report.html").read_text(encoding="utf-8")
+    assert any("devices of set bare" in line for line in result.record["margins"]["diagnoses"])
+
+
+@pytest.mark.slow
+def test_a_second_call_keeps_fits_and_diagnoses(campaign):
+    manifest, out, outcomes = campaign
+    files = sorted(p for p in out.glob("devices/*/**/*") if p.name in ("fit.json", "diagnosis.json"))
+    assert len(files) == 3 + 2 + 2
+    stamps = [p.stat().st_mtime_ns for p in files]
+    before = json.loads((out / "campaign.json").read_text(encoding="utf-8"))["together"]
+    again = run_campaign(manifest, out, workers=1)
+    assert [o.status for o in again] == ["kept"] * 3
+    assert [o.with_set for o in again] == [o.with_set for o in outcomes]
+    assert [p.stat().st_mtime_ns for p in files] == stamps
+    assert json.loads((out / "campaign.json").read_text(encoding="utf-8"))["together"] == before
+
+
+@pytest.mark.slow
+def test_a_diagnosis_that_is_gone_is_made_again_and_a_damaged_one_stops_nobody(campaign):
+    manifest, out, _ = campaign
+    one, other = sorted(out.glob("devices/bare*/diagnosis/diagnosis.json"))
+    record = json.loads(one.read_text(encoding="utf-8"))
+    one.unlink()
+    damaged = json.loads(other.read_text(encoding="utf-8"))
+    damaged["evidence"]["nats"] = "none"
+    stamp = other.stat()
+    other.write_text(json.dumps(damaged), encoding="utf-8")
+    os.utime(other, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    outcomes = run_campaign(manifest, out, workers=1)
+    assert [o.status for o in outcomes] == ["done", "kept", "kept"]
+    assert outcomes[1].diagnosis == "failed"
+    assert "delete that file and run again" in outcomes[1].failures[0]
+    assert json.loads(one.read_text(encoding="utf-8"))["evidence"] == record["evidence"]
