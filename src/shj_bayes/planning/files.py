@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from shj_bayes._util.files import write_text
+from shj_bayes._util.files import read_json, write_text
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.store import versions
 from shj_bayes.planning.devices import Further
@@ -64,6 +64,20 @@ def write_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None, middl
         for i, row in enumerate(plan.best, start=1):
             write_text(folder / f"next-{i}.csv", history_csv(row.protocol, plan.rig, middle_mm))
     write_text(folder / PLAN, json.dumps(record, indent=1, allow_nan=False))
+
+
+def read_plan(folder: Path) -> dict[str, Any]:
+    """Read ``plan.json`` of a folder.
+
+    Raises
+    ------
+    PlanError
+        If it is damaged or of another kind.
+    """
+    record = read_json(folder / PLAN, PlanError)
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise PlanError(f"{PLAN} in {folder.name} is not of schema {SCHEMA}; run shj-bayes plan again")
+    return record
 
 
 def history_csv(protocol: Protocol, rig: Rig, middle_mm: float = 0.0) -> str:

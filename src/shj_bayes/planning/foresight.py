@@ -55,7 +55,7 @@ class Quantity:
         return mean, float(np.sqrt(shares @ (np.array(own) + (self.values - mean) ** 2)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Foreseen:
     """What a protocol is expected to give.
 

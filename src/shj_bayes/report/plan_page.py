@@ -11,7 +11,7 @@ import numpy as np
 
 from shj_bayes.model.history import histories
 from shj_bayes.planning.devices import ASSURANCE, WITHIN
-from shj_bayes.planning.known import Belief, Known
+from shj_bayes.planning.known import Belief, Known, mechanisms_of
 from shj_bayes.planning.plan import FORCE, WHICH, Plan, Worth
 from shj_bayes.report.page import Picture, write_page
 
@@ -71,10 +71,12 @@ def headline(record: Mapping[str, Any]) -> str:
             "question may be."
         )
     if record["question"] == WHICH:
-        gives = f"it names the right one with a chance of {100 * best['chance_right']:.3g} %"
+        gives = f"it is expected to name the right one with a chance of {100 * best['chance_right']:.3g} %"
     else:
         now = record["now"]
-        gives = f"it takes the standard deviation of {record['question']} from {now['sd']:.3g} to {best['sd']:.3g}"
+        gives = (
+            f"it should take the standard deviation of {record['question']} from {now['sd']:.3g} to {best['sd']:.3g}"
+        )
         gives += f" {now['unit']}"
     return f"Run {best['file']}, {best['minutes']:.1f} minutes on the rig: {gives}."
 
@@ -190,7 +192,7 @@ def _pictures(plan: Plan) -> list[Picture]:
         return out
     history = known.placed(histories([time], [motion])[0])
     first, second = (_force(b, history) for b in leading)
-    sets = [{"classes": sorted(b.key), "mechanisms": [], "probability": 0.0} for b in leading]
+    sets = [{"classes": sorted(b.key), "mechanisms": mechanisms_of(b.key)} for b in leading]
     names = (set_words(sets[0]), set_words(sets[1]))
     x = motion.displacement_mm
     gap = first - second
