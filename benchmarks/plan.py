@@ -6,7 +6,8 @@ expert's fixed second test, in the same minutes: the name that is then the most 
 and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
 deviation of gamma with the one after the test. Rivals are fitted to both tests together, as the plan fits them;
 ``--diagnose`` runs the whole diagnosis (first look) instead. Every trial is a line of ``build/plan/*.jsonl``;
-``--first`` goes on behind trials that are done, ``--table`` prints what is there.
+``--first`` goes on behind trials that are done, ``--table`` prints what is there. ``python benchmarks/plan.py paper``
+takes the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.foresight import foresee
 from shj_bayes.planning.known import Key as Set
-from shj_bayes.planning.known import common_scales, know
+from shj_bayes.planning.known import class_of, common_scales, know
 from shj_bayes.planning.plan import make_plan, proposals
 from shj_bayes.planning.proposals import within
 from shj_bayes.planning.protocol import Block, Protocol, Waveform
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rehearsal import weighed
 from shj_bayes.planning.rig import Rig
-from shj_bayes.proof.cases import Key, development_keys
+from shj_bayes.proof.cases import Key, development_keys, stated_key
 from shj_bayes.proof.make import make
 from shj_bayes.proof.protocols import IMPROVED, Course
 from shj_bayes.proof.simulators.simulator import simulators_by_id
@@ -66,7 +67,7 @@ SHARE = (0.03, 0.25)  # of the largest size that the proof conceals: what one ru
 def main() -> None:
     """Run the trials of one question."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("question", choices=("which", "gamma"))
+    parser.add_argument("question", choices=("which", "gamma", "paper"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-n", "--n", type=int, default=8, help="trials that count")
     parser.add_argument("--first", type=int, default=1, help="number of the first device that is drawn")
@@ -74,6 +75,9 @@ def main() -> None:
     parser.add_argument("--diagnose", action="store_true", help="the whole diagnosis after each second test")
     parser.add_argument("--table", action="store_true", help="print what is there and run nothing")
     asked = parser.parse_args()
+    if asked.question == "paper":
+        paper()
+        return
     BUILD.mkdir(parents=True, exist_ok=True)
     path = BUILD / f"{asked.question}-seed{asked.seed}{'-diagnosed' if asked.diagnose else ''}.jsonl"
     if not asked.table:
@@ -168,6 +172,36 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
                 }
         out["tests"][name] = one
     return out
+
+
+def paper(sizes: Sequence[float] = (0.005, 0.01, 0.02, 0.05), minutes: float = 20.0) -> None:
+    """Print whether it is speed or prying after one run of Table 1, and what further minutes are worth."""
+    for size in sizes:
+        key = stated_key("prying", size, seed=4, rate_Hz=RATE_HZ, gamma=0.0)
+        recording = make(key)[0].recording
+        runs = runs_of([recording])
+        rig = Rig(95.0, SPEED_MM_S, 1.3 * float(np.abs(recording.force_kN).max()), minutes, RATE_HZ)
+        protocols = proposals(rig, 1)
+        rivals = [(class_of("velocity"), 0.5), (class_of("prying"), 0.5)]
+        scales = common_scales(runs, rig, protocols)
+        device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
+        known = know(runs, device, rivals, scales, hidden=frozenset({"velocity"}), even=True)
+        gamma = quantity_named(known, "gamma")
+        mean, sd = gamma.now(known.beliefs)
+        prying = 100 * known.probabilities.get(class_of("prying"), 0.0)
+        print(f"prying of {100 * size:.1f} %: after Table 1 {prying:.1f} %, gamma {mean:.5f} +- {sd:.5f} s/mm")
+        plan = make_plan([known], rig, protocols, question="gamma", quantities=(gamma,), rehearsals=0)
+        for r in (*plan.best[:1], *plan.compared):
+            p, variance = weighed(known, _second(key, r.protocol), gamma)
+            named, seen = 100 * p.get(class_of("prying"), 0.0), r.foreseen[0].sd
+            print(
+                f"  {r.protocol.name}, {r.protocol.duration_s / 60:.1f} min: prying {named:.1f} %, sd of gamma "
+                f"{variance**0.5:.6f} s/mm (foreseen {seen:.6f})"
+            )
+            print(
+                "   ",
+                ", ".join(f"{b.amplitude_mm:g} mm {b.speed_mm_s:.3g} mm/s {b.cycles}x" for b in r.protocol.blocks),
+            )
 
 
 def _classes(key: Key) -> tuple[tuple[str, str], ...]:
