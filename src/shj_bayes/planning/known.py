@@ -257,10 +257,10 @@ def know(
     fits = [(key, p, out.fitted(h.members, h.state.z) or h) for key, p, h in found]
     shares = _shares(fits, even=even)
     further = replace(device, n_runs=len(runs) + 1)
-    x = runs[-1].motion.displacement_mm
+    last = old[-1].history
     made = Known(
         name, tuple(runs), further, _joint(device, further, scene.z)[0], old, scales, setting, (),
-        float(x[0] - histories([runs[-1].recording.time_s], [runs[-1].motion])[0].position_mm[0]),
+        float(last.motion.displacement_mm[0] - last.position_mm[0]),
     )  # fmt: skip
     kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_BELIEFS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import PlanError
+from shj_bayes.margins.asked import from_file
 from shj_bayes.planning.files import history_csv
 from shj_bayes.planning.proposals import changed, first_protocols
 from shj_bayes.planning.protocol import Block, Protocol, table_1_protocol
@@ -61,6 +62,19 @@ def test_a_history_outside_the_rig_is_not_written() -> None:
     with pytest.raises(PlanError, match="the rig allows 95 mm and 40 mm/s"):
         history_csv(Protocol("p", (Block(100.0, 20.0, 1),)), RIG)
     assert RIG.broken_by(Protocol("p", (Block(96.0, 41.0, 20),))) != ()
+
+
+def test_a_file_is_the_same_protocol_as_the_blocks_it_was_written_from(tmp_path: Path) -> None:
+    blocks = Protocol("p", (Block(50.0, 20.0, 2), Block(20.0, 10.0, 1, "triangle", 4.0)))
+    (tmp_path / "p.csv").write_text(history_csv(blocks, RIG), encoding="utf-8")
+    asked = from_file(tmp_path / "p.csv")
+    again = Protocol("p", samples=(asked.time_s, asked.motion))
+    assert again.duration_s == pytest.approx(blocks.duration_s, abs=0.06)
+    assert (again.largest_mm, again.fastest_mm_s) == pytest.approx((50.0, 20.0), rel=0.02)
+    assert again.travel_m == pytest.approx(blocks.travel_m, rel=0.01)
+    (_, own), (_, read) = blocks.sampled(20.0), again.sampled(20.0)
+    assert read.turning_mm == pytest.approx(own.turning_mm, abs=0.1)
+    assert read.speed_mm_s[: own.speed_mm_s.size] == pytest.approx(own.speed_mm_s[: read.speed_mm_s.size], abs=1.0)
 
 
 @pytest.mark.parametrize("block", [(0.0, 1.0, 1), (1.0, float("nan"), 1), (1.0, 1.0, 0)])
