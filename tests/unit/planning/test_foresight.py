@@ -96,7 +96,9 @@ def test_nothing_is_planned_for_what_is_decided(heated: Known) -> None:
     shares = {HEAT: 0.99, WEAR: 0.01}
     kept = [next(b for b in heated.beliefs if b.key == k) for k in shares]
     sure = replace(heated, beliefs=tuple(replace(b, share=shares[b.key]) for b in kept))
-    assert make_plan([sure], RIG, [LONG, SHORT], rehearsals=0).worth is Worth.DECIDED
+    plan = make_plan([sure, sure], RIG, [LONG, SHORT], rehearsals=0)  # one test for two devices
+    assert plan.worth is Worth.DECIDED
+    assert len(plan.best[0].foreseen) == 2
 
 
 def test_a_margin_and_a_wrong_question(heated: Known) -> None:
