@@ -1,9 +1,10 @@
 """Posteriors, design margins and missing physics for sliding steel friction connections.
 
 The package is the method, one room per step:
-recording -> model -> inference -> mismatch -> population -> report.
+recording -> model -> inference -> mismatch -> population -> margins -> planning -> report.
 
-For scripts and notebooks: read a `Recording`, `fit` it, `diagnose` it, run a `Campaign`, `load` what was finished.
+For scripts and notebooks: read a `Recording`, `fit` it, `diagnose` it, `plan` its next test, run a `Campaign`, `load`
+what was finished.
 """
 
 from __future__ import annotations
@@ -14,7 +15,18 @@ from typing import TYPE_CHECKING, Any
 from shj_bayes._util.import_safety import import_elsewhere
 
 if TYPE_CHECKING:
-    from shj_bayes.api import Campaign, CampaignResult, Diagnosis, FitResult, diagnose, fit, load, tables
+    from shj_bayes.api import (
+        Campaign,
+        CampaignResult,
+        Diagnosis,
+        FitResult,
+        NextTest,
+        diagnose,
+        fit,
+        load,
+        plan,
+        tables,
+    )
     from shj_bayes.recording.recording import Recording
 
 import_elsewhere()
@@ -26,6 +38,8 @@ __all__ = [  # noqa: RUF022 - in the order of the pipeline
     "FitResult",
     "diagnose",
     "Diagnosis",
+    "plan",
+    "NextTest",
     "Campaign",
     "CampaignResult",
     "tables",

@@ -21,12 +21,15 @@ import pandas as pd
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.commands.comparison import compare_sets
+from shj_bayes.commands.next_test import plan_next
 from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
-from shj_bayes.errors import OptionError, ReportError
+from shj_bayes.errors import OptionError, PlanError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.record import check_files, read_record
+from shj_bayes.planning.files import read_plan
+from shj_bayes.planning.rig import LIMITS, read_rig
 from shj_bayes.population.results import population_record
 from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
@@ -166,6 +169,27 @@ class Diagnosis(_Result):
         words = " ".join(sentences(self.record))
         table = self.shift.to_html(float_format="{:.5g}".format)
         return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b>. {escape(words)}</p>{table}"
+
+
+@dataclass(frozen=True, eq=False)
+class NextTest(_Result):
+    """Which test is next; made by `plan` or `load`."""
+
+    @property
+    def page(self) -> Path:
+        """The page of the plan."""
+        return page_of(self.folder, "plan")
+
+    @property
+    def compared(self) -> pd.DataFrame:
+        """Protocols with what each is expected to give: the best first, then Table 1 and the files given."""
+        rows = [*self.record["candidates"], *self.record["compared"]]
+        return pd.DataFrame([{k: v for k, v in row.items() if k not in ("blocks", "simulated")} for row in rows])
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """Displacement of the best protocol at the rig's rate: columns ``time_s`` and ``displacement_mm``."""
+        return pd.read_csv(self.folder / str(self.record["candidates"][0]["file"]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,6 +381,63 @@ def diagnose(
     return Diagnosis(folder, result.record, held)
 
 
+def plan(
+    devices: str | Path | Sequence[str | Path] = (),
+    out: str | Path | None = None,
+    *,
+    question: str | None = None,
+    among: Sequence[str] = (),
+    rig: str | Path | None = None,
+    priors: str = "afc",
+    histories: Sequence[str | Path] = (),
+    seed: int = 1,
+    **limits: float,
+) -> NextTest:
+    """Plan the next test.
+
+    Parameters
+    ----------
+    devices : path, or a sequence of them
+        Folders that `diagnose` or `fit` wrote; none for a plan from priors alone.
+    out : str or Path, optional
+        Folder for the plan.
+    question : str, optional
+        ``which``, ``force`` or a quantity (``gamma``, ``ratio``, ``K``, ``Fy``, ``beta``, ``least``).
+    among : sequence of str
+        Mechanisms to tell apart; ``velocity`` is the base law.
+    rig : str or Path, optional
+        ``rig.toml``.
+    priors : str
+        Family, where there are no devices.
+    histories : sequence of path
+        Further candidates: displacement (mm) over time (s).
+    seed : int
+        Same seed and inputs, same plan.
+    **limits
+        max_stroke_mm, max_speed_mm_s, max_force_kN, max_minutes, rate_Hz; they go before those of `rig`.
+
+    Returns
+    -------
+    NextTest
+
+    Raises
+    ------
+    ShjError
+        If a folder, a limit or a question cannot be used.
+    """
+    unknown = [name for name in limits if name not in LIMITS]
+    if unknown:
+        raise PlanError(f"'{unknown[0]}' is no limit; known are {', '.join(LIMITS)}{did_you_mean(unknown[0], LIMITS)}")
+    folder, held = _place(out)
+    folders = [Path(devices)] if isinstance(devices, str | Path) else [Path(one) for one in devices]
+    stated = (read_rig(Path(rig)) if rig is not None else {}) | limits
+    paths = [Path(one) for one in histories]
+    done = plan_next(
+        folders, folder, limits=stated, question=question, among=among, priors=priors, histories=paths, seed=seed
+    )
+    return NextTest(folder, done.record, held)
+
+
 def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:
     """Pool the published, rounded parameter tables alone; parameters as for `Campaign.run`.
 
@@ -369,7 +450,7 @@ def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = Fal
     return CampaignResult(folder, result.record, held)
 
 
-def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
+def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTest:
     """Read a finished result; of a folder that holds both a fit and a diagnosis, the fit.
 
     Parameters
@@ -379,7 +460,7 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
 
     Returns
     -------
-    FitResult, Diagnosis or CampaignResult
+    FitResult, Diagnosis, CampaignResult or NextTest
 
     Raises
     ------
@@ -395,6 +476,8 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult:
         return CampaignResult(place, read_campaign(place))
     if (place / "population.json").is_file():
         return CampaignResult(place, population_record(place))
+    if (place / "plan.json").is_file():
+        return NextTest(place, read_plan(place))
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 

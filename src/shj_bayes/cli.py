@@ -16,7 +16,7 @@ import shj_bayes
 from shj_bayes._util.child_processes import quiet_libraries
 from shj_bayes._util.files import make_writable, need_files, need_population
 from shj_bayes.commands.examples import EXAMPLES
-from shj_bayes.errors import CampaignError, RecordingError, ShjError
+from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError
 
 Command = Callable[..., Any]
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
@@ -487,10 +487,72 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
             click.echo(path)
 
 
+@main.command()
+@click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="[DIR]...")
+@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the plan.")
+@click.option("--question", metavar="Q", help="which, gamma, ratio, K, Fy, beta, least or force; which by default.")
+@click.option("--among", default="", metavar="velocity,prying", help="Mechanisms to tell apart; velocity: base law.")
+@click.option("--rig", type=click.Path(path_type=Path), metavar="FILE", help="Limits of the rig, TOML.")
+@click.option("--max-stroke", "max_stroke_mm", type=float, metavar="MM", help="Largest displacement to either side.")
+@click.option("--max-speed", "max_speed_mm_s", type=float, metavar="MM/S", help="Largest speed.")
+@click.option("--max-force", "max_force_kN", type=float, metavar="KN", help="Largest force.")
+@click.option("--max-minutes", "max_minutes", type=float, metavar="MIN", help="Longest test.")
+@click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Rate of the displacement history.")
+@click.option(
+    "--history", "histories", multiple=True, type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE", help="A further candidate: displacement (mm) over time (s).",
+)  # fmt: skip
+@click.option("--priors", help="Family that ships (afc, general) or TOML file: a plan before any test.")
+@click.option("--example-rig", type=click.Path(path_type=Path), metavar="FILE", help="Write an example of rig.toml.")
+@SEED
+@OUTPUT
+def plan(
+    folders: tuple[Path, ...],
+    out: Path | None,
+    rig: Path | None,
+    among: str,
+    priors: str | None,
+    example_rig: Path | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Plan the next test of the devices whose results are in DIR, or of a new one from --priors."""
+    if example_rig is not None:
+        from shj_bayes._util.files import write_text
+        from shj_bayes._util.shipped import shipped
+
+        write_text(example_rig, shipped("data", "examples", "rig.toml").read_text(encoding="utf-8"))
+        return
+    if out is None:
+        raise click.UsageError("Missing option '-o' / '--out'.")
+    if bool(folders) == (priors is not None):
+        raise click.UsageError("Give the folder of a diagnosed device, or --priors for a plan before any test.")
+    need_files([*folders, *([rig] if rig else [])], PlanError)
+    from shj_bayes.commands.next_test import plan_next
+    from shj_bayes.planning.rig import LIMITS, read_rig
+
+    stated = {name: value for name in LIMITS if (value := options.pop(name)) is not None}
+    speak = not (as_json or quiet)
+    planned = plan_next(
+        folders,
+        out,
+        limits=(read_rig(rig) if rig else {}) | stated,
+        among=[part.strip() for part in among.split(",") if part.strip()],
+        priors=priors or "afc",
+        tell=(lambda line: click.echo(f"  {line}", err=True)) if speak else (lambda _: None),
+        **options,
+    )
+    if as_json:
+        click.echo(json.dumps(planned.record, indent=1))
+    elif speak:
+        click.echo(planned.text)
+
+
 @main.command("open")
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option(
-    "--page", type=click.Choice(["report", "diagnosis", "margins"]), help="Page to open, where DIR has several."
+    "--page", type=click.Choice(["report", "diagnosis", "margins", "plan"]), help="Page to open, where DIR has several."
 )
 @click.option("--pdf", is_flag=True, help="Print the page to PDF beside it, by an installed Chromium, Chrome or Edge.")
 def open_(folder: Path, page: str | None, pdf: bool) -> None:

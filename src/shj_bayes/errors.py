@@ -11,6 +11,7 @@
     |   `-- CheckpointError   a checkpoint of another problem, or an altered one
     |-- CampaignError     a manifest or a campaign folder that cannot be used
     |-- PopulationError   too little, or contradictory, input for a population statement
+    |-- PlanError         a plan that a rig, a folder or a question does not allow
     |-- ReportError       a results folder that cannot be shown
     `-- ProofError        a proof folder that cannot be gone on with, or does not check
 """
@@ -85,6 +86,10 @@ class CampaignError(ShjError):
 
 class PopulationError(ShjError):
     """Too little, or contradictory, input for a population statement."""
+
+
+class PlanError(ShjError):
+    """A plan that a rig, a folder or a question does not allow."""
 
 
 class ReportError(ShjError):

@@ -14,7 +14,18 @@ import shj_bayes
 PACKAGE = Path(shj_bayes.__file__).resolve().parent
 TOP = Path(__file__).resolve().parents[2]
 # In the order in which the data walk through them; what stands at the ends is used by all, and uses all.
-ROOMS = ("_util", "recording", "model", "inference", "mismatch", "population", "margins", "report", "commands")
+ROOMS = (
+    "_util",
+    "recording",
+    "model",
+    "inference",
+    "mismatch",
+    "population",
+    "margins",
+    "planning",
+    "report",
+    "commands",
+)
 FACE = ("api", "cli")
 EXPLAINED = ("_util", "recording", "model", "inference")
 DOOR = PACKAGE / "commands" / "validation.py"  # alone leads to what validates

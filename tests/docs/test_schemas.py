@@ -35,6 +35,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "c.toml").write_text(text, encoding="utf-8")
     shj_bayes.Campaign.read(folder / "c.toml").run(folder / "out", workers=1)
     shj_bayes.diagnose([folder / name for name in runs], folder / "look", quick=True)
+    device = next(p.parent for p in (folder / "out").glob("devices/*/fit.json"))
+    shj_bayes.plan([device, device], folder / "next", question="force")
     return folder
 
 
@@ -53,6 +55,7 @@ def test_fresh_files_are_as_described(results: Path) -> None:
         results / "out" / "campaign.json",
         results / "out" / "population.json",
         results / "look" / "diagnosis.json",
+        results / "next" / "plan.json",
     ]
     assert {file.stem for file in files} == {p.name.partition(".")[0] for p in SCHEMAS.glob("*.json")}
     for file in files:

@@ -33,6 +33,13 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "prove": ("shj-bayes prove -n 4 -o proof", "shj-bayes prove -n 40 --seed 7 -o proof"),
     "export": ("shj-bayes export spring --to opensees",),
+    "plan": (
+        "shj-bayes plan results -o next",
+        "shj-bayes plan results -o next --max-speed 40 --max-minutes 20",
+        "shj-bayes plan results -o next --among velocity,prying",
+        "shj-bayes plan -o first --priors afc --rig rig.toml",
+        "shj-bayes plan --example-rig rig.toml",
+    ),
     "open": ("shj-bayes open results", "shj-bayes open results --page diagnosis", "shj-bayes open spring --pdf"),
     "completion": ("shj-bayes completion bash", "shj-bayes completion zsh"),
     "doctor": ("shj-bayes doctor", "shj-bayes doctor --json"),

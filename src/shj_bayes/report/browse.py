@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from shj_bayes._util.child_processes import program
 from shj_bayes.errors import ReportError
 
-PAGES = ("report", "diagnosis", "margins")  # in the order in which they are looked for
+PAGES = ("report", "diagnosis", "margins", "plan")  # in the order in which they are looked for
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 WINDOWS = ("Google/Chrome/Application/chrome.exe", "Microsoft/Edge/Application/msedge.exe")
 PATIENCE_S = 120.0
@@ -24,7 +24,7 @@ def page_of(place: Path, which: str | None = None) -> Path:
     ----------
     place : Path
         Results folder, or a page itself.
-    which : {"report", "diagnosis", "margins"}, optional
+    which : {"report", "diagnosis", "margins", "plan"}, optional
         Page to take; the first that is there by default.
 
     Returns

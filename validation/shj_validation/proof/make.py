@@ -45,7 +45,9 @@ class Made:
     x_mm: FloatArray
 
 
-def make(key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None = None) -> list[Made]:
+def make(
+    key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None = None, then: Sequence[Course] = ()
+) -> list[Made]:
     """Make the recordings of a trial.
 
     Parameters
@@ -56,6 +58,8 @@ def make(key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None
         Whether to add the slowed earthquake that follows the two runs; the diagnosis never sees it.
     effects : sequence of Concealed, optional
         In place of the key's own: none gives the same rig without what is concealed.
+    then : sequence of Course
+        Further runs that follow the two, at the second one's sliding force.
 
     Returns
     -------
@@ -70,10 +74,11 @@ def make(key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None
     if heldout:
         speed = EARTHQUAKE_SPEED * PEAK_SPEED_MM_S[key.protocol]
         courses.append(course("earthquake", key.rate_Hz, fine, np.random.default_rng(shake), speed))
+    courses += then
     rigs = drives(courses, key.device, STROKE_MM, float(courses[0].time_s[-1]), key.nuisance.frame_kN_mm, key.reversal)
     parts = [known[one.id].act(rigs, one.size, one.shape, key.device) for one in chosen]
     out = []
-    for run, (drive, stream) in enumerate(zip(rigs, noise.spawn(N_RUNS + 1), strict=False)):
+    for run, (drive, stream) in enumerate(zip(rigs, noise.spawn(max(N_RUNS + 1, len(courses))), strict=False)):
         force = _at_the_cell(drive, key, join([part[run] for part in parts]))
         out.append(_record(drive.course, force, key, np.random.default_rng(stream), f"run{run + 1}.csv"))
     return out

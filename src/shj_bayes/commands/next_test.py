@@ -1,0 +1,173 @@
+"""Which test next: from folders of results, or from priors alone, to a protocol with its files and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes._util.files import make_writable
+from shj_bayes.errors import PlanError
+from shj_bayes.margins.asked import from_file
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.priors import read_priors
+from shj_bayes.planning.devices import further_devices
+from shj_bayes.planning.files import force_record, plan_record, write_plan
+from shj_bayes.planning.known import Key, before_any_test, class_of, common_scales, know
+from shj_bayes.planning.plan import FORCE, WHICH, Plan, make_plan, proposals
+from shj_bayes.planning.protocol import Protocol, table_1_protocol
+from shj_bayes.planning.questions import quantity_named
+from shj_bayes.planning.rig import Rig
+from shj_bayes.planning.stored import Stored, read_device
+from shj_bayes.report.diagnosis_data import diagnosis_record
+from shj_bayes.report.plan_page import plan_text, render_plan
+
+HEADROOM = 1.3  # of the largest force so far, that a rig is taken to bear where nothing is said
+FIRST_RATE_HZ = 20.0  # where no test has been made and nothing is said
+DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A written plan.
+
+    Parameters
+    ----------
+    folder : Path
+        Where its files are.
+    record : dict
+        Content of ``plan.json``.
+    page : Path
+        The page.
+    """
+
+    folder: Path
+    record: dict[str, Any]
+    page: Path
+
+    @property
+    def text(self) -> str:
+        """What a person wants to read at the end."""
+        return f"{plan_text(self.record)}\n\nplan: {self.page}"
+
+
+def plan_next(
+    folders: Sequence[Path],
+    out: Path,
+    *,
+    limits: Mapping[str, float] | None = None,
+    question: str | None = None,
+    among: Sequence[str] = (),
+    priors: str = "afc",
+    histories: Sequence[Path] = (),
+    seed: int = 1,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Planned:
+    """Plan the next test and write ``plan.json``, ``next-1.csv`` to ``next-3.csv`` and ``plan.html``.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Results of diagnosed (or fitted) devices; none for a plan from priors alone.
+    out : Path
+        Folder for the plan.
+    limits : mapping of str to float, optional
+        Fields of `Rig`; what is not given is what the tests so far reached.
+    question : str, optional
+        ``which``, ``force`` or the name of a quantity; ``which`` by default where anything is undecided.
+    among : sequence of str
+        Mechanisms to tell apart, in place of the rivals that the diagnosis names; ``velocity`` is the base law.
+    priors : str
+        Family, where there are no folders.
+    histories : sequence of Path
+        Further candidates: displacement (mm) over time (s).
+    seed : int
+        Same seed and inputs, same plan.
+    tell : callable
+        Gets one line for each step.
+
+    Raises
+    ------
+    PlanError
+        If a folder, a limit or a question cannot be used.
+    """
+    make_writable(out)
+    stored = [_read(folder) for folder in folders]
+    if question == FORCE:
+        further = further_devices([s.Fy[0] for s in stored], [s.Fy[1] for s in stored])
+        record = force_record(further, tuple(s.name for s in stored), None, seed)
+        write_plan(out, record, None)
+        return Planned(out, record, render_plan(out, record, None))
+    base = DeviceModel(1, read_priors(priors))
+    rig = _rig(stored, base, dict(limits or {}))
+    first = proposals(rig, seed)
+    given = [_protocol(path) for path in histories]
+    rivals = [(class_of(word), 1.0 / len(among)) for word in among]
+    known = []
+    for s in stored:
+        scales = common_scales(s.runs, rig, [*first, *given])
+        sets: Sequence[tuple[Key, float]] = rivals or s.sets
+        known.append(know(s.runs, s.device, sets, scales, name=s.name, hidden=s.hidden, even=bool(rivals), tell=tell))
+    if not stored:
+        if among:
+            raise PlanError("--among needs the folder of a device; from priors alone all mechanisms are compared")
+        known.append(before_any_test(base, common_scales((), rig, [*first, *given])))
+    undecided = any(len(k.keys) > 1 for k in known)
+    asked = question or (WHICH if undecided else DEFAULT_QUESTION)
+    quantities = () if asked == WHICH else tuple(quantity_named(k, asked) for k in known)
+    plan = make_plan(known, rig, first, given=given, question=asked, quantities=quantities, seed=seed, tell=tell)
+    return write(plan, out)
+
+
+def write(plan: Plan, out: Path) -> Planned:
+    """Write the files and the page of a plan."""
+    record = plan_record(plan)
+    write_plan(out, record, plan, plan.known[0].middle_mm)
+    return Planned(out, record, render_plan(out, record, plan))
+
+
+def _read(folder: Path) -> Stored:
+    if not folder.is_dir():
+        raise PlanError(f"{folder} is not a folder of results; run shj-bayes diagnose first, or plan from --priors")
+    diagnosed = (folder / "diagnosis.json").is_file()
+    return read_device(folder, diagnosis_record(folder) if diagnosed else None)
+
+
+def _rig(stored: Sequence[Stored], base: DeviceModel, limits: dict[str, float]) -> Rig:
+    """Limits as they are given, else what every test so far reached; from priors alone, what Table 1 needs."""
+    runs = [run for s in stored for run in s.runs]
+    if runs:
+        reached = {
+            "max_stroke_mm": min(_half_stroke(s) for s in stored),
+            "max_speed_mm_s": min(max(_fast(r.motion.speed_mm_s) for r in s.runs) for s in stored),
+            "max_force_kN": HEADROOM * max(float(np.abs(r.recording.force_kN).max()) for r in runs),
+            "max_minutes": max(r.recording.duration_s for r in runs) / 60.0,
+            "rate_Hz": min(r.recording.rate_Hz for r in runs),
+        }
+    else:
+        table = table_1_protocol()
+        reached = {
+            "max_stroke_mm": table.largest_mm,
+            "max_speed_mm_s": table.fastest_mm_s,
+            "max_force_kN": HEADROOM * float(base.priors.of("Fy").quantile(0.95)),
+            "max_minutes": table.duration_s / 60.0,
+            "rate_Hz": FIRST_RATE_HZ,
+        }
+    rounded = {name: float(f"{value:.4g}") for name, value in reached.items()}
+    return Rig(**(rounded | limits))
+
+
+def _half_stroke(s: Stored) -> float:
+    return max(float(np.ptp(r.motion.turning_mm)) for r in s.runs) / 2.0
+
+
+def _fast(speed: Any) -> float:
+    return float(np.percentile(speed, 99))
+
+
+def _protocol(path: Path) -> Protocol:
+    asked = from_file(path)
+    return replace(Protocol(path.stem), samples=(asked.time_s, asked.motion))

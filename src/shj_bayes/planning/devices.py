@@ -1,0 +1,95 @@
+"""How many further devices until the force that 95 % of devices exceed is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, nct, norm
+
+from shj_bayes.errors import PlanError
+
+FRACTILE = 0.05
+WITHIN = 0.05  # of the force: half of the 90 % interval
+ASSURANCE = 0.8
+MOST = 500
+
+
+@dataclass(frozen=True)
+class Further:
+    """Devices needed.
+
+    Parameters
+    ----------
+    n_tested : int
+        Devices tested so far.
+    force_kN : float
+        Estimate of the force that 95 % of devices exceed.
+    spread : float
+        Standard deviation of the logarithm of the force between devices.
+    half_width_now : float
+        Half of the 90 % interval of that force now, as a share of it.
+    n_further : int or None
+        Further devices; None where more than `MOST` would be needed.
+    table : tuple of (int, float, float)
+        Further devices, half width as a share of the force: expected, and kept with `ASSURANCE`.
+    """
+
+    n_tested: int
+    force_kN: float
+    spread: float
+    half_width_now: float
+    n_further: int | None
+    table: tuple[tuple[int, float, float], ...]
+
+
+def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Further:
+    """Plan further devices for a lognormal population.
+
+    The half width of the interval of a fractile is that of the noncentral t distribution (Owen 1963, factors for
+    tolerance limits) times the spread; what the spread will turn out to be has the chi-square law of the devices
+    tested so far.
+
+    Parameters
+    ----------
+    forces_kN : sequence of float
+        Sliding force of each device.
+    errors : sequence of float
+        Standard deviation of the logarithm with which each is known.
+
+    Raises
+    ------
+    PlanError
+        If there are fewer than two devices: one says nothing of the spread.
+    """
+    n = len(forces_kN)
+    if n < 2:
+        raise PlanError(
+            f"{n} device given; --question force needs the folders of two or more devices of a set: one says nothing "
+            "of how much devices differ"
+        )
+    logs = np.log(np.asarray(forces_kN, dtype=np.float64))
+    spread = math.hypot(float(logs.std(ddof=1)), 0.0)
+    spread = max(spread, float(np.sqrt(np.mean(np.square(errors)))), 1e-4)
+    likely = [spread * math.sqrt((n - 1) / float(chi2.ppf(q, n - 1))) for q in (0.5, 1.0 - ASSURANCE)]
+    rows, needed = [], None
+    for more in range(MOST + 1):
+        unit = half_width(n + more)
+        if needed is None and more and unit * likely[1] <= WITHIN:
+            needed = more
+        if more in (1, 2, 3, 5, 8, 12, 20, 35, 60, 100) or more == needed:
+            rows.append((more, unit * likely[0], unit * likely[1]))
+        if needed is not None and more > 2 * needed:
+            break
+    force = math.exp(float(logs.mean()) + float(norm.ppf(FRACTILE)) * spread)
+    now = half_width(n) * spread
+    return Further(n, force, spread, now, 0 if now <= WITHIN and n > 2 else needed, tuple(rows))
+
+
+def half_width(n: int) -> float:
+    """Half of the 90 % interval of the 5 % fractile of a normal sample, in standard deviations of the sample."""
+    away = -float(norm.ppf(FRACTILE)) * math.sqrt(n)
+    low, high = (float(nct.ppf(q, n - 1, away)) for q in (0.05, 0.95))
+    return (high - low) / (2.0 * math.sqrt(n))

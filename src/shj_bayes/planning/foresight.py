@@ -1,0 +1,202 @@
+"""What a protocol is expected to tell: outcomes drawn from every rival, weighed by the evidence in linearised form.
+
+Old tests leave a Gaussian for each rival. A planned run is linear in its parameters, with white and slow noise, so its
+evidence under each rival is closed: outcomes are drawn from the rivals in their shares, and each gives probabilities
+and a posterior without sampling (expected information of a design: Lindley 1956, Ann. Math. Statist. 27, 986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import logsumexp
+
+from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.planning.known import Belief, Key, Known
+from shj_bayes.planning.protocol import Protocol
+
+OUTCOMES = 24  # drawn from each rival
+SURE = 2.0  # standard deviations by which the force may be more than predicted
+STEP = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A design quantity as a linear function of each rival's parameters.
+
+    Parameters
+    ----------
+    name, unit : str
+        Which.
+    values : array, shape (n_beliefs,)
+        At the mean of each rival.
+    slopes : tuple of array, shape (n_law + p,)
+        Its derivatives there.
+    value : callable
+        ``value(model, z)`` gives it for unbounded law parameters of a model, shape (n_law,).
+    """
+
+    name: str
+    unit: str
+    values: FloatArray
+    slopes: tuple[FloatArray, ...]
+    value: Callable[[DeviceModel, FloatArray], float]
+
+    def now(self, beliefs: Sequence[Belief]) -> tuple[float, float]:
+        """Mean and standard deviation before the planned test, over all rivals."""
+        own = [float(g @ np.linalg.solve(b.precision, g)) for g, b in zip(self.slopes, beliefs, strict=True)]
+        shares = np.array([b.share for b in beliefs])
+        mean = float(shares @ self.values)
+        return mean, float(np.sqrt(shares @ (np.array(own) + (self.values - mean) ** 2)))
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What a protocol is expected to give.
+
+    Parameters
+    ----------
+    entropy : float
+        Expected entropy of the probabilities of the sets after it, nats.
+    of_truth : float
+        Expected probability of the true set.
+    right : float
+        Chance that the most probable set is the true one.
+    sd : float or None
+        Expected standard deviation of the quantity that is asked for (root of the mean variance).
+    force_kN : float
+        Largest force, two standard deviations above what is predicted.
+    by_set : dict of frozenset to float
+        Expected probability of each set where it is the true one.
+    """
+
+    entropy: float
+    of_truth: float
+    right: float
+    sd: float | None
+    force_kN: float
+    by_set: dict[Key, float]
+
+
+def entropy_of(probabilities: FloatArray) -> FloatArray:
+    """Entropy of each row of probabilities, nats."""
+    p = np.asarray(probabilities)
+    return np.asarray(-np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1))
+
+
+def foresee(
+    known: Known, protocol: Protocol, rate_Hz: float, seed: int, quantity: Quantity | None = None, n: int = OUTCOMES
+) -> Foreseen:
+    """Weigh the outcomes that a protocol may have.
+
+    Parameters
+    ----------
+    known : Known
+        The device before it.
+    protocol : Protocol
+        The candidate.
+    rate_Hz : float
+        Sampling rate, Hz.
+    seed : int
+        Same seed, same numbers; candidates share it.
+    quantity : Quantity, optional
+        What should become narrow.
+    n : int
+        Outcomes drawn from each rival.
+    """
+    time, motion = protocol.sampled(rate_Hz)
+    scene = known.scene(time, motion)
+    beliefs = known.beliefs
+    first = beliefs[0]
+    slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
+    metric = Metric(scene, known.setting, slope)
+    other = metric.whitened(scene.discrepancy)[0] * known.setting.model_error_kN
+    means, designs, forces = [], [], []
+    for b in beliefs:
+        force, jacobian = _linear(scene, b)
+        told = np.count_nonzero(b.precision, axis=1)[: b.z.size] > 1  # no test tells of the others: as expected
+        own = np.linalg.inv(b.precision)[: b.z.size, : b.z.size]
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian * told, own, jacobian * told))
+        forces.append(float(np.max(np.abs(force) + SURE * sd)))
+        white = metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian]))[0]
+        design = np.concatenate([white[:, 1:], other], axis=1)
+        designs.append(design)
+        means.append(white[:, 0] + design @ b.mean)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    outcomes = np.concatenate(
+        [_outcomes(b, m, a, n, rng) for b, m, a in zip(beliefs, means, designs, strict=True)], axis=1
+    )
+    logs, values, variances = [], [], []
+    for i, (b, m, a) in enumerate(zip(beliefs, means, designs, strict=True)):
+        after = cho_factor(b.precision + a.T @ a, lower=True)
+        away = outcomes - m[:, None]
+        along = a.T @ away
+        moved = cho_solve(after, along)
+        grown = float(np.log(np.diag(after[0])).sum()) - 0.5 * float(np.linalg.slogdet(b.precision)[1])
+        logs.append(np.log(b.share) - 0.5 * (np.sum(away**2, axis=0) - np.sum(along * moved, axis=0)) - grown)
+        if quantity is not None:
+            values.append(quantity.values[i] + quantity.slopes[i] @ moved)
+            variances.append(float(quantity.slopes[i] @ cho_solve(after, quantity.slopes[i])))
+    weights = np.array(logs)
+    p = np.exp(weights - logsumexp(weights, axis=0)).T  # (n_outcomes, n_beliefs)
+    shares = np.array([b.share for b in beliefs])
+    chance = np.repeat(shares / n, n)
+    keys = known.keys
+    of_key = np.array([keys.index(b.key) for b in beliefs])
+    by_key = np.stack([p[:, of_key == k].sum(axis=1) for k in range(len(keys))], axis=1)
+    truth = np.repeat(of_key, n)
+    own = by_key[np.arange(truth.size), truth]
+    sd = None
+    if quantity is not None:
+        v = np.array(values).T
+        mean = np.sum(p * v, axis=1)
+        sd = float(np.sqrt(chance @ np.sum(p * (np.array(variances) + (v - mean[:, None]) ** 2), axis=1)))
+    return Foreseen(
+        float(chance @ entropy_of(by_key)),
+        float(chance @ own),
+        float(chance @ (by_key.argmax(axis=1) == truth)),
+        sd,
+        max(forces),
+        {key: float(np.average(own[truth == k], weights=chance[truth == k])) for k, key in enumerate(keys)},
+    )
+
+
+def quantity_of(known: Known, name: str, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> Quantity:
+    """Linearise a design quantity about every rival.
+
+    Parameters
+    ----------
+    known : Known
+        The device.
+    name, unit : str
+        Which quantity.
+    value : callable
+        ``value(model, z)`` gives it for unbounded law parameters of a rival's model, shape (n_law,).
+    """
+    values, slopes = [], []
+    for b in known.beliefs:
+        z, n = b.mean[: b.z.size], b.z.size
+        slope = np.zeros(b.mean.size)
+        steps = 10 * STEP * np.eye(n)
+        slope[:n] = [(value(b.model, z + s) - value(b.model, z - s)) / (20 * STEP) for s in steps]
+        values.append(value(b.model, z))
+        slopes.append(slope)
+    return Quantity(name, unit, np.array(values), tuple(slopes), value)
+
+
+def _linear(scene: Scene, b: Belief) -> tuple[FloatArray, FloatArray]:
+    """Force of a planned run and its derivatives, shapes (n,) and (n, n_law)."""
+    residual = scene.residual(b.model, b.z[None])[0]
+    return (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
+
+
+def _outcomes(b: Belief, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+    """Draw outcomes of a rival in units of the noise, shape (n_evidence, n)."""
+    root = np.linalg.cholesky(b.precision)
+    u = np.linalg.solve(root.T, rng.standard_normal((b.mean.size, n)))
+    return np.asarray(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))

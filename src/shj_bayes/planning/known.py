@@ -1,0 +1,408 @@
+"""What is believed of a device before its next test: rival models with their probabilities, each a Gaussian.
+
+Every rival is a set of classes of the diagnosis, written in the ways that fit (curves of different smoothness,
+formulas), each linearised at its most probable parameters. What the generic discrepancy took up of the old tests is
+carried over. Coordinates have the scales of old tests and planned one together, as the next diagnosis will see them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes.errors import PlanError
+from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.reduction import Averages, reduce_runs
+from shj_bayes.inference.run import Run
+from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
+from shj_bayes.mismatch.scene import DISCREPANCY, MODEL_ERROR, Metric, NoiseSetting, Scene, scene_of
+from shj_bayes.mismatch.search import ODDS, Hypothesis, Search, noise_beside
+from shj_bayes.mismatch.state import find_noise, settle
+from shj_bayes.model.curve import SIZES, Curve
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.history import SCALES, History, histories
+from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
+from shj_bayes.planning.protocol import Protocol
+from shj_bayes.planning.rig import Rig
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.recording import Recording, Source
+
+MOST_RUNS = 9
+COARSER = 4.0  # blocks of a planned run than those of a fit: dozens of protocols are compared
+KINDS = 3  # ways to write a class, by smoothness or as an effect, that are fitted
+NEAR = 7.0  # nats behind the best way, beyond which a way is left out
+MOST_BELIEFS, LEAST_SHARE = 12, 1e-4  # of the most probable
+SMOOTHNESS = 0.5  # length of a curve that no test has been seen of, as a share of the range
+Key = frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """One thing that a device may be.
+
+    Parameters
+    ----------
+    key : frozenset of str
+        Classes that it holds beyond the base law.
+    share : float
+        Its probability.
+    model : DeviceModel
+        Model of the old runs and the planned one.
+    z : array, shape (n_law,)
+        Where it is linearised, unbounded.
+    mean : array, shape (n_law + p,)
+        Mean of the law parameters and the coefficients of the discrepancy after the old tests.
+    precision : array, shape (n_law + p, n_law + p)
+        Inverse of their covariance.
+    evidence : float
+        Log density of the old tests; 0 where there are none.
+    """
+
+    key: Key
+    share: float
+    model: DeviceModel
+    z: FloatArray
+    mean: FloatArray
+    precision: FloatArray
+    evidence: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A device before its next test.
+
+    Parameters
+    ----------
+    name : str
+        The device.
+    runs : tuple of Run
+        Its tests so far; none where only priors are known.
+    device : DeviceModel
+        Base model of the old runs and the planned one.
+    z : array, shape (n_law,)
+        Parameters of the base model, unbounded.
+    old : tuple of Averages
+        The old runs in blocks, on the common scales.
+    scales : mapping of str to float
+        Scales of the coordinates.
+    setting : NoiseSetting
+        Noise and discrepancy.
+    beliefs : tuple of Belief
+        What the device may be, most probable first; the shares add up to 1.
+    middle_mm : float
+        Displacement of the middle of the stroke, mm.
+    """
+
+    name: str
+    runs: tuple[Run, ...]
+    device: DeviceModel
+    z: FloatArray
+    old: tuple[Averages, ...]
+    scales: Mapping[str, Any]
+    setting: NoiseSetting
+    beliefs: tuple[Belief, ...]
+    middle_mm: float
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Sets of classes that are told apart, most probable first."""
+        return tuple(sorted(self.probabilities, key=lambda key: (-self.probabilities[key], sorted(key))))
+
+    @property
+    def probabilities(self) -> dict[Key, float]:
+        """Probability of each set of classes."""
+        out: dict[Key, float] = {}
+        for b in self.beliefs:
+            out[b.key] = out.get(b.key, 0.0) + b.share
+        return out
+
+    def scene(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray | None = None) -> Scene:
+        """Hold the model against one further run.
+
+        Parameters
+        ----------
+        time_s : array, shape (n,)
+            Times from 0, s.
+        motion : Motion
+            Displacement from the middle of the stroke.
+        force_kN : array, shape (n,), optional
+            Measured force; that of the base law where there is none yet.
+        """
+        alone = replace(self.device, n_runs=1, effects=())
+        values = self.device.law_values(self.z)
+        theta = np.array([values.get(n, 1.0) for n in alone.names])
+        if force_kN is None:
+            force_kN = alone.force(theta[None], histories([time_s], [motion])[0], 0.0)[0]
+        run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=Source("planned")), motion)
+
+        def bends(history: History, start_force_kN: float) -> FloatArray:
+            still = theta.copy()
+            still[3:4] *= 0.0 if self.device.speed else 1.0  # gamma: its share of the force is straight
+            return np.asarray(alone.force(still[None], history, start_force_kN)[0])
+
+        part = reduce_runs((run,), bends, coarser=COARSER)[0]
+        runs = (*self.runs, run)
+        posterior = Posterior(runs, self.device, (replace(part, history=self.placed(part.history)),))
+        return Scene(posterior, self.z)
+
+    def placed(self, history: History) -> History:
+        """History of a first run as one that follows the old ones."""
+        last = self.old[-1].history if self.old else None
+        moved = 0.0 if last is None else float(last.travel_m[-1])
+        begun = 0.0 if last is None else last.begun_s + self.runs[-1].recording.duration_s
+        turns = None
+        if history.near_turns is not None:
+            rows = history.near_turns[0].copy()
+            rows[5] += moved
+            turns = (rows, history.near_turns[1])
+        return replace(
+            history,
+            run=len(self.runs) + 1,
+            position_mm=history.motion.displacement_mm,
+            travel_m=history.travel_m + moved,
+            begun_s=begun,
+            near_turns=turns,
+            **self.scales,
+        )
+
+
+def common_scales(runs: Sequence[Run], rig: Rig, protocols: Sequence[Protocol]) -> dict[str, Any]:
+    """Scales of the coordinates over old runs and any of the protocols."""
+    own = histories([r.recording.time_s for r in runs], [r.motion for r in runs]) if runs else ()
+    last = own[-1] if own else None
+    fastest = min(max(p.fastest_mm_s for p in protocols), rig.max_speed_mm_s)
+    out: dict[str, Any] = {
+        "half_stroke_mm": max(p.largest_mm for p in protocols),
+        "peak_speed_mm_s": fastest / 1.15,  # a 95th percentile, as for recordings
+        "n_runs": len(runs) + 1,
+        "tested_s": max(p.duration_s for p in protocols),
+        "tested_m": max(p.travel_m for p in protocols),
+    }
+    if last is not None:
+        out["half_stroke_mm"] = max(out["half_stroke_mm"], last.half_stroke_mm)
+        out["peak_speed_mm_s"] = max(out["peak_speed_mm_s"], last.peak_speed_mm_s)
+        out["tested_s"] += last.tested_s
+        out["tested_m"] += last.tested_m
+    assert set(out) == set(SCALES)
+    return out
+
+
+def know(
+    runs: Sequence[Run],
+    device: DeviceModel,
+    sets: Sequence[tuple[Key, float]],
+    scales: Mapping[str, Any],
+    *,
+    name: str = "device",
+    hidden: frozenset[str] = frozenset(),
+    even: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Known:
+    """Fit the rivals to the old runs.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Tests so far, at least one.
+    device : DeviceModel
+        Base model of these runs.
+    sets : sequence of (frozenset of str, float)
+        Sets of classes that the device may hold, with their probabilities after the diagnosis.
+    scales : mapping of str to float
+        From `common_scales`.
+    name : str
+        The device.
+    hidden : frozenset of str
+        Mechanisms that are not tried.
+    even : bool
+        Whether the probabilities are those before any test: what the old runs say of them is then weighed here.
+    tell : callable
+        Gets one line for each step.
+
+    Raises
+    ------
+    PlanError
+        If the device has had all the runs that a model takes, or a class is not known.
+    """
+    if len(runs) >= MOST_RUNS:
+        raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
+    own = scene_of(runs, device)
+    old = tuple(replace(part, history=replace(part.history, **scales)) for part in own.posterior.averages)
+    scene = Scene(Posterior(tuple(runs), device, old), own.z)
+    known = {c.id: c for c in classes(hidden)}
+    missing = sorted({c for key, _ in sets for c in key} - set(known))
+    if missing:
+        raise PlanError(f"'{missing[0]}' is no class of dependence; known are {', '.join(known)}")
+    needed = tuple(known[c] for c in sorted({c for key, _ in sets for c in key}))
+    tell(f"{name}: fitting {len(sets)} rivals to the tests so far")
+    slope = scene.residual_and_slope(device, scene.z[None])[1][0]
+    size = float(np.std(scene.residual(device, scene.z[None])[0]))
+    rough = settle(scene, Metric(scene, _rough_noise(device, size), slope), device, scene.z)
+    looked = candidates(scene, rough, needed)
+    metric = noise_beside(scene, rough, looked, None)
+    out = Search(scene, looked, metric, hidden, tell)
+    found = [(key, p, h) for key, p in sets for h in _ways(out, key)]
+    if not found:
+        raise PlanError(f"{name}: none of its rivals can be fitted; run diagnose again")
+    best = max((h for _, _, h in found), key=lambda h: h.log_weight)
+    setting = find_noise(scene, best.state, np.zeros((best.state.residual.size, 0)), metric.setting)
+    out.metric = Metric(scene, setting, best.state.slope)
+    fits = [(key, p, out.fitted(h.members, h.state.z) or h) for key, p, h in found]
+    shares = _shares(fits, even=even)
+    further = replace(device, n_runs=len(runs) + 1)
+    last = old[-1].history
+    made = Known(
+        name, tuple(runs), further, _joint(device, further, scene.z)[0], old, scales, setting, (),
+        float(last.motion.displacement_mm[0] - last.position_mm[0]),
+    )  # fmt: skip
+    kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_BELIEFS] if shares[i] > LEAST_SHARE * shares.max()]
+    total = float(shares[kept].sum())
+    beliefs = [_belief(scene, out.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
+    return replace(made, beliefs=tuple(beliefs))
+
+
+def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str = "a new device") -> Known:
+    """Give what the priors alone say: the base law, or one curve beside it, about the median device.
+
+    Parameters
+    ----------
+    device : DeviceModel
+        Base model of one run.
+    scales : mapping of str to float
+        From `common_scales`.
+    name : str
+        What it is called.
+    """
+    device = replace(device, n_runs=1, effects=())
+    n_noise = len(device.names) - device.n_law
+    z = np.zeros(device.n_law)
+    setting = NoiseSetting((0.0,) * n_noise, MODEL_ERROR * device.law_values(z)["Fy"])
+    odds = PRESENT / (1.0 - PRESENT)
+    rows: list[tuple[Key, float, DeviceModel]] = [(frozenset(), 1.0, device)]
+    size = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL)))
+    for action, coordinate in CURVES:
+        curve = Curve(action, "heat2" if coordinate == "heat" else coordinate, SMOOTHNESS, False, size)
+        rows.append((frozenset({f"{action} over {coordinate}"}), odds, device.with_effects((curve.effect(),))))
+    total = sum(p for _, p, _ in rows)
+    beliefs = []
+    for key, p, model in rows:
+        n = model.n_law + N_DISCREPANCY
+        mean = np.zeros(n)
+        beliefs.append(Belief(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
+    return Known(name, (), device, z, (), scales, setting, tuple(beliefs), 0.0)
+
+
+def mechanisms_of(key: Key) -> tuple[str, ...]:
+    """Mechanisms of the catalogue that a set of classes may be, in the order of its classes."""
+    known = catalogue().values()
+    acting = (e.mechanism for name in sorted(key) for e in known if tuple(name.split(" over ")) in e.acts)
+    return tuple(dict.fromkeys(acting))
+
+
+def class_of(mechanism: str) -> Key:
+    """Set of classes of a mechanism that stands alone: none for ``velocity``, which the base law holds.
+
+    Raises
+    ------
+    PlanError
+        If it is not in the catalogue.
+    """
+    if mechanism == "velocity":
+        return frozenset()
+    known = catalogue()
+    if mechanism not in known:
+        raise PlanError(f"'{mechanism}' is no mechanism; known are {', '.join(known)}{did_you_mean(mechanism, known)}")
+    return frozenset({" over ".join(known[mechanism].acts[0])})
+
+
+N_DISCREPANCY = sum(curve.n for curve in DISCREPANCY)
+
+
+def _rough_noise(device: DeviceModel, size_kN: float) -> NoiseSetting:
+    laws = device.laws_of_parameters[device.n_law :]
+    rough: dict[str, Any] = {"tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
+    z = [float(np.clip(law.to_free(np.asarray(rough.get(law.name, size_kN))), -7.0, 7.0)) for law in laws]
+    return NoiseSetting(tuple(z), max(size_kN, 1e-6))
+
+
+def _shares(fits: Sequence[tuple[Key, float, Hypothesis]], *, even: bool) -> FloatArray:
+    """Probability of each fit: that of its set, divided over the ways to write it by their evidence."""
+    logs = np.array([h.log_weight - len(h.members) * ODDS for _, _, h in fits])
+    before = np.log([max(p, 1e-12) for _, p, _ in fits])
+    if not even:
+        for key in {key for key, _, _ in fits}:
+            own = np.array([k == key for k, _, _ in fits])
+            logs[own] -= logsumexp(logs[own])
+    return np.asarray(np.exp(before + logs - logsumexp(before + logs)))
+
+
+def _ways(out: Search, key: Key) -> list[Hypothesis]:
+    """Fit a set of classes: curves of the likely kinds, and formulas in the place of the last of them."""
+    ways = [h for h in (out.fitted((), out.scene.z),) if h is not None]
+    for left in range(len(key), 0, -1):
+        found: list[Hypothesis] = []
+        h = max(ways, key=lambda h: h.log_weight)
+        listed = [c for c in out.screen(h) if c.of.id in key - h.key]
+        for c in [c for c in listed if listed and c.of.id == listed[0].of.id][: KINDS if left == 1 else 1]:
+            start = np.concatenate([h.state.z, c.start[-len(c.variant.effect.parameters) :]])
+            found += [new for new in (out.fitted((*h.members, c), start),) if new is not None]
+        if not found:
+            return []
+        ways = found
+    curves = [h for h in ways if h.members and h.members[-1].variant.curve is not None]
+    for h in curves[:1]:
+        tried: set[str] = set()
+        for form in out.forms(h, len(h.members) - 1):
+            if form.variant.effect.id not in tried:
+                tried.add(form.variant.effect.id)
+                new = out.fitted((*h.members[:-1], form), form.start)
+                ways += [new] if new is not None else []
+    one_each: dict[tuple[str, ...], Hypothesis] = {}  # of an effect that was fitted from several starts
+    for h in sorted(ways, key=lambda h: -h.log_weight):
+        one_each.setdefault(tuple(m.variant.effect.id for m in h.members), h)
+    top = max((h.log_weight for h in ways), default=0.0)
+    return [h for h in one_each.values() if h.log_weight > top - NEAR]
+
+
+def _joint(model: DeviceModel, further: DeviceModel, z: FloatArray) -> tuple[FloatArray, list[int]]:
+    """Parameters of a model with one run more, and where the old ones stand among them.
+
+    What is new of the further run is expected as it was in the last one.
+    """
+    known = dict(zip(model.law_names, z, strict=True))
+    last = run_name("ratio", model.n_runs)
+    at, places = np.zeros(further.n_law), []
+    for i, name in enumerate(further.law_names):
+        if name in known:
+            at[i] = known[name]
+            places.append(i)
+        elif "." not in name:
+            base = base_and_run(name)[0]
+            at[i] = known.get(last if base == "ratio" else base, 0.0)
+    return at, places
+
+
+def _belief(scene: Scene, metric: Metric, key: Key, share: float, h: Hypothesis) -> Belief:
+    """Condense a fit to the Gaussian that it leaves behind."""
+    further = replace(h.state.model, n_runs=h.state.model.n_runs + 1)
+    z, places = _joint(h.state.model, further, h.state.z)
+    columns = np.column_stack([h.state.residual + h.state.jacobian @ h.state.z, h.state.jacobian])
+    white = metric.whitened(columns)[0]
+    other = metric.whitened(scene.discrepancy)[0] * metric.setting.model_error_kN
+    design = np.zeros((white.shape[0], z.size + other.shape[1]))
+    design[:, places] = white[:, 1:]
+    design[:, z.size :] = other
+    prior = np.zeros(design.shape[1])
+    new = np.setdiff1d(np.arange(z.size), places)
+    prior[new] = z[new]
+    precision = np.eye(prior.size) + design.T @ design
+    return Belief(
+        key, share, further, z, np.linalg.solve(precision, prior + design.T @ white[:, 0]), precision, h.state.evidence
+    )

@@ -1,0 +1,219 @@
+"""Which test next: protocols are proposed, foreseen, changed for the better, and the leading ones rehearsed in full."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from shj_bayes._util.one_thread import one_blas_thread
+from shj_bayes.mismatch.search import DOUBT
+from shj_bayes.planning.foresight import OUTCOMES, Foreseen, Quantity, entropy_of, foresee
+from shj_bayes.planning.known import Known
+from shj_bayes.planning.proposals import changed, first_protocols
+from shj_bayes.planning.protocol import Protocol
+from shj_bayes.planning.rehearsal import Rehearsal, rehearse
+from shj_bayes.planning.rig import Rig
+
+DRAWN, ROUNDS, PARENTS, CHILDREN = 16, 3, 5, 6
+FINAL = 8  # protocols that are foreseen again with fresh outcomes: the best of many is partly luck
+SHOWN, REHEARSALS = 3, 8
+ALIKE = 0.95  # of the largest gain: among such protocols the shortest is the best
+LITTLE = 0.1  # of what is not known: a test that is expected to settle less is not worth its time
+WHICH, FORCE = "which", "force"
+
+
+class Worth(StrEnum):
+    """Whether a test is worth its time."""
+
+    YES = "yes"
+    DECIDED = "decided"
+    LITTLE = "little"
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One protocol and what it is expected to give.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    foreseen : tuple of Foreseen
+        For each device.
+    gain : float
+        Information, nats, mean over the devices: loss of entropy, or of the logarithm of the standard deviation.
+    broken : tuple of str
+        Limits of the rig that it does not keep, in words.
+    rehearsal : Rehearsal or None
+        What simulated tests ended in, first device.
+    """
+
+    protocol: Protocol
+    foreseen: tuple[Foreseen, ...]
+    gain: float
+    broken: tuple[str, ...] = ()
+    rehearsal: Rehearsal | None = None
+
+    @property
+    def gain_per_minute(self) -> float:
+        """Gain per minute on the rig, nats/min."""
+        return self.gain / (self.protocol.duration_s / 60.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The answer to which test is next.
+
+    Parameters
+    ----------
+    known : tuple of Known
+        The devices.
+    rig : Rig
+        Limits.
+    question : str
+        ``which``, or the quantity that should become narrow.
+    quantities : tuple of Quantity
+        That quantity for each device; empty for ``which``.
+    best : tuple of Row
+        Protocols that the rig allows, best first.
+    compared : tuple of Row
+        Table 1 again, and the files that were given.
+    worth : Worth
+        Whether the best is worth its time.
+    seed : int
+        Same seed and inputs, same plan.
+    """
+
+    known: tuple[Known, ...]
+    rig: Rig
+    question: str
+    quantities: tuple[Quantity, ...]
+    best: tuple[Row, ...]
+    compared: tuple[Row, ...]
+    worth: Worth
+    seed: int
+
+    @property
+    def unsettled(self) -> float:
+        """Mean entropy of the probabilities of the sets before the test, nats."""
+        return float(np.mean([_entropy(k) for k in self.known]))
+
+
+def proposals(rig: Rig, seed: int) -> list[Protocol]:
+    """Protocols that the search begins with, Table 1 first."""
+    return first_protocols(rig, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,))), DRAWN)
+
+
+@one_blas_thread
+def make_plan(
+    known: Sequence[Known],
+    rig: Rig,
+    first: Sequence[Protocol],
+    *,
+    given: Sequence[Protocol] = (),
+    question: str = WHICH,
+    quantities: Sequence[Quantity] = (),
+    seed: int = 1,
+    rehearsals: int = REHEARSALS,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Plan:
+    """Choose the next test.
+
+    Parameters
+    ----------
+    known : sequence of Known
+        One device, or several that the same test is planned for.
+    rig : Rig
+        Limits.
+    first : sequence of Protocol
+        From `proposals`.
+    given : sequence of Protocol
+        Further candidates.
+    question : str
+        ``which``, or the name of the quantity.
+    quantities : sequence of Quantity
+        The quantity for each device, unless the question is ``which``.
+    seed : int
+        Same seed, same plan.
+    rehearsals : int
+        Full simulations of each leading protocol.
+    tell : callable
+        Gets one line for each step.
+    """
+    asked: tuple[Quantity | None, ...] = tuple(quantities) or (None,) * len(known)
+
+    def row(protocol: Protocol, seed: int, n: int = OUTCOMES) -> Row:
+        seen = tuple(foresee(k, protocol, rig.rate_Hz, seed, q, n) for k, q in zip(known, asked, strict=True))
+        gain = float(np.mean([_gain(k, s, q) for k, s, q in zip(known, seen, asked, strict=True)]))
+        force = max(s.force_kN for s in seen)
+        broken = rig.broken_by(protocol)
+        if force > rig.max_force_kN:
+            broken = (*broken, f"force up to {force:.4g} kN, allowed {rig.max_force_kN:.4g}")
+        return Row(protocol, seen, gain, broken)
+
+    compared = [first[0], *given]
+    tell(f"weighing {len(first) + len(given)} protocols")
+    rows = [row(p, seed) for p in (*first, *given)]
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
+    for k in range(ROUNDS):
+        parents = _leading(ranked(rows), PARENTS)
+        children = [new for r in parents for _ in range(CHILDREN) if (new := changed(r.protocol, rig, rng)) is not None]
+        tell(f"improving the best, {k + 1} of {ROUNDS}: {len(children)} further protocols")
+        rows += [row(p, seed) for p in children]
+    tell("weighing the best again, with fresh outcomes")
+    different = list({r.protocol.blocks or r.protocol: r for r in reversed(ranked(rows))}.values())[::-1]
+    finalists = [r.protocol for r in _leading(different, FINAL) if r.protocol not in compared]
+    again = [row(p, seed + 1, 3 * OUTCOMES) for p in (*finalists, *compared)]
+    best = _shortest_first(ranked(again))[:SHOWN]
+    others = [r for r in again if r.protocol in compared]
+
+    def rehearsed(r: Row) -> Row:
+        tell(f"simulating '{r.protocol.name}' in full, {rehearsals} times")
+        return replace(r, rehearsal=rehearse(known[0], r.protocol, rig.rate_Hz, rehearsals, seed, asked[0]))
+
+    worth = _worth(known, best, question)
+    if rehearsals and worth is Worth.YES:
+        done = {id(r): rehearsed(r) for r in [*best, *(r for r in others if r not in best)]}
+        best, others = [done[id(r)] for r in best], [done.get(id(r), r) for r in others]
+    return Plan(tuple(known), rig, question, tuple(quantities), tuple(best), tuple(others), worth, seed)
+
+
+def ranked(rows: Sequence[Row]) -> list[Row]:
+    """Protocols that the rig allows, largest gain first."""
+    return sorted((r for r in rows if not r.broken), key=lambda r: -r.gain)
+
+
+def _leading(rows: list[Row], n: int) -> list[Row]:
+    """Half of them the best, the others the shortest of those that are as good."""
+    short = _shortest_first(rows)[: n - n // 2]
+    return [*short, *(r for r in rows if r not in short)][:n]
+
+
+def _shortest_first(rows: list[Row]) -> list[Row]:
+    """Put the shortest of those that are as good as the best in front."""
+    good = [] if not rows else [r for r in rows if r.gain >= ALIKE * rows[0].gain]
+    return [*sorted(good, key=lambda r: r.protocol.duration_s), *(r for r in rows if r not in good)]
+
+
+def _entropy(known: Known) -> float:
+    return float(entropy_of(np.array(list(known.probabilities.values()))))
+
+
+def _gain(known: Known, seen: Foreseen, quantity: Quantity | None) -> float:
+    if quantity is None:
+        return _entropy(known) - seen.entropy
+    assert seen.sd is not None
+    return math.log(quantity.now(known.beliefs)[1] / seen.sd)
+
+
+def _worth(known: Sequence[Known], best: Sequence[Row], question: str) -> Worth:
+    if question != WHICH:
+        return Worth.YES if best and best[0].gain >= LITTLE else Worth.LITTLE
+    if all(max(k.probabilities.values()) >= 1.0 - DOUBT for k in known):
+        return Worth.DECIDED
+    left = float(np.mean([_entropy(k) for k in known]))
+    return Worth.YES if best and best[0].gain >= LITTLE * left else Worth.LITTLE

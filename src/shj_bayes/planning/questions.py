@@ -1,0 +1,63 @@
+"""Design quantities that a test may make narrow, by name."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes.errors import PlanError
+from shj_bayes.margins.quantities import counted_from, of_readings
+from shj_bayes.margins.virtual_test import Readings, read_off
+from shj_bayes.model.device import DeviceModel, meaning_of
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.planning.foresight import Quantity, quantity_of
+from shj_bayes.planning.known import Known
+from shj_bayes.planning.plan import FORCE, WHICH
+
+MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
+POINTS = 4000  # of the last test at which the margin is read, about
+
+
+def questions_of(known: Known) -> tuple[str, ...]:
+    """Everything that may be asked of a device."""
+    base = tuple(n for n in known.device.law_names if "." not in n and n != f"ratio_{known.device.n_runs}")
+    last = () if not known.runs else (MARGIN,)
+    return (WHICH, FORCE, *(n for n in base if not (n == "ratio" and known.device.n_runs == 2)), *last)
+
+
+def quantity_named(known: Known, name: str) -> Quantity:
+    """Quantity of a name, for one device.
+
+    Raises
+    ------
+    PlanError
+        If the device has none of that name.
+    """
+    able = [q for q in questions_of(known) if q not in (WHICH, FORCE)]
+    if name not in able:
+        raise PlanError(
+            f"{known.name}: '{name}' is no question; known are {', '.join((WHICH, FORCE, *able))}"
+            f"{did_you_mean(name, (WHICH, FORCE, *able))}"
+        )
+    if name == MARGIN:
+        return quantity_of(known, MARGIN, "kN", _SmallestPlateau(known))
+    return quantity_of(known, name, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
+
+
+class _SmallestPlateau:
+    """Smallest plateau force of a device in its last test, as its model gives it."""
+
+    def __init__(self, known: Known) -> None:
+        self.history = known.old[-1].history
+        first = known.beliefs[0]
+        self.least = counted_from([self._read(first.model, first.z)])
+        if not np.isfinite(self.least):
+            raise PlanError(f"{known.name}: no half-cycle of its last test slides fully, so it has no plateau force")
+
+    def __call__(self, model: DeviceModel, z: FloatArray) -> float:
+        return float(of_readings(self._read(model, z), self.least)["least"][0])
+
+    def _read(self, model: DeviceModel, z: FloatArray) -> Readings:
+        theta = model.natural(np.append(z, np.zeros(len(model.names) - z.size))[None])
+        force = model.force(theta, self.history, 0.0)
+        return read_off(force, self.history.motion, self.history.travel_m)

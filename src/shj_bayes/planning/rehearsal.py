@@ -1,0 +1,131 @@
+"""A planned test run in full: a drawn device, the whole model, noise, the readers, and every rival fitted anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from shj_bayes.inference.run import Run
+from shj_bayes.inference.start import law_starts
+from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.mismatch.state import settle
+from shj_bayes.model.history import histories
+from shj_bayes.model.noise.filter import simulate
+from shj_bayes.planning.foresight import Quantity, entropy_of
+from shj_bayes.planning.known import Belief, Key, Known
+from shj_bayes.planning.protocol import Protocol
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.recording import Recording, Source
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What simulated tests ended in.
+
+    Parameters
+    ----------
+    n : int
+        Tests simulated.
+    of_truth : float
+        Mean probability of the true set after them.
+    right : int
+        Tests after which the true set was the most probable.
+    entropy : float
+        Mean entropy of the probabilities, nats.
+    sd : float or None
+        Standard deviation of the quantity that was asked for (root of the mean variance).
+    """
+
+    n: int
+    of_truth: float
+    right: int
+    entropy: float
+    sd: float | None
+
+
+def rehearse(
+    known: Known, protocol: Protocol, rate_Hz: float, n: int, seed: int, quantity: Quantity | None = None
+) -> Rehearsal:
+    """Simulate a planned test and weigh the rivals on it and the old tests together.
+
+    Parameters
+    ----------
+    known : Known
+        The device.
+    protocol : Protocol
+        The planned test.
+    rate_Hz : float
+        Sampling rate, Hz.
+    n : int
+        Tests to simulate; the true rivals are taken in their shares.
+    seed : int
+        Same seed, same numbers.
+    quantity : Quantity, optional
+        What should become narrow.
+    """
+    shares = np.cumsum([b.share for b in known.beliefs])
+    of_truth, right, entropy, variances = [], 0, [], []
+    for k, stream in enumerate(np.random.SeedSequence(seed, spawn_key=(5,)).spawn(n)):
+        true = known.beliefs[min(int(np.searchsorted(shares, (k + 0.5) / n)), len(known.beliefs) - 1)]
+        recording = recorded(known, true, protocol, rate_Hz, np.random.default_rng(stream))
+        after, variance = weighed(known, recording, quantity)
+        variances.append(variance)
+        of_truth.append(after[true.key])
+        right += max(after, key=lambda key: after[key]) == true.key
+        entropy.append(float(entropy_of(np.array(list(after.values())))))
+    sd = None if quantity is None else float(np.sqrt(np.mean(variances)))
+    return Rehearsal(n, float(np.mean(of_truth)), right, float(np.mean(entropy)), sd)
+
+
+def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> Recording:
+    """Simulate the recording of a planned test on a device drawn from a rival, with the noise of its old tests."""
+    root = np.linalg.cholesky(true.precision)
+    z = (true.mean + np.linalg.solve(root.T, rng.standard_normal(true.mean.size)))[: true.z.size]
+    time, motion = protocol.sampled(rate_Hz)
+    theta = true.model.natural(np.append(z, known.setting.z)[None])
+    force = true.model.force(theta, known.placed(histories([time], [motion])[0]), 0.0)[0]
+    noise = {name: float(v[0]) for name, v in true.model.noise_values(theta).items()}
+    force = force + simulate(true.model.noise, noise, time, np.arange(time.size) == 0, rng)
+    wobble = max((run.motion.noise_mm for run in known.runs), default=0.0) * rng.standard_normal(time.size)
+    return Recording(time, motion.displacement_mm + wobble, force, source=Source("rehearsal"))
+
+
+def weighed(known: Known, recording: Recording, quantity: Quantity | None = None) -> tuple[dict[Key, float], float]:
+    """Weigh the rivals on one further recording, each fitted to old and new together.
+
+    Returns
+    -------
+    dict of frozenset to float, and float
+        Probability of each set; variance of the quantity over all rivals, 0 where none is asked for.
+    """
+    motion = motion_of(recording)
+    alone = known.scene(recording.time_s, motion, recording.force_kN)
+    if not known.runs:  # the first test of a device says where its law is
+        z = law_starts(alone.posterior)[0]
+        at = [replace(b, z=np.concatenate([z, b.z[z.size :]])) for b in known.beliefs]
+        known = replace(known, z=z, beliefs=tuple(at))
+        alone = known.scene(recording.time_s, motion, recording.force_kN)
+    parts = (*known.old, *alone.posterior.averages)
+    runs = (*known.runs, Run(recording, motion))
+    scene = Scene(replace(alone.posterior, runs=runs, averages=parts), known.z)
+    first = known.beliefs[0]
+    slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
+    metric = Metric(scene, known.setting, slope)
+    logs, values, variances = [], [], []
+    for i, b in enumerate(known.beliefs):
+        state = settle(scene, metric, b.model, b.z)
+        logs.append(np.log(b.share) + state.evidence - b.evidence)
+        if quantity is not None:
+            g = quantity.slopes[i][: b.z.size]
+            values.append(quantity.value(b.model, state.z))
+            variances.append(float(g @ state.covariance @ g))
+    p = np.exp(np.array(logs) - logsumexp(logs))
+    out: dict[Key, float] = {}
+    for b, share in zip(known.beliefs, p, strict=True):
+        out[b.key] = out.get(b.key, 0.0) + float(share)
+    if quantity is None:
+        return out, 0.0
+    mean = float(p @ np.array(values))
+    return out, float(p @ (np.array(variances) + (np.array(values) - mean) ** 2))

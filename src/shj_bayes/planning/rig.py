@@ -1,0 +1,87 @@
+"""What a rig can do: limits in ``rig.toml`` or in options, and whether a protocol keeps to them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.files import read_toml
+from shj_bayes.errors import PlanError, shown
+from shj_bayes.planning.protocol import Protocol
+
+SCHEMA = "shj-bayes/rig/1"
+MAX_TOML = 100_000  # bytes
+LEEWAY = 1.001  # of a limit, for rounding
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Limits of a rig.
+
+    Parameters
+    ----------
+    max_stroke_mm : float
+        Largest displacement to either side of the middle of the stroke, mm.
+    max_speed_mm_s : float
+        Largest speed, mm/s.
+    max_force_kN : float
+        Largest force, kN.
+    max_minutes : float
+        Longest test, minutes.
+    rate_Hz : float
+        Rate at which the rig takes and records displacement, Hz.
+    """
+
+    max_stroke_mm: float
+    max_speed_mm_s: float
+    max_force_kN: float
+    max_minutes: float
+    rate_Hz: float
+
+    def __post_init__(self) -> None:
+        """Refuse limits that allow nothing."""
+        for name, value in asdict(self).items():
+            if not (math.isfinite(value) and value > 0):
+                raise PlanError(f"rig: {name} = {value:g}; allowed is a finite number above 0")
+
+    def broken_by(self, protocol: Protocol) -> tuple[str, ...]:
+        """Limits that a protocol does not keep, in words; its force is judged by whoever predicts it."""
+        pairs = (
+            ("displacement", protocol.largest_mm, self.max_stroke_mm, "mm"),
+            ("speed", protocol.fastest_mm_s, self.max_speed_mm_s, "mm/s"),
+            ("time", protocol.duration_s / 60.0, self.max_minutes, "min"),
+        )
+        return tuple(
+            f"{what} {value:.4g} {unit}, allowed {limit:.4g}"
+            for what, value, limit, unit in pairs
+            if value > LEEWAY * limit
+        )
+
+
+LIMITS = tuple(field.name for field in fields(Rig))
+
+
+def read_rig(path: Path) -> dict[str, float]:
+    """Limits of a ``rig.toml``, as far as it states them.
+
+    Raises
+    ------
+    PlanError
+        With the key at fault.
+    """
+    table: dict[str, Any] = read_toml(path, SCHEMA, MAX_TOML, PlanError)[0]
+    out = {}
+    for key, value in table.items():
+        if key in ("schema", "name"):
+            continue
+        if key not in LIMITS:
+            raise PlanError(
+                f"{path.name}: '{shown(key)}' is not a limit; known are {', '.join(LIMITS)}{did_you_mean(key, LIMITS)}"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise PlanError(f"{path.name}: {key} = {shown(value)}; a number is needed")
+        out[key] = float(value)
+    return out

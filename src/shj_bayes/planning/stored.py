@@ -1,0 +1,124 @@
+"""A diagnosed or fitted device as its folder holds it: the runs, the base model, and what it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes._util.files import damage_told
+from shj_bayes.errors import PlanError
+from shj_bayes.inference.record import read_group, read_record
+from shj_bayes.inference.run import Run
+from shj_bayes.margins.specimen import read_specimen
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
+from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.planning.known import Key
+from shj_bayes.recording.recording import Recording, Source
+
+ODDS_IN_FILES = 1e-6  # probabilities below it are left out
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A tested device.
+
+    Parameters
+    ----------
+    name : str
+        The device.
+    runs : tuple of Run
+        Its tests.
+    device : DeviceModel
+        Base model, with the effects that were given to the diagnosis.
+    sets : tuple of (frozenset of str, float)
+        What it may hold, with probabilities.
+    hidden : frozenset of str
+        Mechanisms that are not looked for.
+    Fy : tuple of float
+        Sliding force, kN, and the standard deviation of its logarithm.
+    """
+
+    name: str
+    runs: tuple[Run, ...]
+    device: DeviceModel
+    sets: tuple[tuple[Key, float], ...]
+    hidden: frozenset[str]
+    Fy: tuple[float, float]
+
+
+def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
+    """Read a device from the files of its fit and its diagnosis.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder.
+    diagnosis : mapping, optional
+        Content of ``diagnosis.json``; a fit without one is taken for what it is.
+
+    Raises
+    ------
+    PlanError
+        If there is no fit, or the diagnosis states no probabilities.
+    """
+    if diagnosis is not None and not (folder / "fit.json").is_file():
+        raise PlanError(
+            f"{folder.name} holds a first look, which keeps no recordings; run shj-bayes diagnose without --quick"
+        )
+    with damage_told(f"fit.json or posterior.nc in {folder.name}", PlanError):
+        record = read_record(folder)
+        specimen = read_specimen(folder, str(record["device"]), "")
+        data, draws = read_group(folder, "constant_data"), read_group(folder, "posterior")
+        runs = []
+        for i, history in enumerate(specimen.histories):
+            entry, own = record["inputs"][i], data["run"] == i + 1
+            motion = replace(history.motion, noise_mm=float(entry["displacement_noise_mm"]))
+            source = Source(str(entry["name"]), str(entry["sha256"]), str(entry["format"]))
+            recording = Recording(
+                data["time_s"][own], motion.displacement_mm, specimen.measured_kN[i], data["used"][own] > 0, source
+            )
+            runs.append(Run(recording, motion))
+        logs = np.log(draws["Fy"].ravel())
+    model = record["model"]
+    said = {} if diagnosis is None else diagnosis.get("model") or {}
+    given = tuple(said.get("given", model.get("effects", ()) if diagnosis is None else ()))
+    without = tuple(said.get("without", ()))
+    device = DeviceModel(
+        len(runs),
+        _priors(record),
+        effects=effects_named([str(word) for word in given]),
+        noise=noise_model(str(model.get("noise", DEFAULT))),
+        free=tuple(model.get("free_between_runs", ())),
+        variant=str(model.get("variant", "published")),
+        speed="velocity" not in without and bool(model.get("speed", True)),
+    )
+    hidden = {*(w for w in without if w != "velocity"), *(e.mechanism for e in device.effects)}
+    hidden |= {"velocity"} if device.speed else set()
+    sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)
+    if diagnosis is not None:
+        rows = diagnosis.get("sets") or ()
+        sets = tuple((frozenset(row["classes"]), float(row["probability"])) for row in rows)
+        sets = tuple(pair for pair in sets if pair[1] > ODDS_IN_FILES)
+        if not sets:
+            raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
+    spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
+    return Stored(str(record["device"]), tuple(runs), device, sets, frozenset(hidden), spread)
+
+
+def _priors(record: Mapping[str, Any]) -> Priors:
+    """Priors that a fit used, from its record."""
+    laws = {}
+    for entry in record["prior_laws"]:
+        if "." not in entry["name"]:
+            laws[str(entry["name"])] = Prior(
+                str(entry["name"]), str(entry["unit"]), str(entry["law"]), float(entry["a"]), float(entry["b"]),
+                str(entry.get("source", "")),
+            )  # fmt: skip
+    model = record["model"]
+    laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
+    return Priors(str(model["priors"]), str(model.get("priors_statement", "")), laws, str(model["priors_sha256"]))

@@ -1,0 +1,252 @@
+"""The page of a plan and its summary in words: what to run next, what it would tell, and what it is compared with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.model.history import histories
+from shj_bayes.planning.devices import ASSURANCE, WITHIN
+from shj_bayes.planning.known import Belief, Known, mechanisms_of
+from shj_bayes.planning.plan import FORCE, WHICH, Plan, Worth
+from shj_bayes.report.page import Picture, write_page
+
+PLAN_PAGE = "plan.html"
+ALIKE = 0.95  # of the gain of the best: Table 1 again is then as good
+
+
+def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> Path:
+    """Write ``plan.html``.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    record : mapping
+        Content of ``plan.json``.
+    plan : Plan or None
+        The plan, for its pictures; None where further devices were asked for.
+    """
+    content = {
+        "names": ", ".join(d["name"] for d in record["devices"]),
+        "headline": headline(record),
+        "lines": lines(record),
+        "rivals": [[(set_words(s), f"{100 * s['probability']:.3g}") for s in d["sets"]] for d in record["devices"]],
+        "devices": [d["name"] for d in record["devices"]],
+        "rows": [_cells(r, record) for r in (*record["candidates"], *record["compared"])],
+        "blocks": [(r["name"], r["file"], [_block(b) for b in r["blocks"]]) for r in record["candidates"]],
+        "which": record["question"] == WHICH,
+        "further": (record["further_devices"] or {}).get("table", []),
+        "rig": record["rig"],
+        "seed": record["seed"],
+        "schema": record["schema"],
+        "pictures": _devices(record) if plan is None else _pictures(plan),
+    }
+    return write_page(folder, "plan.html", content, name=PLAN_PAGE)
+
+
+def headline(record: Mapping[str, Any]) -> str:
+    """Give the answer in one sentence."""
+    if record["question"] == FORCE:
+        n = record["further_devices"]["n_further"]
+        words = {
+            None: "No affordable number of further devices makes the 5 % force known to 5 %: they differ too much.",
+            0: "The 5 % force is known to 5 % already.",
+        }
+        chance = f"with a chance of {100 * ASSURANCE:.0f} %"
+        return words.get(n, f"{n} further devices make the 5 % force known to 5 %, {chance}.")
+    if record["worth"] == Worth.DECIDED:
+        p = record["now"]["largest_probability"]
+        return f"No test is needed for this question: it is decided already ({100 * p:.3g} %)."
+    if not record["candidates"]:
+        return "No protocol keeps to the limits of the rig; raise the limit that each breaks."
+    best = record["candidates"][0]
+    if record["worth"] == Worth.LITTLE:
+        return (
+            "No test within these limits is worth its time for this question; another limit (speed, time) or another "
+            "question may be."
+        )
+    if record["question"] == WHICH:
+        gives = f"it is expected to name the right one with a chance of {100 * best['chance_right']:.3g} %"
+    else:
+        now = record["now"]
+        gives = (
+            f"it should take the standard deviation of {record['question']} from {now['sd']:.3g} to {best['sd']:.3g}"
+        )
+        gives += f" {now['unit']}"
+    return f"Run {best['file']}, {best['minutes']:.1f} minutes on the rig: {gives}."
+
+
+def lines(record: Mapping[str, Any]) -> list[str]:
+    """Sentences below the headline."""
+    if record["question"] == FORCE:
+        f = record["further_devices"]
+        return [
+            f"From {f['n_tested']} devices: 95 % of devices exceed {f['force_kN']:.4g} kN, known to "
+            f"{100 * f['half_width_now']:.3g} % (half of the 90 % interval).",
+            f"Devices differ by {100 * f['spread']:.3g} % (standard deviation).",
+            f"Wanted: {100 * WITHIN:.0f} %.",
+        ]
+    out = []
+    if record["question"] == WHICH:
+        for d in record["devices"]:
+            listed = "; ".join(f"{set_words(s)} {100 * s['probability']:.3g} %" for s in d["sets"][:4])
+            out.append(f"{d['name']}: {listed}.")
+    if record["worth"] == Worth.YES and record["candidates"]:
+        best, table = record["candidates"][0], record["compared"][0]
+        if record["question"] == WHICH:
+            out.append(
+                f"{table['name']} ({table['minutes']:.1f} minutes) names it with a chance of "
+                f"{100 * table['chance_right']:.3g} %."
+            )
+        else:
+            out.append(f"{table['name']} ({table['minutes']:.1f} minutes) takes it to {table['sd']:.3g}.")
+        if table["gain_nats"] >= ALIKE * best["gain_nats"] and not table["limits_broken"]:
+            longer = table["minutes"] / best["minutes"]
+            out.append(f"{table['name']} tells as much, in {longer:.2g} times the time.")
+        if best["simulated"]:
+            s = best["simulated"]
+            out.append(
+                f"In {s['n']} full simulations of it the most probable set was the true one {s['right']} times, with a "
+                f"mean probability of {100 * s['of_truth']:.3g} %."
+            )
+    return out
+
+
+def plan_text(record: Mapping[str, Any]) -> str:
+    """Give the summary for the terminal."""
+    rows = [headline(record), *(f"  {line}" for line in lines(record))]
+    if record["candidates"] or record["compared"]:
+        rows += ["", f"  {'protocol':44} {'min':>6} {'gain':>8} {'per min':>8} {'right':>7} {'simulated':>9}"]
+        for r in (*record["candidates"], *record["compared"]):
+            done = "" if not r["simulated"] else f"{r['simulated']['right']} of {r['simulated']['n']}"
+            mark = "  (outside the limits)" if r["limits_broken"] else ""
+            rows.append(
+                f"  {r['name'][:44]:44} {r['minutes']:6.1f} {r['gain_nats']:8.3f} {r['gain_per_minute']:8.3f} "
+                f"{100 * r['chance_right']:6.1f}% {done:>9}{mark}"
+            )
+    return "\n".join(rows)
+
+
+def set_words(one: Mapping[str, Any]) -> str:
+    """Say what a set of classes is."""
+    if not one["classes"]:
+        return "nothing beyond the base law"
+    names = " or ".join(str(m).replace("_", " ") for m in one["mechanisms"])
+    where = ", ".join(one["classes"])
+    return f"{names} ({where})" if names else where
+
+
+def _cells(row: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, Any]:
+    done = row["simulated"]
+    return {
+        "name": row["name"],
+        "file": row["file"] or "",
+        "minutes": f"{row['minutes']:.1f}",
+        "gain": f"{row['gain_nats']:.3f}",
+        "per_minute": f"{row['gain_per_minute']:.4f}",
+        "truth": f"{100 * row['probability_of_truth']:.1f}",
+        "right": f"{100 * row['chance_right']:.1f}",
+        "sd": "" if row["sd"] is None else f"{row['sd']:.3g}",
+        "force": f"{row['force_kN']:.4g}",
+        "simulated": "" if not done else f"{done['right']} of {done['n']}, {100 * done['of_truth']:.1f}",
+        "broken": "; ".join(row["limits_broken"]),
+    }
+
+
+def _block(block: Mapping[str, Any]) -> tuple[str, ...]:
+    return (
+        f"{block['amplitude_mm']:.4g}",
+        f"{block['speed_mm_s']:.4g}",
+        str(block["cycles"]),
+        str(block["waveform"]),
+        f"{block['rest_s']:.3g}",
+    )
+
+
+def _pictures(plan: Plan) -> list[Picture]:
+    """Displacement over time, predicted loops of the two leading rivals, and where they differ."""
+    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
+    from shj_bayes.report.figures import plan as draw  # noqa: PLC0415
+
+    if not plan.best:
+        return []
+    known, protocol = plan.known[0], plan.best[0].protocol
+    time, motion = protocol.sampled(plan.rig.rate_Hz)
+    out = [
+        Picture(
+            draw.history(time, motion.displacement_mm, motion.speed_mm_s),
+            "Displacement and speed of the best protocol over time.",
+            f"{protocol.duration_s / 60:.1f} minutes, {protocol.travel_m:.2f} m of travel; every block starts and "
+            "ends at rest in the middle of the stroke.",
+            f"The best protocol: {protocol.name}",
+            wide=True,
+        )
+    ]
+    leading = [next(b for b in known.beliefs if b.key == key) for key in known.keys[:2]]
+    if len(leading) < 2:
+        return out
+    history = known.placed(histories([time], [motion])[0])
+    first, second = (_force(b, history) for b in leading)
+    sets = [{"classes": sorted(b.key), "mechanisms": mechanisms_of(b.key)} for b in leading]
+    names = (set_words(sets[0]), set_words(sets[1]))
+    x = motion.displacement_mm
+    gap = first - second
+    out.append(
+        Picture(
+            draw.rivals(x, first, second, names),
+            "Predicted loops of the planned test if one rival is true and if the other is.",
+            "Each rival as it fits the tests so far; the other one in grey.",
+            "What the test would show",
+            wide=True,
+        )
+    )
+    noise = _noise(known)
+    out.append(
+        Picture(
+            draw.apart(time, gap, noise),
+            "Difference of the two predicted forces over time.",
+            f"{names[0]} less {names[1]}: up to {np.abs(gap).max():.3g} kN apart, for a noise of {noise:.2g} kN. A "
+            "constant difference tells nothing: the sliding force of a run is fitted.",
+            "Where they part",
+            wide=True,
+        )
+    )
+    return out
+
+
+def _devices(record: Mapping[str, Any]) -> list[Picture]:
+    from shj_bayes.report.figures import plan as draw  # noqa: PLC0415
+
+    table = record["further_devices"]["table"]
+    if not table:
+        return []
+    n, expected, assured = (
+        [float(row[k]) for row in table] for k in ("n_further", "half_width_expected", "half_width_assured")
+    )
+    return [
+        Picture(
+            draw.devices(n, expected, assured, WITHIN),
+            "Half width of the 90 % interval of the 5 % force over the number of further devices.",
+            "Half of the 90 % interval of the force that 95 % of devices exceed.",
+            "Further devices",
+            wide=True,
+        )
+    ]
+
+
+def _force(b: Belief, history: Any) -> Any:
+    theta = b.model.natural(np.append(b.z, np.zeros(len(b.model.names) - b.z.size))[None])
+    return b.model.force(theta, history, 0.0)[0]
+
+
+def _noise(known: Known) -> float:
+    """Give the standard deviation of the noise of one sample, kN."""
+    model = known.device
+    values = model.natural(np.append(np.zeros(model.n_law), known.setting.z)[None])[0, model.n_law :]
+    named = dict(zip(model.noise.parameters, values, strict=True))
+    return math.hypot(*(float(v) for name, v in named.items() if name.startswith("sigma")))

@@ -1,0 +1,142 @@
+"""What is foreseen is what the Gaussian algebra says, and what full simulations end in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shj_bayes.errors import PlanError
+from shj_bayes.inference.run import runs_of
+from shj_bayes.mismatch.scene import Metric
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.priors import read_priors
+from shj_bayes.planning.devices import further_devices, half_width
+from shj_bayes.planning.foresight import foresee
+from shj_bayes.planning.known import Known, before_any_test, class_of, common_scales, know, mechanisms_of
+from shj_bayes.planning.plan import Worth, make_plan, proposals
+from shj_bayes.planning.protocol import Block, Protocol
+from shj_bayes.planning.questions import quantity_named
+from shj_bayes.planning.rehearsal import rehearse
+from shj_bayes.planning.rig import Rig
+from shj_validation.proof.cases import stated_key
+from shj_validation.proof.make import make
+
+RIG = Rig(95.0, 40.0, 300.0, 6.0, 5.0)
+LONG = Protocol("long", (Block(95.0, 10.0, 2), Block(24.0, 10.0, 2), Block(95.0, 40.0, 2)))
+SHORT = Protocol("short", (Block(24.0, 10.0, 1),))
+WEAR, HEAT = frozenset({"capacity over travel"}), frozenset({"capacity over heat"})
+
+
+@pytest.fixture(scope="module")
+def heated() -> Known:
+    """One run of Table 1 on a device that heats by 2.5 %: heating or wear."""
+    key = stated_key("thermal", 0.025, seed=4, rate_Hz=5.0)
+    runs = runs_of([make(key)[0].recording])
+    device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
+    scales = common_scales(runs, RIG, [LONG, SHORT, *proposals(RIG, 1)])
+    return know(runs, device, [(HEAT, 0.6), (WEAR, 0.4)], scales, hidden=frozenset({"velocity"}))
+
+
+def test_shares_are_those_that_were_given(heated: Known) -> None:
+    assert heated.probabilities == pytest.approx({HEAT: 0.6, WEAR: 0.4})
+    assert heated.keys[0] == HEAT
+    assert all(b.model.n_runs == 2 and "ratio" in b.model.law_names for b in heated.beliefs)
+    assert mechanisms_of(HEAT) == ("thermal",)
+    assert class_of("wear") == WEAR
+    assert class_of("velocity") == frozenset()
+    with pytest.raises(PlanError, match="is no mechanism"):
+        class_of("waer")
+
+
+def test_more_test_tells_more(heated: Known) -> None:
+    long, short = (foresee(heated, p, 5.0, 1) for p in (LONG, SHORT))
+    assert long.entropy < short.entropy <= 0.68
+    assert 0.5 < short.of_truth < long.of_truth <= 1.0
+    assert long.right > 0.9
+    assert foresee(heated, LONG, 5.0, 1) == long  # same seed, same numbers
+
+
+def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Known) -> None:
+    first = replace(heated.beliefs[0], share=1.0)
+    alone = replace(heated, beliefs=(first,))
+    gamma = quantity_named(alone, "gamma")
+    seen = foresee(alone, LONG, 5.0, 1, gamma)
+    time, motion = LONG.sampled(5.0)
+    scene = alone.scene(time, motion)
+    residual, slope = scene.residual_and_slope(first.model, first.z[None])
+    metric = Metric(scene, alone.setting, slope[0])
+    jacobian = scene.jacobian(first.model, first.z, residual[0])
+    white = metric.whitened(np.column_stack([jacobian, scene.discrepancy * alone.setting.model_error_kN]))[0]
+    expected = np.linalg.inv(first.precision + white.T @ white)[3, 3]
+    assert seen.sd is not None
+    assert seen.sd == pytest.approx(0.02 * np.sqrt(expected), rel=1e-3)  # gamma has a normal prior of 0.02 s/mm
+    assert seen.sd < gamma.now(alone.beliefs)[1]
+
+
+def test_full_simulations_end_where_it_was_foreseen(heated: Known) -> None:
+    done = rehearse(heated, LONG, 5.0, 4, 1)
+    assert done.n == 4
+    assert done.right >= 3  # foreseen: nearly always
+    assert done.of_truth > 0.7
+
+
+def test_a_plan_beats_a_short_test_and_keeps_to_the_rig(heated: Known) -> None:
+    plan = make_plan([heated], RIG, proposals(RIG, 1), given=[SHORT], rehearsals=1)
+    best, short = plan.best[0], next(r for r in plan.compared if r.protocol is SHORT)
+    assert plan.worth is Worth.YES
+    assert best.gain > short.gain
+    assert not best.broken
+    assert best.rehearsal is not None
+    assert plan.compared[0].protocol.name == "Table 1"
+    assert "time" in plan.compared[0].broken[0]  # Table 1 takes longer than this rig may
+    assert best.protocol.duration_s <= 360.0
+
+
+def test_nothing_is_planned_for_what_is_decided(heated: Known) -> None:
+    shares = {HEAT: 0.99, WEAR: 0.01}
+    kept = [next(b for b in heated.beliefs if b.key == k) for k in shares]
+    sure = replace(heated, beliefs=tuple(replace(b, share=shares[b.key]) for b in kept))
+    plan = make_plan([sure, sure], RIG, [LONG, SHORT], rehearsals=0)  # one test for two devices
+    assert plan.worth is Worth.DECIDED
+    assert len(plan.best[0].foreseen) == 2
+
+
+def test_a_margin_and_a_wrong_question(heated: Known) -> None:
+    least = quantity_named(heated, "least")
+    mean, sd = least.now(heated.beliefs)
+    assert least.unit == "kN"
+    assert 0.0 < sd < 0.05 * mean
+    with pytest.raises(PlanError, match="is no question; known are which, force, K"):
+        quantity_named(heated, "gama")
+
+
+def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
+    rig = Rig(95.0, 40.0, 300.0, 6.0, 10.0)
+    one, several = (
+        Protocol("one", (Block(48.0, 40.0, 4),)),
+        Protocol("several", (Block(48.0, 40.0, 2), Block(48.0, 4.0, 1))),
+    )
+    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), rig, [one, several]))
+    assert known.keys[0] == frozenset()
+    gamma = quantity_named(known, "gamma")
+    assert gamma.now(known.beliefs)[1] == pytest.approx(0.02)
+    first, second = (foresee(known, p, 10.0, 1, gamma) for p in (one, several))
+    assert second.sd is not None
+    assert first.sd is not None
+    assert second.sd < first.sd < 0.02
+
+
+def test_further_devices_follow_the_spread() -> None:
+    rng = np.random.default_rng(1)
+    forces = 60.0 * np.exp(0.03 * rng.standard_normal(6))
+    few = further_devices(forces, [0.005] * 6)
+    many = further_devices(60.0 * (forces / 60.0) ** 4, [0.005] * 6)
+    assert few.n_further is not None
+    assert many.n_further is None or many.n_further > few.n_further
+    # Against simulation: the 5 % fractile of samples of 12, with the exact factor.
+    x = rng.standard_normal((4000, 12))
+    estimate = x.mean(axis=1) - 1.6449 * x.std(axis=1, ddof=1)
+    spread = (np.quantile(estimate, 0.95) - np.quantile(estimate, 0.05)) / 2.0
+    assert half_width(12) == pytest.approx(spread, rel=0.15)
+    with pytest.raises(PlanError, match="two or more"):
+        further_devices([60.0], [0.01])
