@@ -12,6 +12,7 @@ from shj_bayes.margins.asked import LAWS, published_factors, sine
 from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.loops_file import loops, write_loops
+from shj_bayes.margins.outermost import newcomers
 from shj_bayes.margins.parts import corroded_pairs
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
@@ -19,7 +20,6 @@ from shj_bayes.margins.sheet import CAPACITY, DRIFT, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
 from shj_bayes.margins.trial import try_all
 from shj_bayes.population.posterior import ANY_SET
-from shj_bayes.population.predict import new_device
 from shj_bayes.population.tested import PUBLISHED, RangeTested, common
 
 LABEL = "=cmd|'<b>"
@@ -46,7 +46,7 @@ def test_every_number_says_where_it_comes_from(sheet):
 
 
 def test_bands_are_those_of_a_new_device(sheet, design):
-    bands = {p: new_device(design, "Zinc 70", p).band("plateau") for p in ("default", *design.other_priors)}
+    bands = {p: device.band("plateau") for p, device in newcomers(design, "Zinc 70").items()}
     low, high = min(b[0] for b in bands.values()), max(b[2] for b in bands.values())
     assert low < bands["default"][0]  # two devices of its own: the outermost of the three priors
     for side, level, value in ((LOW, 5, low), (MIDDLE, 50, bands["default"][1]), (HIGH, 95, high)):
@@ -106,7 +106,7 @@ def test_degradation_turns_the_ratio_round(sheet, design):
         assert row.value == pytest.approx(1 - ratio)
     assert row.inputs.startswith("of the ratio: m_y")
     band = sheet.get("Zinc 70", "degradation", "new device, 95 %", HIGH)
-    own = {p: 1 - new_device(design, "Zinc 70", p).band("ratio")[0] for p in ("default", "alike", "free")}
+    own = {p: 1 - device.band("ratio")[0] for p, device in newcomers(design, "Zinc 70").items()}
     for label, value in own.items():
         assert f"{value:.4g} under the prior '{label}'" in band.inputs
     assert band.value == pytest.approx(max(own.values()))
