@@ -9,9 +9,11 @@ import pytest
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.agreement import agreement
 from shj_bayes.margins.asked import LAWS, published_factors, sine
+from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.loops_file import loops, write_loops
+from shj_bayes.margins.monte_carlo import draw_devices
 from shj_bayes.margins.outermost import newcomers
 from shj_bayes.margins.parts import corroded_pairs
 from shj_bayes.margins.request import Request
@@ -272,3 +274,25 @@ def test_devices_of_one_set_are_not_independent_in_a_set_never_tested(sheet):
     assert row.n_devices == 5
     assert "set means" in row.inputs
     assert sheet.get(ANY_SET, "third", "EN 1990 characteristic, lognormal, V unknown", LOW) is None
+
+
+def test_fits_without_gamma_give_bounds_and_drawn_devices_without_a_speed_law(design, population):
+    def without(fits):
+        return {q: fit for q, fit in fits.items() if q != "gamma"}
+
+    others = {label: without(fits) for label, fits in population.other_priors.items()}
+    bare = replace(population, posteriors=without(population.posteriors), other_priors=others)
+    assert [b.force_kN for b in bounds(design, bare, 48.0)] == [b.force_kN for b in bounds(design, population, 48.0)]
+    assert {d.share_at_rest for d in draw_devices(design, bare, 5, 10.0)} == {1.0}
+
+
+def test_model_error_is_that_of_measured_over_predicted(trials, design):
+    """EN 1990 D8: logarithms of measured over predicted 0.02, -0.04, 0.08: mean 0.02, b = 1.0202.
+
+    Scatter: deviations 0, -0.06, 0.06: sqrt(0.0072 / 2) = 0.06.
+    """
+    gaps = (0.02, -0.04, 0.08)
+    own = [replace(trials[0], name=f"d{i}", model_errors={"least": gap}) for i, gap in enumerate(gaps)]
+    sheet = margins(design, own)
+    b, scatter = (sheet.get("Zinc 70", "least", kind, MIDDLE).value for kind in ("model, b", "model, V_delta"))
+    assert (b, scatter) == pytest.approx((1.0202, 0.06), abs=1e-4)
