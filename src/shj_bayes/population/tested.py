@@ -48,20 +48,6 @@ class RangeTested:
         """Whether all cycles had nearly the same peak speed, so that speed and position cannot be told apart."""
         return self.fastest_mm_s < 1.5 * self.slowest_mm_s
 
-    def check_amplitude(self, amplitude_mm: float) -> None:
-        """Refuse an amplitude that was not tested.
-
-        Raises
-        ------
-        PopulationError
-            With the range that was.
-        """
-        if not 0.999 * self.smallest_mm <= amplitude_mm <= 1.001 * self.largest_mm:
-            raise PopulationError(
-                f"an amplitude of {amplitude_mm:g} mm was not tested; tested were {self.smallest_mm:.4g} to "
-                f"{self.largest_mm:.4g} mm. Nothing is said outside: at larger strokes the bolt may meet the slot"
-            )
-
     def holds_speed(self, speed_mm_s: float) -> bool:
         """Whether sliding at that speed happened in the tests."""
         return 0 < speed_mm_s <= 1.01 * self.fastest_mm_s
