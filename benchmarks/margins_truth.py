@@ -1,9 +1,10 @@
 """How many new devices lie beyond each limit, whatever is concealed: ``python benchmarks/margins_truth.py -n 200``.
 
 Populations of simulated devices (the simulators of the proof) with one kind of physics concealed, each device with its
-own share of it. Every device goes through Table 1, two runs, with noise, and is fitted three times: with the law alone,
-with the right effects (those that the simulator stands for) and with a wrong one (``WRONG``), by the most probable
-parameters and the curvature there in place of sampling. A campaign draws some devices of a population at random as
+own share of it. Every device goes through Table 1, two runs, with noise; limits are drawn up from the recordings alone
+and, in ``--fitted`` populations of each kind, from three fits besides: with the law alone, with the right effects
+(those that the simulator stands for) and with a wrong one (``WRONG``), by the most probable parameters and the
+curvature there in place of sampling. A campaign draws some devices of a population at random as
 the tested ones; the others are its new devices, of whose force without noise the same reading is taken. The rows of
 the sheet come from the code itself; the posterior of a single set is found by quadrature in place of Markov chains,
 which is exact and a thousand times as fast (``tests/oracle/test_one_set.py`` holds the two against each other).
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -117,10 +119,10 @@ LIMITS = (
 )
 """LBDP, UBDP and phi_o rest on the same force as the first two where no corroded set was tested."""
 SHOWN = {LOW: ("lowest", "least", "least_2"), HIGH: ("highest", "most", "most_2")}
-WORDS = """`python benchmarks/margins_truth.py` with seed {seed} (simulated devices are in `margins-truth.jsonl`;
-without that file they are made again). Table 1, two runs, 10 Hz. Devices are fitted with the law alone, with the right
-effects and with a wrong one, by the most probable parameters and the curvature there. Spread from device to device
-(standard deviation of the logarithm): Fy 0.08, ratio 0.05, size of what is concealed 0.2. One set a campaign.
+WORDS = """`python benchmarks/margins_truth.py {asked}` (simulated devices are in `margins-truth.jsonl`;
+without that file they are made again). Table 1, two runs, 10 Hz. Where devices are fitted, with the law alone, with
+the right effects and with a wrong one, by the most probable parameters and the curvature there. Spread from device to
+device (standard deviation of the logarithm): Fy 0.08, ratio 0.05, size of what is concealed 0.2. One set a campaign.
 
 Cells: mean share of new devices beyond the limit, per cent; of 95/95 limits the share of campaigns in which they hold,
 that is lie beyond the 5 (95) % end of the population. "all": mean over all populations and its 95 % interval from how
@@ -430,7 +432,7 @@ def main() -> None:
                     file.write(json.dumps(lines[-1]) + "\n")
                 print(f"{kind}, {seed}: {time.process_time() - start:.0f} s", flush=True)
     tables = "".join(report(lines, n, arguments.n, arguments.seed) for n in arguments.devices)
-    page = f"# New devices beyond each limit, per cent\n\n{WORDS.format(seed=arguments.seed)}\n{tables}"
+    page = f"# New devices beyond each limit, per cent\n\n{WORDS.format(asked=' '.join(sys.argv[1:]))}\n{tables}"
     arguments.out.write_text(page, encoding="utf-8")
     print(page)
 
