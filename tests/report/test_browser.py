@@ -334,10 +334,3 @@ def test_a_table_beside_a_picture_keeps_its_button(show: Open) -> None:
         table = button.locator("xpath=../following-sibling::*[1]").locator("table")
         assert table.count() == 1
         assert abs(table.bounding_box()["x"] - button.bounding_box()["x"]) < 2
-
-
-def test_the_designers_sheet_prints_on_two_pages(show: Open, tmp_path: Path) -> None:
-    page = show("margins")
-    page.pdf(path=tmp_path / "page.pdf", format="A4", prefer_css_page_size=True)
-    sheets = (tmp_path / "page.pdf").read_bytes().count(b"/Type /Page\n")
-    assert sheets == 2
