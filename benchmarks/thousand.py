@@ -4,6 +4,9 @@
 ways, runs ``shj-bayes campaign``, kills one of its workers with SIGKILL when a third is done, and prints what became of
 the devices, the time, and the peak memory of the parent and of the largest worker. Then the same command again: it must
 fit nothing. Exit status 1 if a good device is missing, a bad one is not named, or the second call does something.
+
+``python benchmarks/thousand.py --margins`` takes as many devices, in twenty sets, after their virtual test and prints
+the processor time of pooling them, of the margins, of their files and of the sheet.
 """
 
 from __future__ import annotations
@@ -25,9 +28,16 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.commands.campaign import read_manifest, run_campaign
+from shj_bayes.margins.files import write_margins
+from shj_bayes.margins.quantities import TABLE
+from shj_bayes.margins.sheet import margins, pool
+from shj_bayes.margins.trial import Trial
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.population.device import Tags
+from shj_bayes.population.posterior import DeviceSet, PopulationResult
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
+from shj_bayes.report.margins_page import render_margins
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 WAYS = ("empty", "missing", "words", "force in N", "swapped", "one channel", "cut short", "not text")
@@ -188,6 +198,41 @@ def run(folder: Path, n: int, *, workers: int, seed: int = 1, max_steps: int = 2
     return not (wrong or silent or left) and idle and bool(watch.killed)
 
 
+def time_margins(n: int, n_sets: int = 20, seed: int = 1) -> None:
+    """Print the processor time of every step from devices after their virtual test to the written sheet."""
+    rng = np.random.default_rng(seed)
+    runs = ("least", "most", "plateau", "energy")
+    names = ("lowest", "highest", "third", "ratio", "K", *runs, *(f"{q}_2" for q in runs))
+    table = (dict.fromkeys(TABLE, (1.0, 1.0, 1.0, 1.0)),) * 2
+    trials = []
+    for i in range(n):
+        scatter = np.exp(0.08 * rng.standard_normal() + 0.02 * rng.standard_normal(len(names)))
+        values = {q: (0.85 if q == "ratio" else 80.0) * float(x) for q, x in zip(names, scatter, strict=True)}
+        errors = dict.fromkeys(names, 0.01)
+        trials.append(Trial(f"d{i}", f"set {i % n_sets}", table, values, errors, errors, np.full(20, 0.01)))
+    sets = {
+        name: tuple(t.name for t in trials if t.set_name == name) for name in dict.fromkeys(t.set_name for t in trials)
+    }
+    bare = tuple(DeviceSet(name, members, Tags(), {}) for name, members in sets.items())
+    clock = [time.process_time()]
+
+    def tell(words: str) -> None:
+        clock.append(time.process_time())
+        print(f"  {words}: {clock[-1] - clock[-2]:.1f} s")
+
+    print(f"{n} devices in {n_sets} sets, processor time:")
+    design = pool(trials, PopulationResult(bare, {}, {}, {}, {}, seed))
+    tell(f"{len(names)} quantities pooled under three priors")
+    sheet = margins(design, trials)
+    tell(f"{len(sheet.rows)} margins")
+    with tempfile.TemporaryDirectory() as name:
+        write_margins(sheet, Path(name))
+        tell("their files")
+        render_margins(Path(name), sheet, name="thousand", importance="II")
+        tell("the sheet")
+    print(f"  together: {clock[-1] - clock[0]:.1f} s")
+
+
 def main() -> int:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -195,8 +240,12 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--whole", action="store_true", help="two runs of Table 1 at 20 Hz, 24 000 samples, each")
     parser.add_argument("--max-steps", type=int, default=200, help="steps of each fit (200)")
+    parser.add_argument("--margins", action="store_true", help="time population and margins instead")
     parser.add_argument("-o", "--out", type=Path, help="folder that is kept; a temporary one by default")
     asked = parser.parse_args()
+    if asked.margins:
+        time_margins(asked.n)
+        return 0
     with tempfile.TemporaryDirectory() as name:
         folder = asked.out or Path(name)
         folder.mkdir(parents=True, exist_ok=True)

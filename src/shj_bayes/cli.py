@@ -419,13 +419,22 @@ def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **r
 @click.option("--to", "target", type=click.Choice(["opensees"]), required=True, help="OpenSees, and a link table.")
 @click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="By default DIR/opensees.")
 @click.option("--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of the cycle; largest tested by default.")
+@click.option("--draws", type=int, metavar="N", help="New devices of each set too, as materials for Monte Carlo.")
 @OUTPUT
-def export(folder: Path, target: str, out: Path | None, amplitude_mm: float | None, as_json: bool, quiet: bool) -> None:
+def export(
+    folder: Path,
+    target: str,
+    out: Path | None,
+    amplitude_mm: float | None,
+    draws: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
     need_population(folder)
     from shj_bayes.commands.design import export_analysis
 
-    paths = export_analysis(folder, out, amplitude_mm, progress=not (quiet or as_json))
+    paths = export_analysis(folder, out, amplitude_mm, draws, progress=not (quiet or as_json))
     if as_json:
         click.echo(json.dumps({"schema": "shj-bayes/export/1", "to": target, "files": [str(p) for p in paths]}))
     elif not quiet:

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.codes import en15129
+from shj_bayes.margins.codes import asce7, en15129
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.codes.iso16269_6 import one_sided
@@ -100,6 +100,40 @@ def test_tolerance_limits_keep_the_spread_as_measured():
     """k(3; 0.95, 0.95) = 7.6559: exp(4.43755 - 7.6559 x 0.05918) = exp(3.98447) = 53.76 kN; no floor in ISO 16269-6."""
     row = rows("iso16269_6")["tolerance 95/95 one-sided, lognormal, V unknown", LOW]
     assert row.value == pytest.approx(53.76, abs=0.02)
+
+
+def test_en1990_design_value_from_four_devices():
+    """70, 80, 90, 100 kN: y = 4.24850, 4.38203, 4.49981, 4.60517, m_y = 4.43388; deviations -0.18538, -0.05185,
+
+    0.06593, 0.17129: s^2 = (0.034366 + 0.002688 + 0.004347 + 0.029340)/3 = 0.023580, s_y = 0.15356 > 0.0998: no floor.
+    k_d,4 = t(0.999; 3) sqrt(1 + 1/4) = 10.2145 x 1.11803 = 11.4202 (Table D2: 11.40):
+    X_d = exp(4.43388 - 11.4202 x 0.15356) = exp(2.68019) = 14.59 kN.
+    """
+    four = Sample(np.array([70.0, 80.0, 90.0, 100.0]), 0.01)
+    row = rows("en1990", sample=four)["EN 1990 design, lognormal, V unknown", LOW]
+    assert row.value == pytest.approx(14.59, abs=0.03)
+    missing = rows("en1990")["EN 1990 design, lognormal, V unknown", LOW]
+    assert math.isnan(missing.value)
+    assert "no factor for n = 3" in missing.note
+
+
+def test_tolerance_limits_of_both_sides_and_of_a_confidence_of_three_quarters():
+    """Of 80, 84, 90 kN (m_y = 4.43755, s_y = 0.05918), with k(3; 0.95, 0.75) = 3.152 as printed in tables:
+
+    exp(4.43755 - 3.152 x 0.05918) = exp(4.25101) = 70.18 kN. Two-sided 90/95, k = 8.306:
+    exp(4.43755 -+ 8.306 x 0.05918) = exp(3.94600), exp(4.92910) = 51.73 and 138.26 kN.
+    """
+    found = rows("iso16269_6")
+    assert found["tolerance 95/75 one-sided, lognormal, V unknown", LOW].value == pytest.approx(70.18, abs=0.03)
+    low, high = (found["tolerance 90/95 two-sided, lognormal, V unknown", side].value for side in (LOW, HIGH))
+    assert (low, high) == pytest.approx((51.73, 138.26), rel=2e-3)
+
+
+def test_asce7_least_spread_is_assumed_where_the_tests_show_less():
+    """Factors of 0.95 and 1.08 are nearer to 1 than 0.85 and 1.2 (dampers), and than 0.60 and 1.8 (isolators)."""
+    assert asce7.with_floor(Bounds(0.95, 1.08)) == Bounds(0.85, 1.2)
+    assert asce7.with_floor(Bounds(0.95, 1.08), "isolator") == Bounds(0.60, 1.8)
+    assert asce7.with_floor(Bounds(0.5897, 1.3283)) == Bounds(0.5897, 1.3283)
 
 
 def test_asce7_testing_holds_all_that_the_test_did():

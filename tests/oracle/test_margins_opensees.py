@@ -9,6 +9,7 @@ from scipy.integrate import trapezoid
 
 from shj_bayes.margins.bounds import Bound
 from shj_bayes.margins.link_elements import HELP, link_csv
+from shj_bayes.margins.monte_carlo import Drawn, draws_script
 from shj_bayes.margins.opensees import exponent_of_steel02, python_script, tcl_script
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
@@ -22,6 +23,14 @@ BOUNDS = tuple(
 AMPLITUDE_MM = 95.0
 POINT, MEAN_SQUARE, ENERGY = 0.075, 0.02, 0.005
 """What opensees.py says of the difference, as shares of the sliding force and of the energy."""
+
+
+def opensees():
+    return pytest.importorskip(
+        "openseespy.opensees",
+        reason="openseespy is not installed (see tests/requirements-reference.txt)",
+        exc_type=Exception,
+    )
 
 
 @pytest.fixture
@@ -67,11 +76,7 @@ def test_the_link_table_explains_every_column(tmp_path):
 
 @pytest.mark.parametrize("amplitude", [24.0, 95.0])
 def test_opensees_draws_our_loop(script, amplitude):
-    ops = pytest.importorskip(
-        "openseespy.opensees",
-        reason="openseespy is not installed (see tests/requirements-reference.txt)",
-        exc_type=Exception,
-    )
+    ops = opensees()
     _, motion = exact_motion((Block(amplitude, 10 / (2 * np.pi * amplitude), 2),), 800 * 10 / (2 * np.pi * amplitude))
     x = motion.displacement_mm
     steady = slice(int(motion.start[1]), int(motion.start[4]))
@@ -83,3 +88,81 @@ def test_opensees_draws_our_loop(script, amplitude):
         assert np.sqrt(np.mean(apart**2)) < MEAN_SQUARE
         energy = [trapezoid(f[steady], x[steady]) for f in (theirs, ours)]
         assert energy[0] == pytest.approx(energy[1], rel=ENERGY)
+
+
+DRAWN = (Drawn("zinc", 1, 12.0, 80.0, 64.0, 10.0, 0.9), Drawn(HOSTILE, 1, 18.0, 60.0, 60.0, 30.0, 1.2))
+SPEED = 10.0
+
+
+@pytest.fixture
+def drawn_script(tmp_path):
+    path = tmp_path / "connection_draws.py"
+    path.write_text(draws_script(DRAWN, AMPLITUDE_MM, SPEED, "tést\nimport os"), encoding="utf-8")
+    return runpy.run_path(str(path))
+
+
+def test_a_drawn_device_carries_its_speed_law(drawn_script):
+    """0.9 of 80 kN at rest is 72; 8 kN more at the tested speed, 8 / (1 - 1/e) = 12.656 at any speed: 84.656 kN.
+
+    The plateau force of a sine of 10 mm/s belongs to 9.566 mm/s, so the rate is 1/9.566 = 0.10454 s/mm.
+    """
+    calls = []
+
+    class Recorder:
+        def frictionModel(self, *arguments):
+            calls.append(arguments)
+
+        def uniaxialMaterial(self, *arguments):
+            calls.append(arguments)
+
+    drawn_script["define_friction"](Recorder(), 3, "zinc", 1)
+    drawn_script["define"](Recorder(), 4, "zinc", 1, run=2)
+    assert calls[0] == ("VelDependent", 3, pytest.approx(72.0), pytest.approx(84.656, abs=1e-3), 0.104536)
+    assert calls[1][:4] == ("Steel02", 4, 64.0, 12.0)
+    slow, fast, rate = calls[0][2:]
+    assert fast - (fast - slow) * np.exp(-rate * 9.5661) == pytest.approx(80.0, abs=1e-3)
+    assert "os" not in drawn_script
+
+
+def test_opensees_slides_a_drawn_device_at_its_speed(drawn_script):
+    ops = opensees()
+    for d in DRAWN:
+        assert max(drawn_script["loop"](ops, d.set_name, 1, np.linspace(0, 60, 600))) == pytest.approx(
+            d.force_kN, rel=0.02
+        )
+        for speed, share in ((9.5661, 1.0), (1e-3, d.share_at_rest)):
+            assert slid(ops, drawn_script, d, speed) == pytest.approx(share * d.force_kN, rel=0.01)
+
+
+def slid(ops, script, device, speed):
+    """Force of a bearing element with the friction model, slid 30 mm at a speed under a normal force of 1 kN."""
+    ops.wipe()
+    ops.model("basic", "-ndm", 2, "-ndf", 3)
+    for node in (1, 2):
+        ops.node(node, 0.0, 0.0)
+    ops.fix(1, 1, 1, 1)
+    ops.fix(2, 0, 0, 1)
+    script["define_friction"](ops, 1, device.set_name, device.number)
+    for material in (1, 2):
+        ops.uniaxialMaterial("Elastic", material, 1e6)
+    stiffness = script["DEVICES"][device.set_name, device.number][2]
+    ops.element("flatSliderBearing", 1, 1, 2, 1, stiffness, "-P", 1, "-Mz", 2, "-orient", 0, 1, 0, -1, 0, 0)
+    ops.mass(2, 1e-9, 1e-9, 1e-9)
+    steps, stroke = 300, 30.0
+    step = stroke / speed / steps
+    ops.timeSeries("Constant", 1)
+    ops.pattern("Plain", 1, 1)
+    ops.load(2, 0.0, -1.0, 0.0)
+    ops.timeSeries("Linear", 2, "-factor", speed)
+    ops.pattern("Plain", 2, 2)
+    ops.sp(2, 1, 1.0)
+    ops.setNodeVel(2, 1, speed, "-commit")
+    ops.constraints("Penalty", 1e9, 1e9)
+    ops.numberer("Plain")
+    ops.system("BandGeneral")
+    ops.test("NormDispIncr", 1e-8, 100)
+    ops.algorithm("Newton")
+    ops.integrator("Newmark", 0.5, 0.25)
+    ops.analysis("Transient")
+    assert ops.analyze(steps, step) == 0
+    return abs(ops.eleForce(1)[0])

@@ -1,68 +1,12 @@
-"""Classical side figures for balanced tables of devices: exact permutation and analysis of variance."""
+"""Analysis of variance of balanced tables of devices."""
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
-import numpy as np
 from scipy.special import fdtrc
 
-from shj_bayes.errors import PopulationError
 from shj_bayes.population.quantities import FloatArray
-
-
-@dataclass(frozen=True)
-class Permutation:
-    """Exact stratified permutation test of "treated or not".
-
-    Parameters
-    ----------
-    mean_difference : float
-        Mean over strata of treated minus untreated, in the unit of the values.
-    p_two_sided : float
-        Share of arrangements at least as far from zero.
-    arrangements : int
-        All of them.
-    p_least : float
-        Smallest share that any arrangement of these values can give.
-    """
-
-    mean_difference: float
-    p_two_sided: float
-    arrangements: int
-    p_least: float
-
-
-def stratified_permutation(values: FloatArray) -> Permutation:
-    """Permute "treated" and "untreated" inside each stratum, exactly.
-
-    Parameters
-    ----------
-    values : array, shape (n_strata, 2, n_devices)
-        Untreated first, treated second; equal numbers.
-
-    Returns
-    -------
-    Permutation
-
-    Raises
-    ------
-    PopulationError
-        If the table is not of that shape.
-    """
-    if values.ndim != 3 or values.shape[1] != 2:
-        raise PopulationError(f"a stratified permutation needs shape (strata, 2, devices); got {values.shape}")
-    n_strata, _, n = values.shape
-    observed = float((values[:, 1].mean(axis=1) - values[:, 0].mean(axis=1)).sum())
-    sums = np.zeros(1)
-    for stratum in values.reshape(n_strata, -1):
-        chosen = [list(c) for c in itertools.combinations(range(2 * n), n)]
-        differences = np.array([(2.0 * stratum[c].sum() - stratum.sum()) / n for c in chosen])
-        sums = np.add.outer(sums, differences).ravel()
-    away = np.abs(sums)
-    p, least = (float(np.mean(away >= x - 1e-9 * max(1.0, x))) for x in (abs(observed), float(away.max())))
-    return Permutation(observed / n_strata, p, sums.size, least)
 
 
 @dataclass(frozen=True)

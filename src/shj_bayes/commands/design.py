@@ -16,6 +16,7 @@ from shj_bayes.margins.diagnosed import find_diagnosis, words_of
 from shj_bayes.margins.files import design_table, to_json, write_margins
 from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
+from shj_bayes.margins.monte_carlo import draw_devices, draws_csv, draws_script
 from shj_bayes.margins.opensees import python_script, tcl_script
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
@@ -119,7 +120,12 @@ def design_margins(
 
 
 def export_analysis(
-    folder: Path, out: Path | None = None, amplitude_mm: float | None = None, *, progress: bool = False
+    folder: Path,
+    out: Path | None = None,
+    amplitude_mm: float | None = None,
+    draws: int | None = None,
+    *,
+    progress: bool = False,
 ) -> tuple[Path, ...]:
     """Write the bounds of every set for structural analysis.
 
@@ -131,13 +137,16 @@ def export_analysis(
         Where to; ``opensees`` below the folder by default.
     amplitude_mm : float, optional
         Of the cycle for effective stiffness and damping; the largest tested by default.
+    draws : int, optional
+        New devices of each set for Monte Carlo, besides the bounds.
     progress : bool
         Show a progress bar.
 
     Returns
     -------
     tuple of Path
-        ``connection_materials.py``, ``connection_materials.tcl``, ``link-elements.csv``.
+        ``connection_materials.py``, ``connection_materials.tcl``, ``link-elements.csv``, ``loops.csv`` (bands of the
+        virtual test) and, with draws, ``connection_draws.py`` and ``connection_draws.csv``.
     """
     need_population(folder)
     result = load_population(folder)
@@ -149,8 +158,12 @@ def export_analysis(
     amplitude = tested if amplitude_mm is None else amplitude_mm
     if not 0 < amplitude <= LEEWAY * tested:
         raise PopulationError(f"an amplitude of {amplitude:g} mm was not tested; tested was up to {tested:.4g} mm")
-    drawn = bounds(pool(try_all(specimens, None), result, progress=progress), result, amplitude)
+    trials = try_all(specimens, None)
+    design = pool(trials, result, progress=progress)
+    drawn = bounds(design, result, amplitude)
+    speed = min(s.ranges["speed"] for s in specimens)
     source = str(campaign["name"]) if campaign else TABLES_NAME
+    devices = () if draws is None else draw_devices(design, result, draws, speed)
     place = folder / "opensees" if out is None else out
     place.mkdir(parents=True, exist_ok=True)
     cycle = f"{amplitude:.3g} mm"
@@ -159,9 +172,13 @@ def export_analysis(
         "connection_materials.tcl": tcl_script(drawn, source),
         "link-elements.csv": link_csv(drawn, cycle),
     }
+    if devices:
+        files["connection_draws.py"] = draws_script(devices, amplitude, speed, source)
+        files["connection_draws.csv"] = draws_csv(devices, speed)
     for name, text in files.items():
         write_text(place / name, text)
-    return tuple(place / name for name in files)
+    drawn_loops = write_loops(loops(trials, speed) if len(trials) <= MOST_DRAWN else (), place)
+    return (*(place / name for name in files), *((drawn_loops,) if drawn_loops else ()))
 
 
 def _set_named(result: PopulationResult, name: str) -> str:

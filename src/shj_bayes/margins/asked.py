@@ -21,6 +21,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.specimen import Belief, Specimen, largest_ranges
 from shj_bayes.margins.virtual_test import drive
+from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
@@ -28,7 +29,6 @@ from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.reversals import hysteresis
 
 PUBLISHED_DEP = (30.0, -30.0)
-UNITS = {"position": "mm", "speed": "mm/s", "travel": "m", "time": "s"}
 LEEWAY = 1.02
 """Share by which noise may carry a coordinate beyond what was tested."""
 CHANGE = 1e-6
@@ -160,7 +160,7 @@ def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> di
         return {"tested": runs}
     if not extrapolate:
         coordinate, reached = next(iter(beyond.items()))
-        unit, tested = UNITS[coordinate], specimen.ranges[coordinate]
+        unit, tested = coordinate_named(coordinate).unit, specimen.ranges[coordinate]
         extra = f" {published_factors(reached)}" if coordinate == "speed" else ""
         raise PopulationError(
             f"{asked.words} reaches a {coordinate} of {reached:.4g} {unit}, which was not tested: {name} was tested up "

@@ -1,12 +1,20 @@
-"""Where a set's own devices are few: the outermost of the bands under the three priors of the spread.
+"""New devices as their test would show them; of a set with few devices of its own, under the outermost prior.
 
 Two devices that agree by chance make a band that is too narrow under any one prior: in the closest third of simulated
 pairs a 90 % band held 80 % of new devices. With more than `FEW` devices the set itself says enough.
+
+A new device carries the error of its reading as the tested ones do. The readings of all devices, tested and new, are
+then alike before the test, and the band holds its share of them whatever the error is said to be. Without it a stated
+error larger than the true one is taken off the scatter of the devices, and the band comes out too narrow.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
@@ -19,8 +27,22 @@ Newcomers = Mapping[str, NewDevice]
 
 
 def newcomers(result: PopulationResult, set_name: str) -> dict[str, NewDevice]:
-    """Draw new devices of a set under every prior of the spread that was tried."""
-    return {label: new_device(result, set_name, label) for label in (DEFAULT, *result.other_priors)}
+    """Draw new devices of a set under every prior of the spread that was tried, each read as the tested ones were."""
+    return {label: _as_read(new_device(result, set_name, label), result) for label in (DEFAULT, *result.other_priors)}
+
+
+def _as_read(device: NewDevice, result: PopulationResult) -> NewDevice:
+    """Give the draws of design quantities (all of them positive) the error with which those of the set are known."""
+    groups = [group for group in result.sets if device.set_name in (ANY_SET, group.name)] or result.sets
+    draws = {}
+    for q, values in device.draws.items():
+        errors = np.concatenate([group.errors.get(q, ()) for group in groups])
+        known = errors[np.isfinite(errors)]
+        labels = [zlib.crc32(text.encode()) for text in ("reading", device.set_name, q)]
+        rng = np.random.default_rng(np.random.SeedSequence([result.seed, *labels]))
+        error = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+        draws[q] = values * np.exp(error * rng.standard_normal(values.size))
+    return replace(device, draws=draws)
 
 
 def own_devices(result: PopulationResult, set_name: str, quantities: Iterable[str]) -> int:

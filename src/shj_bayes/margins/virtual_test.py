@@ -25,7 +25,9 @@ FLAT, UNEVEN = 0.9, 0.6
 """Least force at the beginning of that part, as a share of its mean, of a half-cycle that slides fully: of a device
 whose force is much alike along the stroke, and of one whose force never is."""
 TAKEN = 5
-"""Samples over which a measured force is averaged before its largest value is read."""
+REACH_MM = 0.5
+"""Samples over which a measured force is averaged before its largest value is read, as far as the device moves no
+farther than this meanwhile: a breakaway peak fades over a millimetre, and five samples of 10 Hz took 5 % off it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,8 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
     travel_m : array, shape (n_samples,)
         Cumulative sliding distance.
     measured : bool
-        Whether the force carries noise: it is then averaged over `TAKEN` samples before its largest value is taken.
+        Whether the force carries noise: it is then averaged over up to `TAKEN` samples, and `REACH_MM` of motion,
+        before its largest value is taken.
 
     Returns
     -------
@@ -114,8 +117,9 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
         last = np.where(np.abs(end - own) <= 0.02 * stroke, 1.0, 0.0) if measured else np.zeros(own.size)
         last[-1] = 1.0
         out["end"][:, h] = force @ last / last.sum()
-        if measured and own.size >= TAKEN:
-            force = np.stack([np.convolve(row, np.full(TAKEN, 1.0 / TAKEN), "valid") for row in force])
+        taken = min(TAKEN, own.size, 1 + int(REACH_MM / moved[part].max())) if measured else 1
+        if taken > 1:
+            force = np.stack([np.convolve(row, np.full(taken, 1.0 / taken), "valid") for row in force])
         out["largest"][:, h] = force.max(axis=1)
         joined = slice(start[h], min(start[h + 1] + 1, x.size))
         out["work"][:, h] = trapezoid(force_kN[:, joined], x[joined], axis=1) / 1000.0

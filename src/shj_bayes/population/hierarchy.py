@@ -26,7 +26,7 @@ from shj_bayes.inference.ranks import ess_bulk, rhat
 from shj_bayes.inference.shared import n_threads
 from shj_bayes.population.device import DeviceEstimate, sets_of
 from shj_bayes.population.kernel import log_likelihood_of_set, run_chain
-from shj_bayes.population.measurement import Likelihood, lightened
+from shj_bayes.population.measurement import Likelihood, gathered
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
 from shj_bayes.population.quantities import DESIGN, QUANTITIES, FloatArray, quantity
@@ -41,11 +41,13 @@ MAIN_PRIOR = "default"
 
 
 def _pack(sets: Sequence[Sequence[Likelihood]]) -> tuple[FloatArray, ...]:
-    """Lay the likelihoods out in the flat arrays that the sampler reads."""
-    devices = [likelihood for group in sets for likelihood in group]
+    """Lay the likelihoods out in the flat arrays that the sampler reads, narrow devices of large sets as lots."""
+    split = [gathered(group) for group in sets]
+    devices = [likelihood for _, rest in split for likelihood in rest]
     empty = [np.empty(0)]
     return (
-        np.cumsum([0, *(len(group) for group in sets)]).astype(np.int64),
+        np.array([lot for lot, _ in split]),
+        np.cumsum([0, *(len(rest) for _, rest in split)]).astype(np.int64),
         np.cumsum([0, *(d.weight.size for d in devices)]).astype(np.int64),
         np.array([d.pieces for d in devices], dtype=np.bool_),
         np.concatenate([*(d.first for d in devices), *empty]),
@@ -191,7 +193,7 @@ def fit_population(
     with tqdm(total=3 * len(names), desc="population", disable=None if progress else True, leave=False) as bar:
         for q in names:
             sets = [
-                lightened([d.measurements[q].likelihood(quantity(q)) for d in group if q in d.measurements])
+                [d.measurements[q].likelihood(quantity(q)) for d in group if q in d.measurements]
                 for group in grouped.values()
             ]
             draws_behind[q] = min(x.effective_draws for group in sets for x in group)

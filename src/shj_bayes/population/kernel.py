@@ -74,10 +74,17 @@ def _sum_of_logs(values):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def log_likelihood_of_set(s, mu, log_tau, set_start, device_start, pieces, first, second, weight):  # type: ignore[no-untyped-def]
+def log_likelihood_of_set(s, mu, log_tau, lots, set_start, device_start, pieces, first, second, weight):  # type: ignore[no-untyped-def]
     """Log likelihood of all devices of set ``s`` given its mean and log spread, device values integrated out."""
     tau = math.exp(log_tau)
+    of_lot = 0.0
+    if lots[s, 0] > 0.0:  # so many normal devices of one error
+        variance = tau * tau + lots[s, 2]
+        gap = lots[s, 1] - mu
+        of_lot = -0.5 * (lots[s, 0] * math.log(variance) + (lots[s, 3] + lots[s, 0] * gap * gap) / variance)
     begin, end = set_start[s], set_start[s + 1]
+    if begin == end:
+        return of_lot
     low, high = device_start[begin], device_start[end]
     # All components at once, also those of pieces (not used): a loop for each device would be too short for vectors.
     density = np.empty(high - low)
@@ -93,7 +100,7 @@ def log_likelihood_of_set(s, mu, log_tau, set_start, device_start, pieces, first
         if not value > _SMALLEST:
             return -np.inf
         values[d - begin] = value
-    return _sum_of_logs(values)
+    return of_lot + _sum_of_logs(values)
 
 
 @njit(cache=True, error_model="numpy")
@@ -117,14 +124,13 @@ def _target(code, s, x, mu, lt, hyper, z, data, prior):  # type: ignore[no-untyp
 
     ``hyper`` holds M, log S, log tau0, log omega; ``z`` the standardised set values during A_* updates.
     """
-    set_start, device_start, pieces, first, second, weight = data
     n = mu.size
     if code == MEAN:
         r = (x - hyper[0]) * math.exp(-hyper[1])
-        return log_likelihood_of_set(s, x, lt[s], set_start, device_start, pieces, first, second, weight) - 0.5 * r * r
+        return log_likelihood_of_set(s, x, lt[s], *data) - 0.5 * r * r
     if code == LOG_SPREAD:
         r = (x - hyper[2]) * math.exp(-hyper[3])
-        return log_likelihood_of_set(s, mu[s], x, set_start, device_start, pieces, first, second, weight) - 0.5 * r * r
+        return log_likelihood_of_set(s, mu[s], x, *data) - 0.5 * r * r
     if code in (C_S, C_TAU0, C_OMEGA):
         total = _log_prior_scale(code, x, prior)
         centre = hyper[0] if code == C_S else (x if code == C_TAU0 else hyper[2])
@@ -144,7 +150,7 @@ def _target(code, s, x, mu, lt, hyper, z, data, prior):  # type: ignore[no-untyp
     for k in range(n):
         moved = centre + scale * z[k]
         m, t = (moved, lt[k]) if code in (A_M, A_S) else (mu[k], moved)
-        total += log_likelihood_of_set(k, m, t, set_start, device_start, pieces, first, second, weight)
+        total += log_likelihood_of_set(k, m, t, *data)
         if total == -np.inf:
             return total
     return total

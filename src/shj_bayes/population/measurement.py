@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ BANDWIDTH = 0.3
 """Kernel width of those components, in standard deviations; centres shrink so that the variance is kept."""
 FEWEST_EFFECTIVE = 25.0
 """Below this effective number of importance draws a device's posterior says too little about its likelihood."""
-MANY_DEVICES, NARROW = 30, 0.1
+MANY_DEVICES, NARROW = 30, 0.15
 """Devices of a set from which on its spread is well known, and the part of that spread that counts as narrow."""
 
 
@@ -48,7 +49,7 @@ class Likelihood:
         if self.pieces and not np.array_equal(self.first[1:], self.second[:-1]):
             raise PopulationError("the pieces of a likelihood must adjoin, each starting where the one before ends")
 
-    @property
+    @cached_property
     def centre_and_sd(self) -> tuple[float, float]:
         """Mean and standard deviation of the normalised likelihood, pooled scale."""
         if self.pieces:
@@ -61,11 +62,12 @@ class Likelihood:
         return mean, float(np.sqrt(np.sum(mass * (variance + (centre - mean) ** 2))))
 
 
-def lightened(group: Sequence[Likelihood]) -> list[Likelihood]:
-    """Likelihoods of a large set, narrow ones as a single normal of the same mean and variance.
+def gathered(group: Sequence[Likelihood]) -> tuple[FloatArray, list[Likelihood]]:
+    """Narrow devices of a large set as one lot, whose likelihood needs no sum over devices.
 
-    Beside a spread of the set that is ten times as wide, and that many devices fix, nothing else of their shape is
-    felt (`tests` hold the two likelihoods side by side); the sampler goes through a twelfth of the numbers.
+    Beside a spread of the set that is many times as wide, and that many devices fix, nothing of their shape is felt,
+    nor how their errors differ (`tests` hold both likelihoods side by side). Normal devices with one error enter by
+    their number, mean and sum of squares alone.
 
     Parameters
     ----------
@@ -74,19 +76,20 @@ def lightened(group: Sequence[Likelihood]) -> list[Likelihood]:
 
     Returns
     -------
+    array, shape (4,)
+        Of the lot: devices (0 for a small set), mean, variance of one, sum of squares about the mean.
     list of Likelihood
-        The same devices; of a small set unchanged.
+        All other devices.
     """
     if len(group) < MANY_DEVICES:
-        return list(group)
-    moments = [likelihood.centre_and_sd for likelihood in group]
-    narrow = NARROW * float(np.std([centre for centre, _ in moments], ddof=1))
-    return [
-        Likelihood(False, np.array([centre]), np.array([sd]), np.ones(1), likelihood.effective_draws)
-        if sd < narrow
-        else likelihood
-        for likelihood, (centre, sd) in zip(group, moments, strict=True)
-    ]
+        return np.zeros(4), list(group)
+    centre, sd = np.array([likelihood.centre_and_sd for likelihood in group]).T
+    narrow = sd < NARROW * float(np.std(centre, ddof=1))
+    if not narrow.any():
+        return np.zeros(4), list(group)
+    own = centre[narrow]
+    lot = (own.size, own.mean(), np.mean(sd[narrow] ** 2), np.sum((own - own.mean()) ** 2))
+    return np.array(lot), [likelihood for likelihood, one in zip(group, narrow, strict=True) if not one]
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,11 @@
 import json
 import math
 import re
+import runpy
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
@@ -88,11 +90,34 @@ def test_export_writes_scripts_and_a_table(folder, tmp_path):
     record = json.loads(done.output)
     assert record["schema"] == "shj-bayes/export/1"
     names = sorted(p.name for p in (tmp_path / "out").iterdir())
-    assert names == ["connection_materials.py", "connection_materials.tcl", "link-elements.csv"]
+    assert names == ["connection_materials.py", "connection_materials.tcl", "link-elements.csv", "loops.csv"]
     table = (tmp_path / "out" / "link-elements.csv").read_text(encoding="utf-8")
     assert "'=cmd" in table
     compile((tmp_path / "out" / "connection_materials.py").read_text(encoding="utf-8"), "script", "exec")
     assert run("export", folder, "--to", "elsewhere").exit_code == 2
+
+
+def test_export_draws_new_devices_for_monte_carlo(folder, tmp_path):
+    done = run("export", folder, "--to", "opensees", "-o", tmp_path, "--draws", 20, "--json")
+    assert done.exit_code == 0, done.output
+    assert "connection_draws.py" in done.output
+    table = pd.read_csv(tmp_path / "connection_draws.csv")
+    assert table.groupby("set").size().to_dict() == {"Zinc 70": 20, "Zinc 70 corroded": 20, "'" + LABEL: 20}
+    zinc = table[table["set"] == "Zinc 70"]
+    # 92.5 kN at rest; at 9.57 mm/s dep of -60 to -90 mm/s takes 11 to 16 % off.
+    assert 75 < zinc["force_kN"].median() < 87
+    assert zinc["force_2_kN"].median() < zinc["force_kN"].median()
+    assert zinc["force_kN"].nunique() == 20
+    script = runpy.run_path(str(tmp_path / "connection_draws.py"))
+    first = zinc.iloc[0]
+    assert script["DEVICES"]["Zinc 70", 1][:3] == pytest.approx(
+        (first.force_kN, first.force_2_kN, first.K_kN_mm), rel=1e-4
+    )
+    # dep of -60 and -90 mm/s: the force falls with speed, so it is larger at rest; corroded it grows.
+    assert zinc["share_at_rest"].median() > 1 > table[table["set"] == "Zinc 70 corroded"]["share_at_rest"].median()
+    refused = run("export", folder, "--to", "opensees", "-o", tmp_path, "--draws", 0)
+    assert refused.exit_code == 1
+    assert "allowed are 1 to" in refused.output
 
 
 def test_compare_prints_a_table_and_counts_its_tests(folder):

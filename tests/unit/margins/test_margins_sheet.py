@@ -9,9 +9,12 @@ import pytest
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.agreement import agreement
 from shj_bayes.margins.asked import LAWS, published_factors, sine
+from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.loops_file import loops, write_loops
+from shj_bayes.margins.monte_carlo import draw_devices
+from shj_bayes.margins.outermost import newcomers
 from shj_bayes.margins.parts import corroded_pairs
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
@@ -19,7 +22,6 @@ from shj_bayes.margins.sheet import CAPACITY, DRIFT, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
 from shj_bayes.margins.trial import try_all
 from shj_bayes.population.posterior import ANY_SET
-from shj_bayes.population.predict import new_device
 from shj_bayes.population.tested import PUBLISHED, RangeTested, common
 
 LABEL = "=cmd|'<b>"
@@ -46,7 +48,7 @@ def test_every_number_says_where_it_comes_from(sheet):
 
 
 def test_bands_are_those_of_a_new_device(sheet, design):
-    bands = {p: new_device(design, "Zinc 70", p).band("plateau") for p in ("default", *design.other_priors)}
+    bands = {p: device.band("plateau") for p, device in newcomers(design, "Zinc 70").items()}
     low, high = min(b[0] for b in bands.values()), max(b[2] for b in bands.values())
     assert low < bands["default"][0]  # two devices of its own: the outermost of the three priors
     for side, level, value in ((LOW, 5, low), (MIDDLE, 50, bands["default"][1]), (HIGH, 95, high)):
@@ -106,7 +108,7 @@ def test_degradation_turns_the_ratio_round(sheet, design):
         assert row.value == pytest.approx(1 - ratio)
     assert row.inputs.startswith("of the ratio: m_y")
     band = sheet.get("Zinc 70", "degradation", "new device, 95 %", HIGH)
-    own = {p: 1 - new_device(design, "Zinc 70", p).band("ratio")[0] for p in ("default", "alike", "free")}
+    own = {p: 1 - device.band("ratio")[0] for p, device in newcomers(design, "Zinc 70").items()}
     for label, value in own.items():
         assert f"{value:.4g} under the prior '{label}'" in band.inputs
     assert band.value == pytest.approx(max(own.values()))
@@ -272,3 +274,25 @@ def test_devices_of_one_set_are_not_independent_in_a_set_never_tested(sheet):
     assert row.n_devices == 5
     assert "set means" in row.inputs
     assert sheet.get(ANY_SET, "third", "EN 1990 characteristic, lognormal, V unknown", LOW) is None
+
+
+def test_fits_without_gamma_give_bounds_and_drawn_devices_without_a_speed_law(design, population):
+    def without(fits):
+        return {q: fit for q, fit in fits.items() if q != "gamma"}
+
+    others = {label: without(fits) for label, fits in population.other_priors.items()}
+    bare = replace(population, posteriors=without(population.posteriors), other_priors=others)
+    assert [b.force_kN for b in bounds(design, bare, 48.0)] == [b.force_kN for b in bounds(design, population, 48.0)]
+    assert {d.share_at_rest for d in draw_devices(design, bare, 5, 10.0)} == {1.0}
+
+
+def test_model_error_is_that_of_measured_over_predicted(trials, design):
+    """EN 1990 D8: logarithms of measured over predicted 0.02, -0.04, 0.08: mean 0.02, b = 1.0202.
+
+    Scatter: deviations 0, -0.06, 0.06: sqrt(0.0072 / 2) = 0.06.
+    """
+    gaps = (0.02, -0.04, 0.08)
+    own = [replace(trials[0], name=f"d{i}", model_errors={"least": gap}) for i, gap in enumerate(gaps)]
+    sheet = margins(design, own)
+    b, scatter = (sheet.get("Zinc 70", "least", kind, MIDDLE).value for kind in ("model, b", "model, V_delta"))
+    assert (b, scatter) == pytest.approx((1.0202, 0.06), abs=1e-4)

@@ -16,7 +16,6 @@ from shj_bayes.population.posterior import DeviceSet, PopulationResult, Quantity
 from shj_bayes.population.power import MOST, assurance, devices_needed, power
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.published import published_rows
-from shj_validation.contrasts import stratified_permutation
 from shj_validation.paper_claims import coated_table
 
 
@@ -128,8 +127,6 @@ def test_permutation_is_exact_and_agrees_with_the_paper():
     force = np.log(coated_table(lambda row: row.values["Fy", 1], published_rows()))
     p, least, n = permutation([(row[1], row[0]) for row in force])
     assert n == 7776
-    assert p == pytest.approx(stratified_permutation(force).p_two_sided)
-    assert least == pytest.approx(stratified_permutation(force).p_least)
     assert least >= 2 / 7776
     assert p == pytest.approx(0.062, abs=0.001)
     a, b = np.array([1.0, 2.0, 9.0]), np.array([3.0, 4.0])

@@ -6,7 +6,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
 from shj_bayes.population.hierarchy import _pack
 from shj_bayes.population.kernel import log_likelihood
-from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded, RoundedRatio, lightened
+from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded, RoundedRatio, gathered
 from shj_bayes.population.quantities import quantity
 
 FY, GAMMA, RATIO = quantity("Fy"), quantity("gamma"), quantity("ratio")
@@ -121,20 +121,25 @@ def test_values_are_copied_and_frozen():
 
 
 def test_a_large_set_of_narrow_devices_needs_no_shapes() -> None:
-    """One normal for each device: the same likelihood of level and spread, a twelfth of the numbers."""
+    """Number, mean and sum of squares of narrow devices: the same likelihood of level and spread as one by one."""
     rng = np.random.default_rng(3)
     values = np.exp(rng.normal(4.4, 0.2, 60))
     draws = [v * (1 + 0.011 * (rng.gamma(2.0, 1.0, 4000) - 2.0)) for v in values]  # skewed, 1.6 % wide
     group = [PosteriorDraws(d, np.zeros(d.size)).likelihood(FY) for d in draws]
-    light = lightened(group)
-    assert sum(x.weight.size for x in group) == 12 * sum(x.weight.size for x in light)
+    lot, rest = gathered(group)
+    assert lot[0] == 60
+    assert not rest
     for mu in (4.32, 4.4, 4.48):
         for tau in (0.16, 0.2, 0.25):
-            before, after = (log_likelihood(mu, np.log(tau), _pack([x])) for x in (group, light))
-            assert after == pytest.approx(before, abs=0.03)
-    assert lightened(group[:29]) == group[:29]
+            one_by_one = sum(log_likelihood(mu, np.log(tau), _pack([[x]])) for x in group)
+            assert log_likelihood(mu, np.log(tau), _pack([group])) == pytest.approx(one_by_one, abs=0.03)
+    assert gathered(group[:29])[1] == group[:29]
     wide = PosteriorDraws(80.0 * np.exp(0.3 * rng.standard_normal(4000)), np.zeros(4000)).likelihood(FY)
-    assert lightened([*group, wide])[-1] is wide
+    lot, rest = gathered([*group, wide])
+    assert (lot[0], rest) == (60, [wide])
+    both = log_likelihood(4.4, np.log(0.2), _pack([[*group, wide]]))
+    alone = log_likelihood(4.4, np.log(0.2), _pack([[wide]]))
+    assert both - alone == pytest.approx(log_likelihood(4.4, np.log(0.2), _pack([group])), abs=1e-9)
 
 
 def test_what_is_kept_of_a_posterior() -> None:
