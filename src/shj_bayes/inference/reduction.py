@@ -1,4 +1,4 @@
-"""Recordings are averaged once, before anything is fitted: in short blocks where neighbouring samples tell unlike things.
+"""Recordings are averaged once, before anything is fitted: in short blocks where neighbouring samples tell differently.
 
 A block holds neighbouring samples of one half-cycle. It ends where its time, the bend of the modelled force within it,
 or the change of the weights with which its samples tell of the parameters has grown to a limit; the number of blocks
