@@ -118,7 +118,7 @@ def _scores(posterior: Posterior, start: Start) -> FloatArray:
 
 
 def _information(posterior: Posterior, start: Start) -> FloatArray:
-    """What each half-cycle is expected to tell of the law's parameters, shape (n_half, n_law, n_law)."""
+    """Give what each half-cycle is expected to tell of the parameters of the law, shape (n_half, n_law, n_law)."""
     model, out = posterior.model, []
     theta = posterior.natural(start.free[None])
     noise = {name: float(values[0]) for name, values in model.noise_values(theta).items()}
