@@ -125,8 +125,7 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, t
     half_s = choose_half_width(time_s, values, noise, allowed, edges)
     grid = grid_of(time_s, values, noise, max(step, half_s / MAX_HALF_WIDTH))
     half = max(2, round(half_s / grid.step))
-    # Two counts of an encoder close together look like a corner of their own height.
-    kinks_s = grid.time[find_kinks(grid, half, max(allowed, count))]
+    kinks_s = grid.time[find_kinks(grid, half, allowed, count)]
     long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * step, grid.step))
     stops = np.sort(np.concatenate([kinks_s, time_s[long], time_s[long + 1]]))
     widths = widen(time_s, values, noise, max(BIAS_SHARE * noise, count / float(np.sqrt(12.0))), edges, half_s, stops)
@@ -322,7 +321,7 @@ def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tupl
     return change, expected
 
 
-def find_kinks(grid: Grid, half: int, allowed: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def find_kinks(grid: Grid, half: int, allowed: float, count: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Places where the slope jumps: corners of a triangle, starts and stops.
 
     The coefficient of abs(t) beside a local quintic is a linear filter of the samples; where it stands far out of
@@ -336,6 +335,8 @@ def find_kinks(grid: Grid, half: int, allowed: float) -> np.ndarray[tuple[int], 
         Half-width of the window, grid points.
     allowed : float
         Corners that smoothing would round by less than this are left to it.
+    count : float
+        Step of the encoder: what rounding alone can do is no corner, even where counts lie evenly about a top.
 
     Returns
     -------
@@ -354,7 +355,8 @@ def find_kinks(grid: Grid, half: int, allowed: float) -> np.ndarray[tuple[int], 
     # Correlated noise (filters, encoder counts, rig ringing) spreads the coefficient more than white noise would.
     scale = max(scale, float(np.median(np.abs(inside))) / 0.6745, 1e-9 * float(np.ptp(grid.values)) + 1e-300)
     # A local cubic rounds |u| by 3/16 at its tip.
-    z = np.where(0.1875 * np.abs(inside) > allowed, np.abs(inside) / scale, 0.0)
+    least = max(allowed / 0.1875, 0.5 * count * float(np.sum(np.abs(kernel))))
+    z = np.where(np.abs(inside) > least, np.abs(inside) / scale, 0.0)
     found: list[int] = []
     for index in np.argsort(-z)[: max(1, 40 * z.size // half)]:
         if z[index] < KINK_Z:

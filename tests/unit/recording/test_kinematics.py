@@ -57,6 +57,17 @@ def test_turning_points_and_mid_stroke_speed_are_unbiased(noise, encoder):
     assert np.abs(np.mean(np.reshape(speed, (-1, 6)), axis=0)).max() < 0.005
 
 
+def test_counts_that_lie_evenly_about_a_top_are_no_corner():
+    """Where a top lies in the middle of a count, rounding makes a flat piece with an edge on each side."""
+    t, exact = exact_motion((Block(24.0, 0.067, 6),), 100.0)
+    count = 0.195
+    for place in np.linspace(0.0, count, 8, endpoint=False):
+        x = np.round((exact.displacement_mm + place) / count) * count - place
+        motion = motion_of(Recording(t, x, np.zeros(t.size)))
+        assert "across 0 corners" in motion.method
+        assert np.abs(motion.turning_mm - exact.turning_mm)[1:].max() < 0.5 * count
+
+
 def test_the_single_extreme_sample_would_be_biased():
     """The check above must be able to fail."""
     t, exact = exact_motion(table_1(), 20.0)

@@ -22,18 +22,28 @@ def _held(e, sense, capacity, beta, knee, smooth):  # type: ignore[no-untyped-de
     return held if e * sense > 0.0 else held + smooth * (e - held)
 
 
-@njit(error_model="numpy", fastmath={"contract"})
+@njit(error_model="numpy", fastmath={"contract"}, inline="always")
 def _elastic(distance, reset, sense, stiffness, slack, take_up):  # type: ignore[no-untyped-def]
-    """Elastic force after a distance since the reversal, with free travel at zero force."""
-    e = reset + stiffness * sense * max(distance, 0.0)
-    along = e * sense
-    if along > 0.0 and reset * sense <= 0.0:  # the gap opens only when the force comes down to zero on the way
-        past = along - stiffness * slack
-        if past <= 0.0:
-            return 0.0
-        full = stiffness * take_up
-        return sense * (FIRST * past if past < full else past - (1.0 - FIRST) * full)
-    return e
+    """Elastic force after a distance since the reversal, with free travel at zero force; without branches."""
+    along = reset * sense + stiffness * max(distance, 0.0)
+    if reset * sense > 0.0:  # the gap opens only when the force comes down to zero on the way
+        return sense * along
+    past, full = along - stiffness * slack, stiffness * take_up
+    return sense * (min(along, 0.0) + FIRST * min(max(past, 0.0), full) + max(past - full, 0.0))
+
+
+@njit(error_model="numpy", fastmath={"contract"})
+def _fill_straight(out, x, caps, origin, reset, sense, law, knee, smooth, slack, take_up):  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
+    """Force of the samples of a half-cycle of the device without an elastic part in series."""
+    stiffness, capacity, beta = law[0], law[1], law[2]
+    if (slack == 0.0 and take_up == 0.0) or reset * sense > 0.0:
+        for i in range(out.size):
+            e = stiffness * (x[i] - origin) + reset
+            out[i] = _held(e, sense, capacity * caps[i], beta, knee, smooth)
+    else:
+        for i in range(out.size):
+            e = _elastic((x[i] - origin) * sense, reset, sense, stiffness, slack, take_up)
+            out[i] = _held(e, sense, capacity * caps[i], beta, knee, smooth)
 
 
 @njit(error_model="numpy", fastmath={"contract"})
@@ -142,7 +152,6 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
     # A reversal inside the clearance leads back over what was crossed of it, not over the whole of it.
     ahead = parts.copy()
     ahead[0] = slack * parts[4] if start_force == 0.0 else slack
-    plain = slack == 0.0 and take_up == 0.0
     knee = knee_of(beta)
     work, end = np.empty((3, _TOGETHER)), np.empty(1)
     reset = start_force
@@ -151,13 +160,8 @@ def rate_free_force(out, x, start, turning, direction, law, clamping, parts, sta
         xs, caps, outs, origin = x[a:b], clamping[a:b], out[a:b], turning[k]
         if compliance > 0.0:
             _fill_in_series(outs, xs, origin, reset, sense, law, caps, knee, ahead, work)
-        elif plain:
-            for i in range(outs.size):
-                outs[i] = _held(stiffness * (xs[i] - origin) + reset, sense, law[1] * caps[i], beta, knee, smooth)
         else:
-            for i in range(outs.size):
-                e = _elastic((xs[i] - origin) * sense, reset, sense, stiffness, ahead[0], take_up)
-                outs[i] = _held(e, sense, law[1] * caps[i], beta, knee, smooth)
+            _fill_straight(outs, xs, caps, origin, reset, sense, law, knee, smooth, ahead[0], take_up)
         if k + 1 < turning.size:
             reach = (turning[k + 1] - origin) * sense
             capacity = law[1] * clamping[b - 1]
