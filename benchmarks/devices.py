@@ -27,10 +27,9 @@ def device(
     effects: Sequence[str] = (),
     variant: str = "published",
     seed: int = 1,
-    sigma_kN: float = TRUTH.sigma,
 ) -> Posterior:
     """Simulate the device at a sampling rate, with its exact motion; the posterior is in blocks for a first look."""
-    recordings = simulate_device(replace(TRUTH, beta=beta, sigma=sigma_kN), seed=seed, rate_Hz=rate_Hz, variant=variant)
+    recordings = simulate_device(replace(TRUTH, beta=beta), seed=seed, rate_Hz=rate_Hz, variant=variant)
     motion = exact_motion(table_1(), rate_Hz)[1]
     named = effects_named(effects)
     model = DeviceModel(2, read_priors("afc"), effects=named, noise=noise_model(noise), variant=variant)

@@ -3,8 +3,7 @@
 ``python benchmarks/recover.py`` prints one line per row and the share of (row, parameter) pairs whose truth is inside
 the 95 % interval. Two runs of Table 1 at 20 Hz, white force noise of 0.8 kN, slow noise of 0.6 kN (3 s), displacement
 noise 0.02 mm; half-cycles and speed come from the noisy displacement, as for a measured recording. ``--seed`` draws
-other noise, ``--rows`` takes fewer rows, ``--rate`` another sampling rate. ``--quick 8`` goes round all rows
-eight times with the Gaussian around the most probable point in place of sampling, and counts by parameter.
+other noise, ``--rows`` takes fewer rows, ``--rate`` another sampling rate.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.inference.fit import first_look, fit
+from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.device import DeviceModel
@@ -36,11 +35,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=25)
     parser.add_argument("--rate", type=float, default=20.0)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", type=int, default=0, metavar="N", help="N times all rows, without sampling")
     arguments = parser.parse_args()
-    if arguments.quick:
-        quick(arguments.quick, arguments.seed, arguments.rate)
-        return
     records = [recover(row, arguments.seed + i, arguments.rate) for i, row in enumerate(rows()[: arguments.rows])]
     pairs = [inside for record in records for inside in record["inside"].values()]
     print(f"\ntruth inside the 95 % interval: {sum(pairs)} of {len(pairs)} pairs = {100 * np.mean(pairs):.1f} %")
@@ -49,21 +44,6 @@ def main() -> None:
     )
     if arguments.json:
         arguments.json.write_text(json.dumps(records, indent=1), encoding="utf-8")
-
-
-def quick(times: int, seed: int, rate: float) -> None:
-    """Count by parameter how often the Gaussian around the most probable point holds the truth."""
-    found: dict[str, list[tuple[float, bool]]] = {}
-    for i, (_, truth) in enumerate(rows() * times):
-        runs = runs_of(simulate_device(truth, seed=seed + i, rate_Hz=rate))
-        for name, draws in first_look(runs, DeviceModel(len(runs), read_priors("afc")), seed=seed + i).items():
-            true = getattr(truth, NOISE.get(name, name))
-            low, high = np.quantile(draws, [0.025, 0.975])
-            found.setdefault(name, []).append(((draws.mean() - true) / draws.std(), bool(low <= true <= high)))
-    for name, pairs in found.items():
-        z, inside = np.array(pairs).T
-        size = np.sqrt(np.mean(z**2))
-        print(f"{name:12} inside {int(inside.sum())} of {inside.size}; rms of (mean - truth) / sd {size:.2f}")
 
 
 def rows() -> list[tuple[str, Truth]]:

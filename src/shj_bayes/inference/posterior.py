@@ -12,14 +12,13 @@ import numpy as np
 
 import shj_bayes
 from shj_bayes.errors import InferenceError, PriorError
-from shj_bayes.inference.reduction import Averages, Telling, reduce_runs
+from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import LANES, log_density
 from shj_bayes.model.parameters import FloatArray
 
-STEP = 1e-4  # of the unbounded parameters, for derivatives of the force
 FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
 
 
@@ -87,31 +86,15 @@ class Posterior:
         longest_s, coarser : float, optional
             Longest block, s, and how much longer than usual blocks are; see `reduce_runs`.
         """
-        model, z = self.model, self.unbounded(theta[None])
-        moves = np.eye(z.size)[: model.n_law] * STEP
-        moved = self.natural(np.concatenate([z + moves, z - moves]))
         still = theta[None].copy()
-        if model.speed:  # the speed is noisy, and its share of the force is straight
+        if self.model.speed:  # the speed is noisy, and its share of the force is straight
             for i, name in enumerate(self.names):
                 still[0, i] *= 0.0 if name.partition("_")[0] == "gamma" else 1.0
 
         def force_at(history: History, start_force_kN: float) -> FloatArray:
-            return np.asarray(model.force(still, history, start_force_kN)[0])
+            return np.asarray(self.model.force(still, history, start_force_kN)[0])
 
-        def slopes_at(history: History, start_force_kN: float) -> FloatArray:
-            above, below = np.split(model.force(moved, history, start_force_kN), 2)
-            return np.asarray((above - below) / (2.0 * STEP))
-
-        values = model.noise_values(theta[None])
-        parts = model.noise.parts(values)
-        telling = Telling(
-            slopes_at,
-            float(parts.white_kN[0]),
-            float(parts.slow_kN[0]),
-            lambda seconds, step_s: model.noise.decay(values, seconds, step_s)[:, 0],
-        )
-        averages = reduce_runs(self.runs, force_at, telling, longest_s=longest_s, coarser=coarser)
-        return replace(self, averages=averages)
+        return replace(self, averages=reduce_runs(self.runs, force_at, longest_s=longest_s, coarser=coarser))
 
     def modelled_force(self, theta: FloatArray, run: int) -> FloatArray:
         """Force of run ``run`` (1 for the first) without noise, at all its samples, shape (m, n_samples), kN."""

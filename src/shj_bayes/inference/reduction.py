@@ -1,15 +1,9 @@
-"""Recordings are averaged once, before anything is fitted: in short blocks where neighbouring samples tell differently.
+"""Recordings are averaged once, before anything is fitted: few blocks where the force is straight, many where it bends.
 
-A block holds neighbouring samples of one half-cycle. It ends where its time, the bend of the modelled force within it,
-or the change of the weights with which its samples tell of the parameters has grown to a limit; the number of blocks
-does not grow with the sampling rate. The force of a block is the mean of the model at two points that have the mean
-and the variance of its samples in every channel (for a force that is a cubic of the displacement this is exact for
-evenly spread samples); a block of one sample has one.
-
-The weights: with the derivatives J of the force after the parameters and the covariance S of the noise, all samples
-tell of the parameters with the weights W = S^-1 J. Means of blocks can only have weights that are constant in a block;
-what is lost is the scatter of W within blocks times the variance of the white noise, which is nearly all that the noise
-has within a block. Blocks of equal loss lose least for their number.
+A block holds neighbouring samples of one half-cycle. It ends where its time, its slip or the bend of the modelled force
+within it has grown to a limit, so that the number of blocks does not grow with the sampling rate. The force of a block
+is the mean of the model at two points that have the mean and the variance of its samples in every channel (for a force
+that is a cubic of the displacement this is exact for evenly spread samples); a block of one sample has one.
 """
 
 from __future__ import annotations
@@ -21,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
 
 from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.inference.run import Run, histories_of
@@ -33,12 +26,11 @@ from shj_bayes.recording.reversals import NEAR, degree_for
 
 IntArray = NDArray[np.int64]
 Force = Callable[[History, float], FloatArray]
-LONGEST_S, LEAST_BLOCKS = 0.5, 1500  # a block lasts no longer than this, or than this part of the run
-PER_BEND = 12.0  # blocks at least that the bends of a typical half-cycle are divided into
-LOSS = 0.03**2  # of the variance of each parameter, on average: the mean moves by 0.03 standard deviations
+PER_STROKE = 64.0  # blocks that a whole stroke is divided into at least
+LONGEST_S, LEAST_BLOCKS = 0.25, 3000  # a block lasts no longer than this, or than this part of the run
+PER_BEND = 24.0  # blocks at least that the bends of a typical half-cycle are divided into
 FIRST_LOOK = 400.0  # blocks to a stroke where the bend is not known yet
-# Bends and weights are looked at in points to a stroke, and as often as this even where the slip is less.
-FINEST, FINEST_S, MOST_POINTS = 2000.0, 1.0 / 64.0, 50_000
+FINEST = 2000.0  # points to a stroke at which the bend is looked for
 SAME = 64.0  # spacings that differ by less than 1/64 in the binary logarithm count as equal
 # Variance of a polynomial's value in the middle of n points, times n, by its degree (Savitzky and Golay 1964):
 # reversals are placed so.
@@ -101,34 +93,8 @@ class Averages:
         return residual, slope
 
 
-@dataclass(frozen=True, eq=False)
-class Telling:
-    """What decides how much each sample tells of the parameters.
-
-    Parameters
-    ----------
-    slopes_at : callable
-        ``slopes_at(history, start_force_kN)`` gives the derivatives of the force after the unbounded parameters of the
-        law at the points of a history, shape (p, n), kN.
-    white_kN, slow_kN : float
-        Standard deviations of the two parts of the noise.
-    decay : callable
-        ``decay(seconds, step_s)`` gives the correlation of the slow part after each of n times, shape (n,).
-    """
-
-    slopes_at: Force
-    white_kN: float
-    slow_kN: float
-    decay: Callable[[FloatArray, float], FloatArray]
-
-
 def reduce_runs(
-    runs: Sequence[Run],
-    force_at: Force | None = None,
-    telling: Telling | None = None,
-    *,
-    longest_s: float | None = None,
-    coarser: float = 1.0,
+    runs: Sequence[Run], force_at: Force | None = None, *, longest_s: float | None = None, coarser: float = 1.0
 ) -> tuple[Averages, ...]:
     """Average the runs of a device.
 
@@ -139,123 +105,55 @@ def reduce_runs(
     force_at : callable, optional
         ``force_at(history, start_force_kN)`` gives the force (kN) at the points of a history in a model that is near
         the data: it tells where the force bends. Without it the blocks are of even and small slip, for a first look.
-    telling : Telling, optional
-        What the samples tell of the parameters in that model; without it only bends count.
     longest_s : float, optional
         Longest block, s; 0 makes each sample a block of its own, which is no reduction at all. By default `LONGEST_S`,
         or what divides the run into `LEAST_BLOCKS` where that is more.
     coarser : float
-        By how much the blocks are longer than that: for comparing many models.
+        By how much the blocks are longer than that, in time, slip and bend: for comparing many models.
 
     Returns
     -------
     tuple of Averages
     """
     whole = histories_of(runs)
-    limits = [None] * len(runs) if force_at is None else _limits(runs, whole, force_at, telling)
-    parts = zip(runs, whole, limits, strict=True)
-    return tuple(_reduce(run, history, limit, longest_s, coarser) for run, history, limit in parts)
+    bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)
+    parts = zip(runs, whole, bends, strict=True)
+    return tuple(_reduce(run, history, bend, longest_s, coarser) for run, history, bend in parts)
 
 
-def _limits(
-    runs: Sequence[Run], whole: Sequence[History], force_at: Force, telling: Telling | None
-) -> list[FloatArray]:
-    """How far each sample lies along the bends of the force and the changes of its weights, in blocks, in its run."""
-    places, thinned = zip(*(_thinned(run, history) for run, history in zip(runs, whole, strict=True)), strict=True)
-    bends = []
-    for run, history in zip(runs, thinned, strict=True):
-        motion, force = history.motion, force_at(history, run.start_force_kN)
-        bends.append(np.empty(force.size))
-        _bends(bends[-1], force, motion.displacement_mm, motion.start)
-    of_halves = [np.add.reduceat(b, history.motion.start[:-1]) for b, history in zip(bends, thinned, strict=True)]
-    typical = float(np.median(np.concatenate(of_halves)))
-    steps = [bend * (PER_BEND / typical) if typical > 0.0 else np.zeros_like(bend) for bend in bends]
-    if telling is not None:
-        turns = _turns(runs, places, thinned, telling)
-        steps = [np.maximum(step, turn) for step, turn in zip(steps, turns, strict=True)]
-    pairs = zip(runs, places, steps, strict=True)
-    return [np.interp(np.arange(run.recording.n_samples), keep, np.cumsum(step)) for run, keep, step in pairs]
+def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> list[FloatArray]:
+    """How far each sample lies along the bends of the force, in blocks, from the beginning of its half-cycle."""
+    raw, totals = [], []
+    for run, history in zip(runs, whole, strict=True):
+        x, start = run.motion.displacement_mm, run.motion.start
+        keep = np.empty(x.size, dtype=np.int64)
+        keep = keep[: _spaced(keep, x, run.motion.turning_mm, start, float(np.ptp(x)) / FINEST)]
+        place = np.searchsorted(keep, start)
+        motion = Motion(x[keep], run.motion.speed_mm_s[keep], place, run.motion.turning_mm, run.motion.direction)
+        force = force_at(history.thinned(keep, motion), run.start_force_kN)
+        along = np.empty(keep.size)
+        _bend_along(along, force, x[keep], place)
+        totals.append(along[place[1:] - 1])
+        raw.append(np.interp(np.arange(x.size), keep, along + np.repeat(_before(along, place), np.diff(place))))
+    typical = float(np.median(np.concatenate(totals)))
+    return [at * (PER_BEND / typical) if typical > 0.0 else np.zeros_like(at) for at in raw]
 
 
-def _thinned(run: Run, history: History) -> tuple[IntArray, History]:
-    """Choose the samples at which bends and weights are looked at; the history at these."""
-    motion, x = run.motion, run.motion.displacement_mm
-    keep = np.empty(x.size, dtype=np.int64)
-    time, pause = run.recording.time_s, max(FINEST_S, run.recording.duration_s / MOST_POINTS)
-    keep = keep[: _spaced(keep, x, time, motion.turning_mm, motion.start, float(np.ptp(x)) / FINEST, pause)]
-    place = np.searchsorted(keep, motion.start)
-    at = Motion(x[keep], motion.speed_mm_s[keep], place, motion.turning_mm, motion.direction)
-    return keep, history.thinned(keep, at)
+def _before(along: FloatArray, place: IntArray) -> FloatArray:
+    """Bends of all half-cycles before each one."""
+    return np.concatenate([[0.0], np.cumsum(along[place[1:] - 1])[:-1]])
 
 
-def _turns(
-    runs: Sequence[Run], places: Sequence[IntArray], thinned: Sequence[History], telling: Telling
-) -> list[FloatArray]:
-    """Give the changes of the weights from each point to the next, in blocks of which all together lose `LOSS`.
-
-    A block over which the weights of n samples change by d loses n d^2 / 12 in units of the white variance, so blocks
-    of equal loss have ends at even steps of the integral of the cube root of n d^2.
-    """
-    weights, share, precisions = [], [], []
-    for run, keep, history in zip(runs, places, thinned, strict=True):
-        slopes = telling.slopes_at(history, run.start_force_kN)
-        step = 1.0 / run.recording.rate_Hz
-        new = telling.white_kN**2 + telling.slow_kN**2 * (1.0 - float(telling.decay(np.array([step]), step)[0]) ** 2)
-        count = np.maximum(np.add.reduceat(run.used.astype(np.float64), keep), 1e-3)
-        decay = telling.decay(np.diff(history.time_s), step)
-        decay[run.recording.restarts[keep[1:]]] = 0.0
-        w = (slopes - followed(slopes, decay, new / count, telling.slow_kN**2)) / new
-        precisions.append((w * count) @ slopes.T)
-        weights.append(w)
-        share.append(count * new)
-    covariance = np.linalg.inv(np.sum(precisions, axis=0) + np.eye(precisions[0].shape[0]))
-    to_sd = covariance / np.sqrt(np.diag(covariance))[:, None]
-    roots = []
-    for w, n, history in zip(weights, share, thinned, strict=True):
-        change = np.sum(np.diff(to_sd @ w, axis=1, prepend=0.0) ** 2, axis=0)
-        change[history.motion.start[:-1]] = 0.0
-        roots.append(np.cbrt(n * change))
-    unit = np.sqrt(12.0 * LOSS * covariance.shape[0] / max(sum(float(root.sum()) for root in roots), 1e-300))
-    return [root / unit for root in roots]
-
-
-def followed(slopes: FloatArray, decay: FloatArray, white: FloatArray, slow: float) -> FloatArray:
-    """Give the part of each row that the slow noise would follow: (1 + N Q)^-1 J with its precision Q, white noise N.
-
-    Parameters
-    ----------
-    slopes : array, shape (p, n)
-        Rows.
-    decay : array, shape (n - 1,)
-        Correlation of the slow noise from each point to the next.
-    white : array, shape (n,)
-        Variance of the white noise of each point.
-    slow : float
-        Variance of the slow noise.
-    """
-    if slow == 0.0:
-        return np.zeros_like(slopes)
-    new = np.maximum(1.0 - decay**2, 1e-12)
-    bands = np.zeros((3, white.size))
-    bands[1, 0], bands[1, 1:] = 1.0, 1.0 / new
-    bands[1, :-1] += decay**2 / new
-    bands[0, 1:] = bands[2, :-1] = -decay / new
-    bands[0, 1:] *= white[:-1] / slow
-    bands[2, :-1] *= white[1:] / slow
-    bands[1] = 1.0 + bands[1] * white / slow
-    return np.asarray(solve_banded((1, 1), bands, slopes.T, check_finite=False).T)
-
-
-def _reduce(run: Run, history: History, limit: FloatArray | None, longest_s: float | None, coarser: float) -> Averages:
+def _reduce(run: Run, history: History, bend: FloatArray | None, longest_s: float | None, coarser: float) -> Averages:
     """Average one run."""
     recording, motion = run.recording, run.motion
     time, x = recording.time_s, motion.displacement_mm
     stroke, n_half = float(np.ptp(x)), motion.n_half
     longest = max(LONGEST_S, recording.duration_s / LEAST_BLOCKS) if longest_s is None else longest_s
-    longest, slip = longest * coarser, coarser * stroke / FIRST_LOOK if limit is None else np.inf
-    along = np.zeros(time.size) if limit is None else limit / coarser
+    longest, slip = longest * coarser, coarser * stroke / (FIRST_LOOK if bend is None else PER_STROKE)
+    flat = np.zeros(time.size) if bend is None else bend / coarser
     block = np.empty(time.size, dtype=np.int64)
-    n = _cut(block, run.used, recording.restarts, motion.start, time, x, along, longest, slip)
+    n = _cut(block, run.used, recording.restarts, motion.start, time, x, flat, longest, slip)
     order = np.flatnonzero(block >= 0)
     of = block[order]
     begin = np.searchsorted(of, np.arange(n))
@@ -328,7 +226,7 @@ def _turning_noise(run: Run) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _cut(block, used, restarts, start, time, x, along, longest, slip):  # type: ignore[no-untyped-def]
+def _cut(block, used, restarts, start, time, x, bend, longest, slip):  # type: ignore[no-untyped-def]
     """Give each sample the number of its block, -1 for none; a half-cycle without evidence keeps its first sample."""
     n = 0
     for k in range(start.size - 1):
@@ -342,7 +240,7 @@ def _cut(block, used, restarts, start, time, x, along, longest, slip):  # type: 
                 restarts[i]
                 or time[i] - time[begin] > longest
                 or abs(x[i] - x[begin]) > slip
-                or along[i] - along[begin] > 1.0
+                or bend[i] - bend[begin] > 1.0
             )
             if begin < 0 or over:
                 begin = i
@@ -356,8 +254,8 @@ def _cut(block, used, restarts, start, time, x, along, longest, slip):  # type: 
 
 
 @njit(cache=True, error_model="numpy")
-def _spaced(keep, x, time, turning, start, least, pause):  # type: ignore[no-untyped-def]
-    """Fill `keep` with the first sample of each half-cycle and those `least` of slip or `pause` behind the last."""
+def _spaced(keep, x, turning, start, least):  # type: ignore[no-untyped-def]
+    """Fill `keep` with the first sample of each half-cycle and those `least` of slip behind the last; count them."""
     n = 0
     for k in range(turning.size):
         keep[n] = start[k]
@@ -365,7 +263,7 @@ def _spaced(keep, x, time, turning, start, least, pause):  # type: ignore[no-unt
         reached = abs(x[start[k]] - turning[k])
         for i in range(start[k] + 1, start[k + 1]):
             slip = abs(x[i] - turning[k])
-            if slip - reached >= least or time[i] - time[keep[n - 1]] >= pause:
+            if slip - reached >= least:
                 keep[n] = i
                 n += 1
                 reached = slip
@@ -373,20 +271,19 @@ def _spaced(keep, x, time, turning, start, least, pause):  # type: ignore[no-unt
 
 
 @njit(cache=True, error_model="numpy")
-def _bends(out, force, x, start):  # type: ignore[no-untyped-def]
-    """Fill `out` with sqrt |F''| times the slip from the point before; 0 at the first point of a half-cycle."""
+def _bend_along(along, force, x, start):  # type: ignore[no-untyped-def]
+    """Fill `along` with the integral of sqrt |F''| over the slip of each half-cycle."""
     for k in range(start.size - 1):
         a, b = start[k], start[k + 1]
-        out[a] = 0.0
+        along[a] = 0.0
         for i in range(a + 1, b):
             j = min(max(i, a + 2), b - 1)  # the first step bends as the second does
             bend = 0.0
             if j - a >= 2:
                 here, last = x[j] - x[j - 1], x[j - 1] - x[j - 2]
-                if here != 0.0 and last != 0.0:
-                    change = (force[j] - force[j - 1]) / here - (force[j - 1] - force[j - 2]) / last
-                    bend = math.sqrt(abs(change) * abs(here))
-            out[i] = bend
+                change = (force[j] - force[j - 1]) / here - (force[j - 1] - force[j - 2]) / last
+                bend = math.sqrt(abs(change) * abs(here))
+            along[i] = along[i - 1] + bend
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

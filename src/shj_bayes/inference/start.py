@@ -94,8 +94,7 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
     model, law = posterior.model, LawOnly(posterior)
     candidates = [*tops, *law_starts(posterior)]
     sizes = [float(np.std(law.residual(z))) for z in candidates]
-    first = _best_noise(posterior, candidates[int(np.argmin(sizes))])
-    refined = posterior.refined(model.natural(first[None])[0])
+    refined = posterior.refined(model.natural(_with_noise(law, candidates[int(np.argmin(sizes))])[None])[0])
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
@@ -171,6 +170,11 @@ def _grid(posterior: Posterior) -> FloatArray:
             row.append(peak[run - 1] / peak[0] if base == "ratio" else values[base])
         rows.append([float(p.to_free(np.asarray(v))) for p, v in zip(model.laws_of_parameters, row, strict=False)])
     return np.array(rows)
+
+
+def _with_noise(law: LawOnly, z: FloatArray) -> FloatArray:
+    """Complete law parameters with noise parameters in the middle of their priors."""
+    return np.concatenate([z, np.zeros(len(law.model.names) - z.size)])
 
 
 def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
