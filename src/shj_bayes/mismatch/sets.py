@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import PRESENT
-from shj_bayes.mismatch.search import DOUBT, PROMISING
+from shj_bayes.mismatch.search import DOUBT, MATTERS, PROMISING
 from shj_bayes.model.parameters import FloatArray
 
 ALONE = PRESENT * 0.5 / (1.0 - PRESENT)  # of a device whose set has not what it has; see the module
@@ -294,7 +294,7 @@ def common_to(devices: Sequence[DeviceEvidence]) -> Common:
         sure = name in best and sum(p for key, p in listed if key <= best - {name}) < DOUBT
         holders = [device for device, p in zip(devices, each, strict=True) if p >= LIKELY]
         sizes = [device.size_percent.get(name, 0.0) for device in holders]
-        large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING
+        large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING * MATTERS
         alone = tuple(name in device.own for device in devices)
         shared.append(Shared(name, held, tuple(each.tolist()), alone, rivals, sure and large))
     order = sorted(shared, key=lambda one: (-one.probability, one.id))

@@ -174,7 +174,7 @@ def test_a_finished_folder_is_not_overwritten(finished):
 def test_page_and_keys_alone_cannot_be_checked():
     """The proof that is kept with the project has neither recordings nor diagnoses; the command says what to do."""
     kept = next((Path(__file__).resolve().parents[3] / "reports").glob("proof-*"))
-    with pytest.raises(ProofError, match=r"lacks recordings and diagnoses.*prove -n 200 --seed \d+"):
+    with pytest.raises(ProofError, match=r"lacks recordings and diagnoses.*prove -n \d+ --seed \d+"):
         check(kept)
 
 
