@@ -141,10 +141,11 @@ STICK_SLIP = ("motion", "stick-slip")
 
 def fluctuation(out: Search) -> dict[str, Any]:
     """Describe a force that fluctuates as a dependence: of the motion, as where surfaces stick, load up and jump."""
+    action, coordinate = STICK_SLIP
     return {
-        "coordinate": "stick-slip",
+        "coordinate": coordinate,
         "unit": "1",
-        "action": "motion",
+        "action": action,
         "direction": "both",
         "probability": 1.0,
         "evidence": None,
@@ -152,9 +153,7 @@ def fluctuation(out: Search) -> dict[str, Any]:
         "range_percent": None,
         "curve": None,
         "period": None,
-        "matches": [
-            e.id for e in catalogue().values() if ("motion", "stick-slip") in e.acts and e.id not in out.hidden
-        ],
+        "matches": [e.id for e in catalogue().values() if STICK_SLIP in e.acts and e.id not in out.hidden],
     }
 
 

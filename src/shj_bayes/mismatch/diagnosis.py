@@ -23,10 +23,10 @@ from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.findings import answer_of
 from shj_bayes.mismatch.heldout import held_out
 from shj_bayes.mismatch.regions import regions_of
-from shj_bayes.mismatch.scene import Metric, Scene, scene_of
+from shj_bayes.mismatch.scene import Metric, scene_of
 from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.mismatch.search import search
-from shj_bayes.mismatch.state import State, find_noise, settle
+from shj_bayes.mismatch.state import find_noise, settle, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 
@@ -116,10 +116,10 @@ def diagnose(
     else:
         tell("sampling the posterior")
         draws, how = sample(shown.model, shown.z)
-    fine = scene.finer()
-    plain = _on(fine, law, out.metric)
-    drawn = [plain, _on(fine, shown, out.metric) if answer.findings else plain]
-    metric = Metric(fine, out.metric.setting, drawn[1].slope)
+    fine, setting = scene.finer, out.metric.setting
+    plain = settle_under(fine, setting, law.model, law.z)[1]
+    drawn = [plain, settle_under(fine, setting, shown.model, shown.z)[1] if answer.findings else plain]
+    metric = Metric(fine, setting, drawn[1].slope)
     held = [held_out(fine, metric, state) for state in drawn]
     noise = float(np.sqrt(np.mean(drawn[1].residual[fine.used > 0] ** 2)))
     record: dict[str, Any] = {
@@ -161,9 +161,3 @@ def diagnose(
     }
     record["seconds"] = time.perf_counter() - begin
     return Diagnosis(record, content.channels(fine, *drawn))
-
-
-def _on(scene: Scene, state: State, metric: Metric) -> State:
-    """Settle a model on other blocks of the same recordings, under the same noise."""
-    slope = scene.residual_and_slope(state.model, state.z[None])[1][0]
-    return settle(scene, Metric(scene, metric.setting, slope), state.model, state.z)

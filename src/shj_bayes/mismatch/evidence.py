@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 from shj_bayes.mismatch.classes import Candidate
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.scene import beside
+from shj_bayes.mismatch.screen import log_gain
 from shj_bayes.mismatch.search import ODDS, RIVAL, Hypothesis, Search
 from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
@@ -126,10 +127,8 @@ class _FirstOrder:
         """Log Bayes factor of candidates of some size each together; their coefficients have standard normal priors."""
         own = np.concatenate([self._places[i] for i, _ in which])
         size = np.concatenate([np.full(self._places[i].size, size) for i, size in which])
-        values, vectors = np.linalg.eigh(self._inner[np.ix_(own, own)] * np.outer(size, size))
-        values = np.maximum(values, 0.0)
-        along = vectors.T @ (self._along[own] * size)
-        return float(0.5 * np.sum(along**2 / (1.0 + values) - np.log1p(values)))
+        inner = self._inner[np.ix_(own, own)] * np.outer(size, size)
+        return float(log_gain(inner, self._along[own] * size, np.ones(1), np.ones(1))[0])
 
     def mean(self, i: int) -> FloatArray:
         """Posterior mean of the coefficients of one candidate alone."""

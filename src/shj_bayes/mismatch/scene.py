@@ -70,6 +70,7 @@ class Scene:
         """1 for blocks that are evidence, 0 for the others, shape (n,)."""
         return np.concatenate([part.count > 0 for part in self.posterior.averages]).astype(np.float64)
 
+    @cached_property
     def finer(self) -> Scene:
         """Give the same recordings in blocks as fine as those of a fit: for pictures and errors."""
         theta = self.device.natural(np.append(self.z, np.zeros(len(self.device.names) - self.z.size))[None])[0]
@@ -221,23 +222,29 @@ class Metric:
     @cached_property
     def fluctuation(self) -> float:
         """Standard deviation of the noise where it is roughest, on averages over `AVERAGED_S`, as a share of Fy."""
-        rows = {name: np.array([value]) for name, value in self.noise.items()}
-        parts = self.scene.device.noise.parts(rows)
-        white = float(parts.white_kN[0]) * math.sqrt(min(1.0, self._timing.step_s / AVERAGED_S))
         rough = max(1.0, math.exp(self.setting.at_rest))
-        return rough * math.hypot(white, float(parts.slow_kN[0])) / self.scene.scale_kN
+        return rough * math.hypot(*self._sizes_kN) / self.scene.scale_kN
 
-    @cached_property
+    @property
     def is_slow(self) -> bool:
         """Whether most of the noise is remembered for longer than a half-cycle lasts."""
-        rows = {name: np.array([value]) for name, value in self.noise.items()}
-        parts = self.scene.device.noise.parts(rows)
         history = self.scene.posterior.averages[0].history
-        lasts = history.time_s[-1] / history.motion.n_half
-        left = float(self.scene.device.noise.decay(rows, np.array([lasts]), self._timing.step_s)[0, 0])
-        return left * float(parts.slow_kN[0]) ** 2 > math.exp(-1.0) * float(
-            parts.slow_kN[0] ** 2 + parts.white_kN[0] ** 2 * min(1.0, self._timing.step_s / AVERAGED_S)
-        )
+        lasts = np.array([history.time_s[-1] / history.motion.n_half])
+        left = float(self.scene.device.noise.decay(self._rows, lasts, self._timing.step_s)[0, 0])
+        white, slow = self._sizes_kN
+        return left * slow**2 > math.exp(-1.0) * (slow**2 + white**2)
+
+    @property
+    def _rows(self) -> dict[str, FloatArray]:
+        """Parameters of the noise as its model takes them."""
+        return {name: np.array([value]) for name, value in self.noise.items()}
+
+    @property
+    def _sizes_kN(self) -> tuple[float, float]:
+        """Standard deviations of the white part on averages over `AVERAGED_S`, and of the slow part, kN."""
+        parts = self.scene.device.noise.parts(self._rows)
+        averaged = math.sqrt(min(1.0, self._timing.step_s / AVERAGED_S))
+        return float(parts.white_kN[0]) * averaged, float(parts.slow_kN[0])
 
     @property
     def _timing(self) -> Timing:

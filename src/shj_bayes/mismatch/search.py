@@ -13,7 +13,7 @@ from shj_bayes.inference.squares import start_values
 from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant, candidates, size_weights
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import State, find_noise, settle, visible
+from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible
 from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
@@ -309,15 +309,13 @@ def search(
     """
     tell("fitting the base law")
     start = NoiseSetting(tuple(_middle(scene)), 0.003 * scene.scale_kN)
-    slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
-    rough = settle(scene, Metric(scene, start, slope), scene.device, scene.z)
-    shown = resolved(scene, Metric(scene, start, slope), rough, classes)
+    metric, rough = settle_under(scene, start, scene.device, scene.z)
+    shown = resolved(scene, metric, rough, classes)
     if shown is not scene:
         scene = shown
-        slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
-        rough = settle(scene, Metric(scene, start, slope), scene.device, scene.z)
+        metric, rough = settle_under(scene, start, scene.device, scene.z)
     looked = candidates(scene, rough, tuple(classes))
-    again = [w for of in classes for w in waves(scene, Metric(scene, start, slope), rough, of)]
+    again = [w for of in classes for w in waves(scene, metric, rough, of)]
     metric = noise_beside(scene, rough, [*looked, *again], None)
     out = Search(scene, looked, metric, hidden, tell)
     base = out.add((), scene.z)

@@ -104,6 +104,20 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> S
     return State(model, z, residual, slope, columns, products, covariance, laplace)
 
 
+def settle_under(scene: Scene, setting: NoiseSetting, model: DeviceModel, z: FloatArray) -> tuple[Metric, State]:
+    """Settle a model under a noise, with the metric that this noise has where the model starts.
+
+    Parameters
+    ----------
+    scene, model, z
+        As for `settle`.
+    setting : NoiseSetting
+        Noise and discrepancy.
+    """
+    metric = Metric(scene, setting, scene.residual_and_slope(model, z[None])[1][0])
+    return metric, settle(scene, metric, model, z)
+
+
 def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> float:
     """Size of a change of the force that no change of the parameters can make up for, as a share of Fy.
 

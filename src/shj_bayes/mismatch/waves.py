@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from shj_bayes.mismatch.classes import FORMS, Candidate, Class, Variant, candidates, size_weights
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.screen import log_gain, screen
-from shj_bayes.mismatch.state import State, settle
+from shj_bayes.mismatch.state import State, settle_under
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.parameters import FloatArray
@@ -90,10 +90,8 @@ def resolved(scene: Scene, metric: Metric, state: State, of: Sequence[Class]) ->
     short = [one for one in of if (over := _repeating(one)) is not None and not _enough(scene, over)]
     if not short:
         return scene
-    fine = scene.finer()
-    slope = fine.residual_and_slope(state.model, state.z[None])[1][0]
-    own = Metric(fine, metric.setting, slope)
-    base = settle(fine, own, state.model, state.z)
+    fine = scene.finer
+    own, base = settle_under(fine, metric.setting, state.model, state.z)
     for one in short:
         best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
         if best is None or best.gain < 0.0:
