@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages
 from shj_bayes.inference.run import Run
-from shj_bayes.model.noise.filter import Timing, _coefficients, log_density
+from shj_bayes.model.noise.filter import Timing, _coefficients, log_density, zero_error
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
@@ -61,13 +61,21 @@ def force_at_points(
         gaps, kind = np.unique(np.append(np.inf, gap), return_inverse=True)
         kinds = np.stack([np.ones(gaps.size), np.full(gaps.size, step), gaps], axis=1)
         timing = Timing(kind, kinds, place, step, 0.0, np.zeros(whole.n_half))
-        noise.append(draw_noise(model.noise, values, np.zeros((theta.shape[0], keep.size)), timing, rng))
+        drawn = draw_noise(model.noise, values, np.zeros((theta.shape[0], keep.size)), timing, rng)
+        noise.append(drawn + rng.normal(*zero_of_run(posterior, theta, len(clean)))[:, None])
     law = np.concatenate(clean, axis=1)
     return law, law + np.concatenate(noise, axis=1)
 
 
+def zero_of_run(posterior: Posterior, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
+    """Mean and standard deviation of the error of the load cell's zero in a run, for each parameter set, kN."""
+    residual, slope = posterior.residual_and_slope(theta, run)
+    timing = posterior.averages[run - 1].timing
+    return zero_error(posterior.model.noise, posterior.model.noise_values(theta), residual, slope, timing)
+
+
 def half_cycles(
-    posterior: Posterior, theta: FloatArray, rng: np.random.Generator
+    posterior: Posterior, theta: FloatArray, rng: np.random.Generator, *, tested: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean force of each half-cycle's evidence in the direction of motion: how likely, and what is predicted.
 
@@ -79,6 +87,8 @@ def half_cycles(
         Parameters in natural units.
     rng : numpy.random.Generator
         Source of the noise.
+    tested : bool
+        Whether the zero of the load cell is what the recordings say; if not, what was known before the test.
 
     Returns
     -------
@@ -97,6 +107,9 @@ def half_cycles(
             residual, slope = posterior.residual_and_slope(some, run)
             log_likelihood.append(log_density(noise, values, residual, slope, part.timing))
             drawn = draw_noise(noise, values, slope, part.timing, rng)
+            nothing = np.zeros(some.shape[0]), np.full(some.shape[0], part.timing.zero_noise_kN)
+            mean, sd = zero_of_run(posterior, some, run) if tested else nothing
+            drawn += rng.normal(mean, sd)[:, None]
             force.append(_means(part.force_kN - residual + drawn, part))
         likely.append(np.concatenate(log_likelihood))
         predicted.append(np.concatenate(force))
@@ -113,7 +126,7 @@ def _means(force_kN: FloatArray, part: Averages) -> FloatArray:
 
 
 def draw_noise(noise: Noise, values: Values, slope: FloatArray, timing: Timing, rng: np.random.Generator) -> FloatArray:
-    """Draw averaged residuals whose density `log_density` gives; parameters as there, shape (m, n), kN."""
+    """Draw averaged residuals whose density `log_density` gives where the zero is known, shape (m, n), kN."""
     parts = noise.parts(values)
     seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
     table = _coefficients(timing.kinds[:, 0], *np.split(noise.decay(values, seconds, timing.step_s), 2))

@@ -27,6 +27,9 @@ from shj_bayes.recording.reversals import NEAR, degree_for
 IntArray = NDArray[np.int64]
 Force = Callable[[History, float], FloatArray]
 PER_STROKE = 64.0  # blocks that a whole stroke is divided into at least
+# Standard deviation of the load cell's zero, of the largest force: testing machines of class 1 may be off by 0.1 % of
+# their range (ISO 7500-1, Table 2), and a rig's range is several times what a connection takes.
+ZERO = 0.005
 LONGEST_S, LEAST_BLOCKS = 0.25, 3000  # a block lasts no longer than this, or than this part of the run
 PER_BEND = 24.0  # blocks at least that the bends of a typical half-cycle are divided into
 FIRST_LOOK = 400.0  # blocks to a stroke where the bend is not known yet
@@ -118,7 +121,8 @@ def reduce_runs(
     whole = histories_of(runs)
     bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)
     parts = zip(runs, whole, bends, strict=True)
-    return tuple(_reduce(run, history, bend, longest_s, coarser) for run, history, bend in parts)
+    zero_kN = ZERO * float(np.percentile(np.abs(runs[0].recording.force_kN[runs[0].used]), 99))
+    return tuple(_reduce(run, history, bend, longest_s, coarser, zero_kN) for run, history, bend in parts)
 
 
 def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> list[FloatArray]:
@@ -144,7 +148,9 @@ def _before(along: FloatArray, place: IntArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(along[place[1:] - 1])[:-1]])
 
 
-def _reduce(run: Run, history: History, bend: FloatArray | None, longest_s: float | None, coarser: float) -> Averages:
+def _reduce(
+    run: Run, history: History, bend: FloatArray | None, longest_s: float | None, coarser: float, zero_kN: float
+) -> Averages:
     """Average one run."""
     recording, motion = run.recording, run.motion
     time, x = recording.time_s, motion.displacement_mm
@@ -180,12 +186,12 @@ def _reduce(run: Run, history: History, bend: FloatArray | None, longest_s: floa
     points[2] = np.maximum(points[2], 0.0)
     place = np.searchsorted(half[of_point], np.arange(n_half + 1))
     reduced = history.reduced(points, Motion(points[1], points[2], place, motion.turning_mm, motion.direction))
-    timing = _timing(run, order, begin, count, np.searchsorted(half, np.arange(n_half + 1)))
+    timing = _timing(run, order, begin, count, np.searchsorted(half, np.arange(n_half + 1)), zero_kN)
     force = np.where(count > 0, mean(recording.force_kN), 0.0)
     return Averages(reduced, first, force, count, timing, run.start_force_kN)
 
 
-def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half: IntArray) -> Timing:
+def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half: IntArray, zero_kN: float) -> Timing:
     """When the blocks were taken; equal spacings share a kind."""
     time, restarts = run.recording.time_s, run.recording.restarts
     step = 1.0 / run.recording.rate_Hz
@@ -207,7 +213,7 @@ def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half:
     kinds, place = np.unique(table, axis=0, return_inverse=True)
     kind = np.full(first.size, -1, dtype=np.int64)
     kind[own] = place.ravel()
-    return Timing(kind, kinds, half, step, run.motion.noise_mm, _turning_noise(run))
+    return Timing(kind, kinds, half, step, run.motion.noise_mm, _turning_noise(run), zero_kN)
 
 
 def _turning_noise(run: Run) -> FloatArray:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import shj_bayes
 from shj_bayes._util.files import file_digest, replacing, reserve, sealed, write_text
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of
+from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
 from shj_bayes.inference.record import FILES, SCHEMA, whole
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
@@ -99,7 +99,7 @@ def inference_data(
 
     likely, predicted, measured = half_cycles(posterior, own.reshape(-1, d), rng)
     with np.errstate(over="ignore", invalid="ignore"):
-        foreseen = half_cycles(posterior, prior[:N_FORESEEN], rng)[1]
+        foreseen = half_cycles(posterior, prior[:N_FORESEEN], rng, tested=False)[1]
     some = np.flatnonzero(np.isfinite(measured))
     possible = np.flatnonzero(np.isfinite(foreseen[:, some]).all(axis=1))
     n_half = [run.motion.n_half for run in posterior.runs]
@@ -189,6 +189,8 @@ def fit_record(
 ) -> dict[str, Any]:
     """Content of ``fit.json``: verdict, reasons, seeds, versions, digests, data quality and convergence."""
     pairs = zip(posterior.averages, posterior.runs, strict=True)
+    means = table["mean"].to_numpy(dtype=np.float64)[None]
+    zeros = [zero_of_run(posterior, means, run) for run in range(1, len(posterior.runs) + 1)]
     return {
         "schema": SCHEMA,
         "device": name,
@@ -227,9 +229,10 @@ def fit_record(
                 "start_force_kN": run.start_force_kN,
                 "motion_method": run.motion.method,
                 "displacement_noise_mm": run.motion.noise_mm,
+                "zero_error_kN": {"mean": float(mean[0]), "sd": float(sd[0])},
                 "findings": [vars(finding) for finding in run.recording.findings],
             }
-            for run in posterior.runs
+            for run, (mean, sd) in zip(posterior.runs, zeros, strict=True)
         ],
         "sampling": {
             "n_ensembles": int(figures.acceptance.shape[0]),

@@ -1,8 +1,8 @@
 """The recordings of a device as all models of a search see them: blocks, their noise, and what any model may miss.
 
-Everything is held against one metric: white and slow noise, and beside it a generic discrepancy, smooth functions of
-position, slip and speed in each direction and of time whose size is inferred (Kennedy and O'Hagan 2001, J. R. Statist.
-Soc. B 63, 425). Both are linear, so they are integrated out in closed form.
+Everything is held against one metric: white and slow noise, the error of the load cell's zero in each run, and a
+generic discrepancy, smooth functions of position, slip and speed in each direction and of time whose size is inferred
+(Kennedy and O'Hagan 2001, J. R. Statist. Soc. B 63, 425). All are linear, so they are integrated out in closed form.
 """
 
 from __future__ import annotations
@@ -145,6 +145,12 @@ class Scene:
             rows[own] -= rows[own].mean(axis=0)
         return rows
 
+    @cached_property
+    def zeros(self) -> FloatArray:
+        """Error of the load cell's zero in each run, kN for a size of 1 kN, shape (n, n_runs)."""
+        sizes = [part.count.size for part in self.posterior.averages]
+        return np.repeat(np.eye(len(sizes)), sizes, axis=0) * self.used[:, None]
+
 
 @dataclass(frozen=True)
 class NoiseSetting:
@@ -183,8 +189,10 @@ class Metric:
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         self.noise = {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, setting.z, strict=True)}
         self.rougher = 1.0 + math.expm1(setting.at_rest) * scene.slow
-        white, log_det = self.whitened(scene.discrepancy)
-        self._other = white * setting.model_error_kN
+        zero = [part.timing.zero_noise_kN for part in scene.posterior.averages]
+        sizes = np.append(np.full(scene.discrepancy.shape[1], setting.model_error_kN), zero)
+        white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.zeros]))
+        self._other = white * sizes
         inner = np.eye(white.shape[1]) + self._other.T @ self._other
         self._root = cho_factor(inner, lower=True)
         self.n = white.shape[0]
@@ -268,7 +276,7 @@ class Metric:
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""
         white, _ = self.whitened(residual[:, None])
-        mean = cho_solve(self._root, self._other.T @ white[:, 0])
+        mean = cho_solve(self._root, self._other.T @ white[:, 0])[: self.scene.discrepancy.shape[1]]
         return np.asarray(self.scene.discrepancy @ mean * self.setting.model_error_kN)
 
 

@@ -216,8 +216,17 @@ def run_row(run: RunData, entry: dict[str, Any], unit: ForceUnit) -> dict[str, A
         "columns": "; ".join(roles) or "made in memory",
         "method": entry["motion_method"],
         "noise": words.short(entry["displacement_noise_mm"]),
+        "zero": _zero(entry.get("zero_error_kN"), unit),
         "sha256": entry["sha256"] or "none (not read from a file)",
     }
+
+
+def _zero(error_kN: dict[str, float] | None, unit: ForceUnit) -> str:
+    """Say what the load cell reads at no load; nothing in results that do not state it."""
+    if error_kN is None:
+        return ""
+    mean, sd = (unit.factor * error_kN[name] for name in ("mean", "sd"))
+    return f"the load cell reads {mean:+.2g} ± {sd:.1g} {unit.name} at no load"
 
 
 def energy_words(numbers: Numbers) -> str:

@@ -46,7 +46,7 @@ def no_number(_noise: object, _values: object, residual: np.ndarray, _slope: obj
 
 
 def test_likelihood_is_law_plus_noise(make_small: Make, truth: Truth, as_vector: Callable[..., np.ndarray]) -> None:
-    """Blocks of one sample: the density of all residuals under the covariance of white and slow noise."""
+    """Blocks of one sample: all residuals under the covariance of white and slow noise and of the load cell's zero."""
     small = make_small(rate_Hz=3.0)
     assert all(np.all(part.count == 1) for part in small.averages)
     theta = as_vector(small)
@@ -55,6 +55,7 @@ def test_likelihood_is_law_plus_noise(make_small: Make, truth: Truth, as_vector:
         residual = run.recording.force_kN - small.modelled_force(theta, number)[0]
         lag = np.abs(run.recording.time_s[:, None] - run.recording.time_s[None])
         covariance = truth.sigma_slow**2 * np.exp(-lag / truth.tau_slow) + truth.sigma**2 * np.eye(residual.size)
+        covariance += small.averages[number - 1].timing.zero_noise_kN ** 2
         expected += stats.multivariate_normal(np.zeros(residual.size), covariance).logpdf(residual)
     assert small.log_likelihood(theta)[0] == pytest.approx(expected, rel=1e-9)
 

@@ -36,12 +36,15 @@ def metric(scene: Scene) -> Metric:
 
 @pytest.fixture(scope="module")
 def covariance(scene: Scene, metric: Metric) -> np.ndarray:
-    """Of noise and discrepancy, of the blocks that are evidence; `whiten` itself is tested with the noise."""
+    """Of noise, zeros and discrepancy, of the blocks that are evidence; `whiten` itself is tested with the noise."""
     root, _ = metric.whitened(np.eye(scene.used.size))
     used = scene.used > 0
     noise = np.linalg.inv(root[:, used].T @ root[:, used])
     functions = metric.setting.model_error_kN * scene.discrepancy[used]
-    return np.asarray(noise + functions @ functions.T)
+    zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
+    run = np.concatenate([np.full(part.n, i) for i, part in enumerate(scene.posterior.averages)])[used]
+    zeros = np.where(run[:, None] == run, zero_kN[run] ** 2, 0.0)
+    return np.asarray(noise + functions @ functions.T + zeros)
 
 
 @pytest.fixture(scope="module")

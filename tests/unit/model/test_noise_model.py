@@ -9,7 +9,7 @@ from scipy import stats
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model, noise_models
-from shj_bayes.model.noise.filter import Timing, log_density, simulate, whiten
+from shj_bayes.model.noise.filter import Timing, log_density, simulate, whiten, zero_error
 from shj_bayes.model.noise.noise import Noise, gaussian
 
 STEP = 0.05
@@ -28,12 +28,13 @@ def timing(
     step: float = STEP,
     noise_mm: float = 0.0,
     turning_mm: Sequence[float] | None = None,
+    zero_kN: float = 0.0,
 ) -> Timing:
     """Blocks of evenly spaced samples."""
     table = np.array([[m, step, gap] for m, gap in zip(counts, gaps, strict=True)], dtype=float)
     kinds, kind = np.unique(table, axis=0, return_inverse=True)
     turning = np.zeros(len(halves) - 1) if turning_mm is None else np.array(turning_mm)
-    return Timing(kind.ravel(), kinds, np.array(halves), step, noise_mm, turning)
+    return Timing(kind.ravel(), kinds, np.array(halves), step, noise_mm, turning, zero_kN)
 
 
 def singles(n: int, restarts: Sequence[int] = (0,), step: float = STEP) -> Timing:
@@ -251,6 +252,33 @@ def test_each_row_has_its_own_parameters(case: str) -> None:
         own = {name: column[j : j + 1] for name, column in rows.items()}
         alone = log_density(noise_model(word), own, residual[j : j + 1], slope[j : j + 1], when)
         assert np.array_equal(alone[0], together[j])
+
+
+@every_case
+def test_the_zero_of_the_load_cell_is_integrated_out(case: str) -> None:
+    """The density is that of the covariance with a constant for the run, also beside errors of turning points."""
+    word, values, of_lag, white = CASES[case]
+    rng, zero = np.random.default_rng(9), 1.7
+    residual = rng.normal(0.8, 2, len(COUNTS))
+    matrix = covariance(of_lag, white)
+    ones = np.ones(len(COUNTS))
+    flat = np.zeros_like(residual)
+    expected = normal(residual, matrix + zero**2 * np.outer(ones, ones))
+    assert total(word, values, residual, flat, timing(zero_kN=zero)) == pytest.approx(expected, rel=1e-8)
+    mean, sd = zero_error(noise_model(word), sets(values), residual[None], flat[None], timing(zero_kN=zero))
+    precision = 1 / zero**2 + ones @ np.linalg.solve(matrix, ones)
+    assert mean[0] == pytest.approx(ones @ np.linalg.solve(matrix, residual) / precision, rel=1e-7)
+    assert sd[0] == pytest.approx(precision**-0.5, rel=1e-7)
+    # With turning points: the known zero, averaged over what it may be.
+    slope, levels = rng.uniform(-5, 5, len(COUNTS)), np.linspace(-9.0, 9.0, 4001) * zero
+    turned = timing(noise_mm=0.02, turning_mm=TURNS)
+    each = log_density(
+        noise_model(word), sets(values, 4001), residual - levels[:, None], np.tile(slope, (4001, 1)), turned
+    )
+    logs = each.sum(axis=1) + stats.norm(0, zero).logpdf(levels)
+    expected = float(np.log(np.trapezoid(np.exp(logs - logs.max()), levels)) + logs.max())
+    known = timing(noise_mm=0.02, turning_mm=TURNS, zero_kN=zero)
+    assert total(word, values, residual, slope, known) == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_thousand_blocks_neither_overflow_nor_vanish() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,8 @@ class Truth:
     Parameters
     ----------
     base : dict of str to float
-        Base parameters of the same rig without noise and without what is concealed: Eq. (1) fitted to it.
+        Base parameters of the same rig without noise, with the load cell's zero set and without what is concealed: Eq.
+        (1) fitted to it. (A rest at one end of the stroke would push an error of the zero into them.)
     visible_share : float
         Part of what is concealed that no base parameters can take up, 99th percentile, as a share of Fy.
     evidence : float
@@ -110,8 +111,9 @@ def truth_of(key: Key, made: list[Made] | None = None) -> Truth:
     Truth
     """
     made = made or make(key)
-    bare = fit_perfect(key, make(key, effects=()) if key.effects else made)
-    whole = fit_perfect(key, made) if key.effects else bare
+    zeroed = replace(key, nuisance=replace(key.nuisance, offset_kN=0.0))
+    bare = fit_perfect(zeroed, make(zeroed, effects=()))
+    whole = fit_perfect(key, made)
     capacity = key.device.Fy
 
     def weigh(part_kN: FloatArray) -> tuple[float, float]:

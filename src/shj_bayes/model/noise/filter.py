@@ -14,6 +14,9 @@ The displacement is known to its noise only. To first order a block's force is t
 its displacement (variance of one sample over m), and all blocks behind one reversal by F'(x) times the error of its
 turning point. The first is part of the block's variance; the second is one unknown number for each half-cycle, which is
 integrated out in closed form. What the memory of the slow part carries of it beyond the half-cycle is left out.
+
+The zero of the load cell is known to some share of its range only: one unknown constant in each run, integrated out in
+closed form as well. Long rests at one end of the stroke would otherwise push it into the sliding force.
 """
 
 from __future__ import annotations
@@ -34,10 +37,13 @@ from shj_bayes.model.parameters import FloatArray
 IntArray = NDArray[np.int64]
 _LOG_2PI = math.log(2 * math.pi)
 LANES = 8  # parameter sets side by side
-N_ROWS = 11
+N_ROWS = 17
 # Where each row of the recursion's work begins: the slow part's estimate and variance, what a turning point's error
-# would make of it, the white and slow variances, sums of squares, and the products of variances.
-STATE, VARIANCE, TURN, WHITE, SLOW, ACROSS, ALONG, OWN, PRODUCT, TOTAL, LAST = range(0, N_ROWS * LANES, LANES)
+# would make of it, the white and slow variances, sums of squares, and the products of variances; what an error of the
+# zero would make of the slow part, its products with what is new, with the turning point's error and with itself, and
+# the first and the last of these over the half-cycles so far.
+STATE, VARIANCE, TURN, WHITE, SLOW, ACROSS, ALONG, OWN, PRODUCT, TOTAL, LAST, *_ = range(0, N_ROWS * LANES, LANES)
+ZERO, WITH_NEW, WITH_TURN, WITH_SELF, KNOWN, KNOWN_SELF = range(11 * LANES, N_ROWS * LANES, LANES)
 LARGE_NU = 1e300  # beyond it Student's t is the normal law
 TOGETHER = 16  # variances that are multiplied before their logarithm is taken: within doubles from 1e-9 to 1e9 kN
 SHORT = 1e-4  # of the memory: a block for which the series is the more exact
@@ -61,6 +67,8 @@ class Timing:
         Standard deviation of the error of one sample's displacement, mm.
     turning_noise_mm : array, shape (n_half,)
         Standard deviation of the error of each half-cycle's turning point, mm.
+    zero_noise_kN : float
+        Standard deviation of the error of the load cell's zero in this run, kN.
     """
 
     kind: IntArray
@@ -69,6 +77,7 @@ class Timing:
     step_s: float
     displacement_noise_mm: float
     turning_noise_mm: FloatArray
+    zero_noise_kN: float = 0.0
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -97,10 +106,33 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
     Returns
     -------
     array, shape (m, n_half)
-        Natural-log density of each half-cycle given those before it; they add up to the log likelihood.
+        Natural-log density of each half-cycle given those before it; they add up to the log likelihood. Under heavy
+        tails the zero of the load cell counts as known.
     """
+    return _run(noise, values, residual, slope, timing)[0]
+
+
+def zero_error(
+    noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and standard deviation of the error of the load cell's zero, given the residuals, shape (m,), kN.
+
+    Parameters
+    ----------
+    noise, values, residual, slope, timing
+        As for `log_density`.
+    """
+    along, own = _run(noise, values, residual, slope, timing)[1].T
+    variance = timing.zero_noise_kN**2 / (1.0 + timing.zero_noise_kN**2 * own)
+    return variance * along, np.sqrt(variance)
+
+
+def _run(
+    noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing
+) -> tuple[FloatArray, FloatArray]:
+    """Run the recursion: log densities, and products of an error of the zero with the residual and with itself."""
     parts = noise.parts(values)
-    out = np.empty((residual.shape[0], timing.half.size - 1))
+    out = np.empty((residual.shape[0], timing.half.size + 1))
     _filter(
         out,
         residual,
@@ -110,10 +142,10 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
         _table(noise, values, timing),
         timing.half,
         np.stack([parts.white_kN**2, parts.slow_kN**2, parts.nu, _student_constant(parts.nu)], axis=1),
-        timing.displacement_noise_mm**2,
+        np.array([timing.displacement_noise_mm**2, timing.zero_noise_kN**2]),
         timing.turning_noise_mm**2,
     )
-    return out
+    return out[:, :-2], out[:, -2:]
 
 
 def whiten(
@@ -122,7 +154,8 @@ def whiten(
     """Take from each column what the noise before predicts, in units of the standard deviation of what is new.
 
     Columns that are treated so may be handled as if the noise were independent and of unit variance. An error of a
-    turning point counts as independent from block to block, and heavy tails as normal ones.
+    turning point counts as independent from block to block, the zero of the load cell as known, and heavy tails as
+    normal ones.
 
     Parameters
     ----------
@@ -244,8 +277,11 @@ def _coefficients(count, within, before):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nnan", "nsz"})
-def _filter(out, residual, slope, kind, share, table, half, scales, noise_x, noise_turn):  # type: ignore[no-untyped-def]
+def _filter(out, residual, slope, kind, share, table, half, scales, known, noise_turn):  # type: ignore[no-untyped-def]
     """Fill `out` with the log density of each half-cycle; arrays as in `log_density`, variances in place of sds.
+
+    `known` has the variances of one sample's displacement and of the zero; the last two columns of `out` get the
+    products of an error of the zero with the residual and with itself.
 
     `LANES` parameter sets go through the recursion side by side, as one vector instruction does them all: its chain of
     a division and a few products takes as long for one.
@@ -260,13 +296,14 @@ def _filter(out, residual, slope, kind, share, table, half, scales, noise_x, noi
         for k in range(half.size - 1):
             for lane in range(LANES):
                 work[TURN + lane] = work[ACROSS + lane] = work[ALONG + lane] = work[OWN + lane] = 0.0
+                work[WITH_NEW + lane] = work[WITH_TURN + lane] = work[WITH_SELF + lane] = 0.0
                 work[TOTAL + lane], work[PRODUCT + lane] = 0.0, 1.0
             count, turn = 0, noise_turn[k] if heavy else 0.0
             for i in range(half[k], half[k + 1]):
                 c = kind[i]
                 if c < 0:
                     continue
-                _step(work, lines, factors, 2 * i * LANES, c * 5 * LANES, share[c], noise_x, turn)
+                _step(work, lines, factors, 2 * i * LANES, c * 5 * LANES, share[c], known[0], turn)
                 count += 1
                 if heavy:
                     _add_tails(work, scales, first)
@@ -281,8 +318,26 @@ def _filter(out, residual, slope, kind, share, table, half, scales, noise_x, noi
                     # From the left: a product of 0 and the square, which may overflow, would be no number.
                     left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] * work[ALONG + lane] / spread
                     value -= 0.5 * (count * _LOG_2PI + left + math.log(spread))
+                    if known[1] > 0.0 and value > -math.inf:
+                        value += _about_zero(work, lane, noise_turn[k] / spread, known[1])
                 # Variances that vanish together: so little noise has no density, not an infinite one.
                 out[first + lane, k] = value if value < math.inf else -math.inf
+        for lane in range(min(LANES, m - first)):
+            out[first + lane, -2], out[first + lane, -1] = work[KNOWN + lane], work[KNOWN_SELF + lane]
+
+
+@njit(error_model="numpy", inline="always")
+def _about_zero(work, lane, turn, variance):  # type: ignore[no-untyped-def]
+    """Take up what a half-cycle says of the zero; give what integrating the zero out adds to its log density.
+
+    From the left: the squares alone may overflow.
+    """
+    before = 1.0 + variance * work[KNOWN_SELF + lane]
+    gain = work[KNOWN + lane] * (work[KNOWN + lane] / before)
+    work[KNOWN + lane] += work[WITH_NEW + lane] - turn * work[ALONG + lane] * work[WITH_TURN + lane]
+    work[KNOWN_SELF + lane] += work[WITH_SELF + lane] - turn * work[WITH_TURN + lane] * work[WITH_TURN + lane]
+    after = 1.0 + variance * work[KNOWN_SELF + lane]
+    return 0.5 * (variance * (work[KNOWN + lane] * (work[KNOWN + lane] / after) - gain) - math.log(after / before))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -293,6 +348,7 @@ def _load(lines, factors, work, residual, slope, table, scales, first):  # type:
         j = min(first + lane, m - 1)
         work[WHITE + lane], work[SLOW + lane] = scales[j, 0], scales[j, 1]
         work[STATE + lane], work[VARIANCE + lane] = 0.0, scales[j, 1]
+        work[ZERO + lane] = work[KNOWN + lane] = work[KNOWN_SELF + lane] = 0.0
         for c in range(table.shape[1]):
             for q in range(5):
                 factors[(c * 5 + q) * LANES + lane] = table[j, c, q]
@@ -313,15 +369,20 @@ def _step(work, lines, factors, at, of, share, noise_x, turn):  # type: ignore[n
         inverse = 1.0 / variance
         new = lines[at + lane] - h * work[STATE + lane]
         also = steep - h * work[TURN + lane]
+        level = 1.0 - h * work[ZERO + lane]
         gain = (h * f * before + slow * factors[of + 4 * LANES + lane]) * inverse
         work[STATE + lane] = f * work[STATE + lane] + gain * new
         work[TURN + lane] = f * work[TURN + lane] + gain * also
+        work[ZERO + lane] = f * work[ZERO + lane] + gain * level
         after = f * f * before + slow * factors[of + 3 * LANES + lane] - gain * gain * variance
         work[VARIANCE + lane] = max(after, 0.0)
         work[PRODUCT + lane] *= variance
         work[ACROSS + lane] += new * new * inverse
         work[ALONG + lane] += new * also * inverse
         work[OWN + lane] += also * also * inverse
+        work[WITH_NEW + lane] += level * new * inverse
+        work[WITH_TURN + lane] += level * also * inverse
+        work[WITH_SELF + lane] += level * level * inverse
         work[LAST + lane] = new * new * inverse
 
 
