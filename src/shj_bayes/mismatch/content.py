@@ -379,7 +379,7 @@ def channels(scene: Scene, base: State, shown: State) -> xr.Dataset:
     return xr.Dataset(data, attrs={"schema": SCHEMA})
 
 
-def draws_of(scene: Scene, state: State, seed: int, n: int = 2000) -> dict[str, FloatArray]:
+def draws_of(state: State, seed: int, n: int = 2000) -> dict[str, FloatArray]:
     """Draw from the Gaussian around the most probable parameters of a model, natural units."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
     root = np.linalg.cholesky(state.covariance + 1e-14 * np.eye(state.z.size))

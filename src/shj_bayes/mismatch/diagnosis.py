@@ -109,16 +109,16 @@ def diagnose(
     # The base law alone has noise of its own: all that it leaves.
     alone = find_noise(scene, base, np.zeros((base.residual.size, 0)), out.metric.setting)
     law = settle(scene, Metric(scene, alone, base.slope), base.model, base.z)
-    before = content.draws_of(scene, law, seed)
+    fine, setting = scene.finer_at(shown.model, shown.z), out.metric.setting
+    plain = settle_under(fine, setting, law.model, law.z)[1]
+    drawn = [plain, settle_under(fine, setting, shown.model, shown.z)[1] if answer.findings else plain]
+    before = content.draws_of(settle_under(fine, alone, law.model, law.z)[1], seed)
     if sample is None or quick:
-        draws: Mapping[str, FloatArray] = content.draws_of(scene, shown, seed) if answer.findings else before
+        draws: Mapping[str, FloatArray] = content.draws_of(drawn[1], seed) if answer.findings else before
         how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": "tentative"}
     else:
         tell("sampling the posterior")
         draws, how = sample(shown.model, shown.z)
-    fine, setting = scene.finer, out.metric.setting
-    plain = settle_under(fine, setting, law.model, law.z)[1]
-    drawn = [plain, settle_under(fine, setting, shown.model, shown.z)[1] if answer.findings else plain]
     metric = Metric(fine, setting, drawn[1].slope)
     held = [held_out(fine, metric, state) for state in drawn]
     noise = float(np.sqrt(np.mean(drawn[1].residual[fine.used > 0] ** 2)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -72,9 +72,14 @@ class Scene:
 
     @cached_property
     def finer(self) -> Scene:
-        """Give the same recordings in blocks as fine as those of a fit: for pictures and errors."""
-        theta = self.device.natural(np.append(self.z, np.zeros(len(self.device.names) - self.z.size))[None])[0]
-        return Scene(self.posterior.refined(theta), self.z)
+        """Give the same recordings in blocks as fine as those of a fit of the base model."""
+        return self.finer_at(self.device, self.z)
+
+    def finer_at(self, model: DeviceModel, z: FloatArray) -> Scene:
+        """Give the same recordings in blocks as fine as those of a fit of a model, which has bends of its own."""
+        theta = model.natural(np.append(z, np.zeros(len(model.names) - z.size))[None])[0]
+        averages = replace(self.posterior, model=model).refined(theta).averages
+        return Scene(replace(self.posterior, averages=averages), self.z)
 
     def force(self, model: DeviceModel, z: FloatArray) -> FloatArray:
         """Modelled force of all blocks, shape (m, n_law) to (m, n), kN; 0 where there is no evidence."""
