@@ -122,7 +122,7 @@ def promising(scene: Scene, before: FloatArray, slopes: FloatArray, starts: Sequ
     own = orthogonal_to(slopes, changes)
     along = own.T @ before / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
     size = scene.model.effects[-1].parameters[0]
-    score = np.abs(along) if size.law == "normal" else along  # a size of one sign must go along
+    score = np.abs(along) if size.either_sign else along  # a size of one sign must go along
     return [starts[i] for i in np.argsort(-score, kind="stable")[:N_STARTS]]
 
 
@@ -143,6 +143,6 @@ def _start_values(effect: Effect, prior: Prior) -> list[float]:
     given = effect.start.get(prior.name)
     if given:
         return [float(prior.to_free(np.asarray(float(value)))) for value in given]
-    if prior.name in effect.neutral and prior.law == "normal":
+    if prior.name in effect.neutral and prior.either_sign:
         return [0.05 / prior.b]
     return [0.0]

@@ -62,11 +62,15 @@ class LawOnly:
         return np.asarray(self.residuals(z[None])[0])
 
     def residuals(self, z: FloatArray) -> FloatArray:
-        """Residual of all blocks for many parameter sets, shape (m, n_law) to (m, n), kN."""
+        """Residual of all blocks beside a constant of each run, for many parameter sets, (m, n_law) to (m, n), kN."""
         rest = np.zeros((z.shape[0], len(self.model.names) - z.shape[1]))
         theta = self.model.natural(np.concatenate([z, rest], axis=1))
-        runs = range(1, len(self.posterior.runs) + 1)
-        return np.concatenate([self.posterior.residual_and_slope(theta, run)[0] for run in runs], axis=1)
+        out = []
+        for run, part in enumerate(self.posterior.averages, start=1):
+            own = self.posterior.residual_and_slope(theta, run)[0]
+            share = part.count / max(float(part.count.sum()), 1.0)
+            out.append(np.where(part.count > 0, own - (own @ share)[:, None], 0.0))
+        return np.concatenate(out, axis=1)
 
 
 def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatArray] = ()) -> tuple[Posterior, Start]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import Candidate
-from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, NOISE_MOST, Hypothesis, Search
+from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, Hypothesis, Search
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.parameters import FloatArray
 
@@ -162,7 +162,7 @@ def answer_of(out: Search) -> Answer:
         verdict, reason = Verdict.NAMED, Reason.SURE
     if left > out.matters and left > largest / 3.0:
         verdict, reason = Verdict.UNKNOWN, Reason.LEFT_OVER
-    if out.metric.fluctuation > NOISE_MOST:
+    if out.is_rough:
         verdict, reason = Verdict.UNKNOWN, Reason.SLOW_NOISE if out.metric.is_slow else Reason.FLUCTUATES
     return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
 

@@ -60,6 +60,11 @@ class Scene:
         return self.device.law_values(self.z)["Fy"]
 
     @cached_property
+    def largest_kN(self) -> float:
+        """Largest measured force (99th percentile), kN."""
+        return float(np.percentile(np.abs(self.measured_kN[self.used > 0]), 99))
+
+    @cached_property
     def base(self) -> Base:
         """Base parameters for coordinates that need some."""
         law = self.device.law_values(self.z)

@@ -21,7 +21,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
-NOISE_MOST = 0.03  # of Fy: noise beyond it is no noise of a load cell
+NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load cell
 EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
 PROMISING = 0.7  # of what matters, to first order; less is not followed
 DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
@@ -32,6 +32,7 @@ LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard devi
 LARGEST = 70  # parameters of a model that is grown further
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
+CONSTANT = ("added", "constant")
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
 
@@ -104,8 +105,13 @@ class Search:
     @property
     def matters(self) -> float:
         """Size that a class must have, as a share of Fy: beside a force that fluctuates a fifth of what that makes."""
-        noise = self.metric.fluctuation
-        return max(MATTERS, (1.0 - EXPLAINED) * LARGEST_OF * noise) if noise > NOISE_MOST else MATTERS
+        fluctuates = (1.0 - EXPLAINED) * LARGEST_OF * self.metric.fluctuation if self.is_rough else 0.0
+        return max(MATTERS, fluctuates)
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether the force fluctuates by more than the noise of a load cell."""
+        return self.metric.fluctuation * self.scene.scale_kN > NOISE_MOST * self.scene.largest_kN
 
     @property
     def best(self) -> Hypothesis:
@@ -169,6 +175,15 @@ class Search:
             self.screened[h.key] = screen(self.metric, h.state, [*rest, *again])
         return self.screened[h.key]
 
+    def try_constant(self) -> None:
+        """Fit the base law beside a constant force, from where the search begins: the law alone may lie far off."""
+        residual = self.scene.residual(self.scene.device, self.scene.z[None])[0]
+        size = float(residual @ self.scene.used / self.scene.used.sum()) / self.scene.scale_kN
+        constant = next((c for c in self.looked if (c.of.action, c.of.coordinate) == CONSTANT), None)
+        if constant is not None and abs(size) > MATTERS:
+            law = constant.variant.effect.parameters[0]
+            self.add((constant,), np.append(self.scene.z, law.to_free(np.asarray(size))))
+
     def grow(self, h: Hypothesis) -> None:
         """Fit the promising larger hypotheses."""
         if h.state.z.size > LARGEST:
@@ -212,7 +227,7 @@ class Search:
             form = replace(member, variant=variant)
             model = self.model_of(_with(h, place, form))
             values = start_values(effect)
-            if effect.parameters[0].law == "normal":  # a size of either sign
+            if effect.parameters[0].either_sign:  # a size of either sign
                 values[0] = sorted({*values[0], *(-value for value in values[0])})
             tails = [np.array(tail) for tail in product(*values)]
             starts = np.array([np.insert(h.state.z[keep], first, tail) for tail in tails])
@@ -320,7 +335,8 @@ def search(
     out = Search(scene, looked, metric, hidden, tell)
     base = out.add((), scene.z)
     assert base is not None
-    for depth in range(DEPTH):
+    out.try_constant()
+    for depth in range(len(out.best.members), DEPTH):
         tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
         before = out.best
         level = sorted((h for h in out.found.values() if len(h.members) == depth), key=lambda h: -h.log_weight)
@@ -359,6 +375,7 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
             continue
         seen.add(kind)
         columns.append(WIDE * c.columns)
+    columns.append(1e3 * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise, however large
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return Metric(scene, find_noise(scene, state, wide, start), state.slope)
 

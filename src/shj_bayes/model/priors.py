@@ -23,6 +23,7 @@ from shj_bayes.model.parameters import BASE, FloatArray, base_and_run, describe
 SCHEMA = "shj-bayes/priors/1"
 LAWS = {
     "normal": ("mean", "sd"),
+    "cauchy": ("median", "scale"),
     "lognormal": ("median", "spread"),
     "uniform": ("low", "high"),
     "loguniform": ("low", "high"),
@@ -44,8 +45,9 @@ class Prior:
     ----------
     name, unit : str
         Parameter and its unit.
-    law : {"normal", "lognormal", "uniform", "loguniform"}
-        ``normal`` (mean, sd), ``lognormal`` (median, spread = standard deviation of the natural logarithm),
+    law : {"normal", "cauchy", "lognormal", "uniform", "loguniform"}
+        ``normal`` (mean, sd), ``cauchy`` (median, scale = half the distance of the quartiles: heavy tails),
+        ``lognormal`` (median, spread = standard deviation of the natural logarithm),
         ``uniform`` and ``loguniform`` (low, high).
     a, b : float
         The two numbers of the law, in that order.
@@ -68,7 +70,7 @@ class Prior:
             raise PriorError(
                 f"prior of {self.name}: {LAWS[self.law]} = {self.a}, {self.b}; both must be finite numbers"
             )
-        if self.law in ("normal", "lognormal") and not self.b > 0:
+        if self.law in ("normal", "cauchy", "lognormal") and not self.b > 0:
             raise PriorError(f"prior of {self.name}: {LAWS[self.law][1]} = {self.b:g}; it must be above 0")
         if self.law in ("lognormal", "loguniform") and not self.a > 0:
             raise PriorError(f"prior of {self.name}: {LAWS[self.law][0]} = {self.a:g}; it must be above 0")
@@ -92,6 +94,8 @@ class Prior:
 
         if self.law == "normal":
             return stats.norm(self.a, self.b)
+        if self.law == "cauchy":
+            return stats.cauchy(self.a, self.b)
         if self.law == "lognormal":
             return stats.lognorm(self.b, scale=self.a)
         if self.law == "uniform":
@@ -104,6 +108,9 @@ class Prior:
             return np.asarray((value - self.a) / self.b)
         if self.law == "lognormal":
             return np.asarray(np.log(value / self.a) / self.b)
+        if self.law == "cauchy":  # from the nearer tail: it keeps its digits
+            away = np.asarray(value, dtype=np.float64) - self.a
+            return np.asarray(-np.sign(away) * ndtri(np.arctan2(self.b, np.abs(away)) / np.pi))
         low, high = self._bounds()
         inner = np.log(value) if self.law == "loguniform" else np.asarray(value)
         return np.asarray(ndtri((inner - low) / (high - low)))
@@ -114,14 +121,22 @@ class Prior:
             return np.asarray(self.a + self.b * z)
         if self.law == "lognormal":
             return np.asarray(self.a * np.exp(self.b * z))
+        if self.law == "cauchy":
+            tail = ndtr(-np.abs(np.clip(z, -FREE_EDGE, FREE_EDGE)))
+            return np.asarray(self.a + np.where(tail < 0.5, np.sign(z) * self.b / np.tan(np.pi * tail), 0.0))
         low, high = self._bounds()
         inner = low + (high - low) * ndtr(np.clip(z, -FREE_EDGE, FREE_EDGE))
         return np.asarray(np.exp(inner) if self.law == "loguniform" else inner)
 
     @property
+    def either_sign(self) -> bool:
+        """Whether the law is one of numbers of either sign, without bounds."""
+        return self.law in ("normal", "cauchy")
+
+    @property
     def support(self) -> tuple[float, float]:
         """Least and largest value that the law allows."""
-        if self.law == "normal":
+        if self.either_sign:
             return -np.inf, np.inf
         return (0.0, np.inf) if self.law == "lognormal" else (self.a, self.b)
 
@@ -135,6 +150,8 @@ class Prior:
             return np.full(np.shape(value), -np.log(self.b - self.a))
         if self.law == "loguniform":
             return np.asarray(-np.log(np.log(self.b / self.a)) - np.log(value))
+        if self.law == "cauchy":
+            return np.asarray(-np.log(np.pi * self.b) - np.log1p(((value - self.a) / self.b) ** 2))
         scale = self.b * value if self.law == "lognormal" else np.full(np.shape(value), self.b)
         return np.asarray(self.log_density_free(self.to_free(value)) - np.log(scale))
 
@@ -247,7 +264,7 @@ def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
     if not str(entry.get("source", "")).strip():
         raise PriorError(f"{file}: [{name}] has no source; say in one line where the law comes from")
     if name == "gamma" and not (
-        (law == "normal" and numbers[0] == 0) or (law == "uniform" and numbers[0] == -numbers[1])
+        (law in ("normal", "cauchy") and numbers[0] == 0) or (law == "uniform" and numbers[0] == -numbers[1])
     ):
         raise PriorError(
             f"{file}: [gamma] must be symmetric about 0, so that neither sign of speed dependence is favoured"

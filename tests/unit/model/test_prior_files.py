@@ -16,6 +16,7 @@ from shj_bayes.model.priors import LAWS, SCHEMA, Prior, read_priors, shipped_fam
 
 EXAMPLES = [
     Prior("gamma", "s/mm", "normal", 0.0, 0.02, "test"),
+    Prior("size", "1", "cauchy", 0.01, 0.03, "test"),
     Prior("K", "kN/mm", "lognormal", 18.0, 0.7, "test"),
     Prior("phi", "1", "uniform", -1.0, 1.0, "test"),
     Prior("beta", "1", "loguniform", 1.0, 500.0, "test"),
@@ -27,6 +28,7 @@ def scipy_law(prior: Prior) -> stats.rv_continuous:
     """The law by its definition, not by the code under test."""
     return {
         "normal": stats.norm(prior.a, prior.b),
+        "cauchy": stats.cauchy(prior.a, prior.b),
         "lognormal": stats.lognorm(prior.b, scale=prior.a),
         "uniform": stats.uniform(prior.a, prior.b - prior.a),
         "loguniform": stats.loguniform(prior.a, prior.b),
@@ -41,9 +43,9 @@ def test_every_law_is_covered() -> None:
 def test_density_integrates_to_one_in_both_spaces(prior: Prior) -> None:
     free, _ = quad(lambda z: float(np.exp(prior.log_density_free(np.array(z)))), -40, 40, points=[0.0], limit=200)
     assert free == pytest.approx(1.0, abs=1e-8)
-    low, high = prior.distribution.ppf([1e-12, 1 - 1e-12])
-    natural, _ = quad(prior.distribution.pdf, low, high, points=[prior.distribution.median()], limit=200)
-    assert natural == pytest.approx(1.0, abs=1e-6)
+    low, middle, high = scipy_law(prior).ppf([1e-3, 0.5, 1 - 1e-3])
+    natural, _ = quad(lambda x: float(np.exp(prior.log_density(np.array(x)))), low, high, points=[middle], limit=200)
+    assert natural == pytest.approx(1.0 - 2e-3, abs=1e-8)
 
 
 @pytest.mark.parametrize("prior", EXAMPLES, ids=LAW)
@@ -84,7 +86,8 @@ def test_parameters_stay_where_the_law_has_mass(prior: Prior) -> None:
 @pytest.mark.parametrize(
     ("law", "a", "b", "message"),
     [
-        ("cauchy", 0.0, 1.0, "law 'cauchy' is not known; choose one of normal, lognormal, uniform, loguniform"),
+        ("levy", 0.0, 1.0, "law 'levy' is not known; choose one of normal, cauchy, lognormal, uniform, loguniform"),
+        ("cauchy", 0.0, 0.0, "prior of K: scale = 0; it must be above 0"),
         ("normal", 0.0, 0.0, "prior of K: sd = 0; it must be above 0"),
         ("normal", np.nan, 1.0, "both must be finite numbers"),
         ("lognormal", -1.0, 1.0, "prior of K: median = -1; it must be above 0"),
@@ -163,7 +166,7 @@ def test_a_file_with_one_noise_scale_serves_for_both_parts(tmp_path: Path) -> No
     [
         (SCHEMA, "shj-bayes/priors/9", "mine.toml: schema is 'shj-bayes/priors/9'; this version reads"),
         ("[K]", "[stiffness]", "mine.toml: [stiffness] is not a parameter; known are K, Fy, beta"),
-        ('"lognormal"', '"cauchy"', "mine.toml: [K] law = 'cauchy'; choose one of normal, lognormal"),
+        ('"lognormal"', '"levy"', "mine.toml: [K] law = 'levy'; choose one of normal, cauchy, lognormal"),
         ('law = "lognormal"', "", "mine.toml: [K] law = None"),
         ('"kN/mm"', '"kN/m"', "mine.toml: [K] unit = 'kN/m'; it must be 'kN/mm'"),
         ("median = 18.0", 'median = "18"', "mine.toml: [K] median = '18'; a lognormal law needs a number there"),

@@ -22,11 +22,13 @@ EFFECT = Effect(
     shows="The whole loop shifted up or down, by the same number of kN in both runs, also while sticking.",
     next_test="Read the load cell unloaded before and after the run.",
     parameters=(
-        Prior("size", "1", "normal", 0.0, 0.3, "0.001-0.01 for a sound load cell; preload and pressure give more."),
+        Prior(
+            "size", "1", "cauchy", 0.0, 0.03, "0.001-0.01 for a sound load cell; gas pressure on a seal, 10 and more."
+        ),
     ),
     neutral={"size": 0.0},
     act=act,
     acts=(("added", "constant"),),
     source="DOMAIN E17.",
-    start={"size": (0.02,)},
+    start={"size": (0.02, 0.5, 5.0)},
 )
