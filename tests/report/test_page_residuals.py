@@ -97,12 +97,15 @@ def test_the_word_of_the_calculation_does_not_stand_alone(tmp_path: Path, fitted
 
 def test_a_prior_that_the_data_contradict_is_told_with_what_to_do() -> None:
     """No advice to take the priors that were taken, and none on the unit of what has none."""
-    far = {"parameter": "beta", "kind": "contradicted", "q50": 1.0, "prior_q05": 1.36, "prior_q95": 366.0}
+    far = {"parameter": "beta", "kind": "against-prior", "q50": 1.0, "prior_q05": 1.36, "prior_q95": 366.0}
     told = words.remark(far, "1", family="general")
     assert "--units" not in told
     assert "--priors general" not in told
     assert "Check the units" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
     assert "--priors general" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
+    earlier = words.remark(far | {"parameter": "Fy", "kind": "against-earlier"}, "kN", family="afc")
+    assert "--priors-from" in earlier
+    assert "--priors general" not in earlier
 
 
 @pytest.mark.parametrize("n_cycles", [2, 8])

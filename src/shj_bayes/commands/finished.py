@@ -15,6 +15,7 @@ from shj_bayes._util.files import file_digest, plain_name
 from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.record import check_files, read_record
+from shj_bayes.inference.remarks import Remark
 from shj_bayes.model.parameters import BASE
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
@@ -58,7 +59,7 @@ class DeviceResult:
         units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
         family = record["model"]["priors"]
         lines += [f"  warning: {words.remark(r, *units[r['parameter']], family=family)}" for r in remarks]
-        unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
+        unknown = {r["parameter"] for r in remarks if r["kind"] == Remark.UNDETERMINED}
         width = max(len(row["name"]) for row in record["parameters"]) + 1
         lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in map(shown.row, record["parameters"]):

@@ -11,6 +11,7 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import ReportError
+from shj_bayes.inference.remarks import Remark
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.report import words
@@ -62,7 +63,7 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
     record, unit = device.record, force_unit(device.record)
     remarks = record.get("remarks", [])
     units = {row["name"]: unit.of(row["unit"]) for row in record["parameters"]}
-    unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
+    unknown = {r["parameter"] for r in remarks if r["kind"] == Remark.UNDETERMINED}
     gamma = next((row for row in record["parameters"] if row["name"] in ("gamma", "velocity.size")), NO_SPEED)
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
     peak = numbers.one_speed or max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from shj_bayes.inference.remarks import Remark
 from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
@@ -122,15 +123,21 @@ def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0, *, f
     name = str(finding["parameter"])
     low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
     unit = "" if unit in ("", "1") else f" {unit}"
-    if finding["kind"] == "undetermined":
+    if finding["kind"] == Remark.UNDETERMINED:
         wanted = _DETERMINES.get(name.partition("_")[0])
         return (
             f"{name} is not determined by this recording: it may lie almost anywhere in its prior, {low} to {high}"
             f"{unit} (90 %)" + (f"; {wanted} would tell." if wanted else ".")
         )
+    value = f"{name} is {short(factor * float(finding['q50']))}{unit}"
+    if finding["kind"] == Remark.AGAINST_EARLIER:
+        return (
+            f"{value}, and the earlier result {low} to {high}{unit} (90 %): the two disagree, and this one is drawn "
+            "towards it. Leave --priors-from out; for another device of the same kind name a campaign's set there."
+        )
     check = "Check the units (--units), or g" if unit else "The law may not be that of this device; if it is, g"
     return (
-        f"{name} is {short(factor * float(finding['q50']))}{unit}, which the prior holds nearly impossible ({low} to "
+        f"{value}, which the prior holds nearly impossible ({low} to "
         f"{high}{unit}, 90 %): the result is drawn towards it. {check}ive priors for this kind of device "
         f"(--priors {'with a file of your own' if family == 'general' else 'general, or a file of your own'})."
     )
