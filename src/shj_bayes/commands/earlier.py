@@ -51,9 +51,8 @@ class Earlier:
 
     def on(self, family: Priors) -> Priors:
         """Priors of a family with the laws of these parameters in place of its own."""
-        own = {
-            name: _law(replace(family.of(name), name=name), band, self.statement) for name, band in self.bands.items()
-        }
+        laws = {name: replace(family.of(name), name=name) for name in self.bands}
+        own = {name: _law(laws[name], band, self.statement) for name, band in self.bands.items()}
         digest = hashlib.sha256(f"{family.sha256} {self.sha256}".encode()).hexdigest()
         return replace(
             family,
