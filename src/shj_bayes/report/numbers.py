@@ -258,7 +258,7 @@ def one_peak_speed(energies: tuple[CycleEnergy, ...]) -> float | None:
     if peaks.size == 0:
         return None
     middle = float(np.median(peaks))
-    # A cycle or two may be started or stopped by hand; nine in ten must agree.
+    # A cycle or two may be started or stopped by hand; 90 % must agree.
     alike = float(np.mean(np.abs(peaks - middle) <= SAME_SPEED * middle))
     return middle if alike >= 0.9 else None
 

@@ -105,7 +105,8 @@ def _few(result: PopulationResult) -> str:
     if min(counts) >= 6:
         return ""
     few = sum(n <= 2 for n in counts)
-    tail = f" {few} of the {len(counts)} sets here rest on one or two devices." if few else ""
+    verb = "rests" if few == 1 else "rest"
+    tail = f" {few} of the {len(counts)} sets here {verb} on one or two devices." if few and len(counts) > 1 else ""
     return (
         f"{_number(max(2, min(counts)))} devices are not a band: the next one need not lie between them. The blue bars "
         "are for a new device. They "
