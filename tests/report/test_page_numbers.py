@@ -177,7 +177,7 @@ def test_the_key_of_the_energy_picture_has_room_for_every_run(elastoplastic: Run
     ("counts", "tail"),
     [
         ((2,), ""),
-        ((1, 7), " 1 of the 2 sets here rests on one or two devices."),
+        ((1, 7), " 1 of the 2 sets here rests on one"),
         ((2, 2, 4), " 2 of the 3 sets here rest"),
     ],
 )

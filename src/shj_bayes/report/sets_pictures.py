@@ -41,8 +41,8 @@ def _bands(bands: Mapping[str, tuple[sets.SetBand, ...]], quantity: str) -> Pict
     caption = _ends(rows)
     if quantity == "Fy":
         caption = (
-            "Dots are tested devices; how many stands behind the name of the set. The blue bar is the 90 % interval of a new "
-            "device of that set, its upright line the median."
+            "Dots are tested devices; how many stands behind the name of the set. The blue bar is the 90 % interval "
+            "of a new device of that set, its upright line the median."
         )
     if quantity == "gamma":
         caption += " 0 means no dependence on speed; a band on both sides of 0 leaves dep = 1/gamma open."
