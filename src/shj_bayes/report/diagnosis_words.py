@@ -137,10 +137,10 @@ def curve_words(c: Mapping[str, Any]) -> str:
 def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
     """Say what a force that fluctuates by more than noise can may be, and what would tell."""
     return [
-        f"The force fluctuates within a stroke by {per_cent(number(c.get('size_percent')) / 100)} % of the sliding force, "
-        "more than the noise of a load cell. Surfaces that stick and jump do that, and so does a frame that swings. Effects "
-        "below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower the speed "
-        "or stiffen the grip: stick-slip changes with both."
+        f"The force fluctuates within a stroke by {per_cent(number(c.get('size_percent')) / 100)} % of the sliding "
+        "force, more than the noise of a load cell. Surfaces that stick and jump do that, and so does a frame that "
+        "swings. Effects below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower "
+        "the speed or stiffen the grip: stick-slip changes with both."
         for c in record.get("coordinates") or ()
         if record["verdict"] == "unknown" and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
     ]
