@@ -180,7 +180,7 @@ def fit_device(
     threads: int = 0,
     force: bool = False,
 ) -> DeviceResult:
-    """Fit one device from its recordings and write the files and the page of INTERFACE.
+    """Fit one device from its recordings and write its files and its page.
 
     An unchanged finished result in `folder` is kept; an unfinished one is gone on with.
 

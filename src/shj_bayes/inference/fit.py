@@ -1,4 +1,4 @@
-"""The fit of one device, from recordings to the files of INTERFACE (without the page)."""
+"""The fit of one device, from recordings to its files, without the page."""
 
 from __future__ import annotations
 

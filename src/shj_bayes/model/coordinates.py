@@ -49,7 +49,7 @@ class Coordinate:
     repeats : float
         Probability that a curve over it comes again and again: threads and clocks do, wear and heat do not.
     family : str
-        Family of the effects that a curve over it belongs to, as in INTERFACE.
+        Family of the effects that a curve over it belongs to.
     symbol : str
         Letter in formulas.
     of_base : bool
