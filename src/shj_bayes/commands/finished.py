@@ -64,7 +64,9 @@ class DeviceResult:
         lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in map(shown.row, record["parameters"]):
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
-            numbers += f"  {row['unit']}{dep_words(row)}"
+            numbers += f"  {row['unit']}"
+            if row["name"].partition("_")[0] == "gamma":
+                numbers += f"  ({words.dep_words(row)})"
             if row["name"] in unknown:
                 numbers = f"{'not determined':>47}  {row['unit']}"
             lines.append(f"  {row['name']:{width}}{numbers}")
@@ -143,17 +145,6 @@ def key_of(
 def default_name(file: str) -> str:
     """Name of a file without its endings (a dot inside the name stays)."""
     return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", file, flags=re.IGNORECASE))
-
-
-def dep_words(row: dict[str, Any]) -> str:
-    """Interval of dep = 1/gamma behind a row of the parameter table; nothing for other parameters."""
-    if row["name"].partition("_")[0] != "gamma":
-        return ""
-    low, high = row["q05"], row["q95"]
-    if low <= 0 <= high:
-        return "  (dep has no bound: the force may not depend on speed)"
-    first, second = sorted((1 / low, 1 / high))
-    return f"  (dep {first:.4g} to {second:.4g} mm/s)"
 
 
 def finished_record(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]:

@@ -19,7 +19,6 @@ from shj_bayes.model.parameters import FloatArray
 
 LOW_SPEED = 0.02  # of the peak speed, below which the logarithmic scale of the speed is linear
 SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid
-REST_S = 1.0  # likewise for a rest
 FASTEST = 1.15  # of the peak speed (a 95th percentile)
 STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
 # How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or

@@ -265,10 +265,9 @@ def one_peak_speed(energies: tuple[CycleEnergy, ...]) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Degradation:
-    """Loss of sliding force from the first run to run `run`, per cent: draws and 5, 50 and 95 %."""
+    """Loss of sliding force from the first run to run `run`, per cent: 5, 50 and 95 %."""
 
     run: int
-    loss_percent: FloatArray = field(repr=False)
     q05: float
     q50: float
     q95: float
@@ -281,5 +280,5 @@ def degradation(device: DeviceData) -> tuple[Degradation, ...]:
         name = "ratio" if run.number == 2 else f"ratio_{run.number}"
         loss = 100 * (1 - device.draws[name].ravel())
         q05, q50, q95 = (float(v) for v in np.quantile(loss, LEVELS))
-        out.append(Degradation(run.number, loss, q05, q50, q95))
+        out.append(Degradation(run.number, q05, q50, q95))
     return tuple(out)

@@ -66,6 +66,15 @@ def short(value: float) -> str:
     return f"{value:.2e}"
 
 
+def digits(value: float) -> str:
+    """Three digits, whole numbers from 100 on; a dash where a number cannot be given."""
+    if not math.isfinite(value):
+        return "-"
+    if abs(value) >= 1e4:
+        return f"{value:.1e}"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
 def interval(row: Mapping[str, Any]) -> str:
     """90 % interval of a row of the parameter table."""
     return f"{rounded(row['q05'], row['sd'])} to {rounded(row['q95'], row['sd'])}"
@@ -80,8 +89,8 @@ def dep_words(row: Mapping[str, Any]) -> str:
         edges = f"; if there is any, dep is {' or '.join(sides)} mm/s" if sides else ""
         return f"dep has no bound: the force may not depend on speed at all{edges}"
     first, second = sorted((1 / low, 1 / high))
-    digits = max(0, 1 - math.floor(math.log10(max(second - first, 1e-6))))
-    return f"dep between {first:+.{min(digits, 3)}f} and {second:+.{min(digits, 3)}f} mm/s"
+    places = min(3, max(0, 1 - math.floor(math.log10(max(second - first, 1e-6)))))
+    return f"dep between {first:+.{places}f} and {second:+.{places}f} mm/s"
 
 
 def speed_words(row: Mapping[str, Any], peak_mm_s: float) -> str:
