@@ -179,6 +179,7 @@ def fit_device(
     progress: bool = False,
     threads: int = 0,
     force: bool = False,
+    page: bool = True,
 ) -> DeviceResult:
     """Fit one device from its recordings and write its files and its page.
 
@@ -200,6 +201,8 @@ def fit_device(
         Ensembles that run at the same time, 0 for one per processor.
     force : bool
         Replace the result of another device in `folder`.
+    page : bool
+        Draw the page.
 
     Returns
     -------
@@ -224,7 +227,7 @@ def fit_device(
         finished, fresh = _fit(runs_of(recordings), folder, options, model, name, key, progress, threads), True
     else:
         fresh = False
-    if fresh or stale(folder):
+    if page and (fresh or stale(folder)):
         (step_told if progress else ignored)("drawing the page")
         render_device(folder)
     return device_result(folder, finished, fresh=fresh, note=note)

@@ -19,7 +19,7 @@ from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import LOOPS, write_page
-from shj_bayes.report.residual_file import LeftOver, left_over, write_residual
+from shj_bayes.report.residual_file import LeftOver, diagnosis_in, left_over, write_residual
 from shj_bayes.report.viewer import device_viewer, thinning_words
 
 
@@ -50,6 +50,7 @@ def render_device(folder: Path) -> Path:
         viewer = device_viewer(device, numbers)
         moving = {"pictures": draw(device, numbers, left), "viewer": viewer, "thinning": thinning_words(viewer)}
         filled = content(device, numbers, left) | moving
+        filled["diagnosis"] = f"{diagnosis_in(folder)}/diagnosis.html" if left.diagnosed else ""
         write_residual(folder, left)
         return write_page(folder, "device.html", filled, LOOPS)
 
@@ -75,7 +76,6 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
         "reasons": record["reasons"],
         "remarks": [words.remark(r, *units[r["parameter"]], family=record["model"]["priors"]) for r in remarks],
         "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
-        "diagnosis": "diagnosis.html" if left.diagnosed else "",
         "cards": cards(device, numbers.one_speed is not None, unknown),
         "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
         "alias": words.alias_words(numbers.one_speed),

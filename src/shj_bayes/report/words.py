@@ -178,9 +178,8 @@ def left_words(left: LeftOver) -> str:
 
 
 def left_cell(left: LeftOver) -> str:
-    """Say the same as far as a cell of a table has room for it."""
-    more = "; the cycles scatter more than the noise allows" if left.widening > 1.0 else ""
-    return fit_words(left) + more + (f"; diagnosis: {left.diagnosed}" if left.diagnosed else "")
+    """Say the same as far as a cell of a table has room for it; the diagnosis has a column of its own there."""
+    return fit_words(left) + ("; the cycles scatter more than the noise allows" if left.widening > 1.0 else "")
 
 
 def band_words(left: LeftOver) -> str:
