@@ -468,16 +468,15 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTes
         If it holds no result, or one that is damaged.
     """
     place = Path(folder)
-    if (place / "fit.json").is_file():
-        return FitResult(place, read_record(place))
-    if (place / "diagnosis.json").is_file():
-        return Diagnosis(place, diagnosis_record(place))
-    if (place / "campaign.json").is_file():
-        return CampaignResult(place, read_campaign(place))
-    if (place / "population.json").is_file():
-        return CampaignResult(place, population_record(place))
-    if (place / "plan.json").is_file():
-        return NextTest(place, read_plan(place))
+    for name, kind, read in (
+        ("fit", FitResult, read_record),
+        ("diagnosis", Diagnosis, diagnosis_record),
+        ("campaign", CampaignResult, read_campaign),
+        ("population", CampaignResult, population_record),
+        ("plan", NextTest, read_plan),
+    ):
+        if (place / f"{name}.json").is_file():
+            return kind(place, read(place))
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 

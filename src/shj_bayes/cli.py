@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce, wraps
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,31 @@ Command = Callable[..., Any]
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
 RESUMING = {"fit", "campaign", "demo"}  # go on where they were stopped
 NAMED = 5  # failed devices that one line names
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a command prints: a record for machines, words for people, or nothing but errors."""
+
+    as_json: bool = False
+    quiet: bool = False
+
+    @property
+    def speaks(self) -> bool:
+        """Whether people read it."""
+        return not (self.as_json or self.quiet)
+
+    def tell(self, line: str) -> None:
+        """Say on standard error what is being done."""
+        if self.speaks:
+            click.echo(f"  {line}", err=True)
+
+    def show(self, record: Any, text: str) -> None:
+        """Print a result."""
+        if self.as_json:
+            click.echo(json.dumps(record, indent=1))
+        elif not self.quiet:
+            click.echo(text)
 
 
 class _Command(click.Command):
@@ -55,13 +82,7 @@ class _Group(click.Group):
 
 def _options(*decorators: Command) -> Callable[[Command], Command]:
     """Apply several option decorators as one."""
-
-    def apply(function: Command) -> Command:
-        for decorator in reversed(decorators):
-            function = decorator(function)
-        return function
-
-    return apply
+    return lambda function: reduce(lambda inner, decorator: decorator(inner), reversed(decorators), function)
 
 
 def _out(default: str | None = None) -> Command:
@@ -69,6 +90,22 @@ def _out(default: str | None = None) -> Command:
     presence: dict[str, Any] = {"required": True} if default is None else {"default": default, "show_default": True}
     kind = click.Path(path_type=Path, file_okay=False)
     return click.option("-o", "--out", type=kind, help="Folder for the results.", **presence)
+
+
+JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else.")
+QUIET = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+
+
+def _with_output(function: Command) -> Command:
+    """Take ``--json`` and ``--quiet`` as one argument, `output`."""
+
+    @JSON
+    @QUIET
+    @wraps(function)
+    def command(*args: Any, as_json: bool, quiet: bool, **options: Any) -> Any:
+        return function(*args, output=Output(as_json, quiet), **options)
+
+    return command
 
 
 SEED = click.option(
@@ -82,10 +119,6 @@ WORKERS = click.option(
     "--workers", type=click.IntRange(1, 256), help="Processors to use; the numbers do not depend on it."
 )
 FORCE = click.option("--force", is_flag=True, help="Replace the result of another device in the folder.")
-OUTPUT = _options(
-    click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else."),
-    click.option("--quiet", is_flag=True, help="Print nothing but errors."),
-)
 READING = _options(
     click.option("--columns", metavar="ROLE=COLUMN,...", help="time=, displacement=, force=, and others to show."),
     click.option("--units", metavar="mm,kN,s", help="Units, where the header does not say."),
@@ -161,34 +194,31 @@ def main() -> None:
 @_out("shj-bayes-demo")
 @SEED
 @WORKERS
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@QUIET
 def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
     """Run the whole job on (simulated) data that ship with the project."""
     from shj_bayes._util.shipped import shipped
 
     manifest = shipped("data", "examples", "campaign.toml")
-    _run_campaign(manifest, out, seed=seed, workers=workers, quiet=quiet, as_json=False)
+    _run_campaign(manifest, out, seed=seed, workers=workers, output=Output(quiet=quiet))
 
 
 @main.command()
 @RECORDINGS
 @READING
-@OUTPUT
-def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: Any) -> None:
+@_with_output
+def check(recordings: tuple[Path, ...], output: Output, **reading: Any) -> None:
     """Read and check recordings; say what was found, assumed and repaired.
 
     Exit status 1 when one of them cannot be used.
     """
     reading = _reading(**reading)
-    if not as_json and not any(path.exists() for path in recordings):
+    if not output.as_json and not any(path.exists() for path in recordings):
         need_files(recordings, RecordingError)
     from shj_bayes.recording.check import check_recording
 
     results = [result for path in recordings for result in check_recording(path, **reading)]
-    if as_json:
-        click.echo(json.dumps([facts for facts, _ in results], indent=1, allow_nan=False))
-    elif not quiet:
-        click.echo("\n\n".join(text for _, text in results))
+    output.show([facts for facts, _ in results], "\n\n".join(text for _, text in results))
     if not all(facts["usable"] for facts, _ in results):
         raise SystemExit(1)
 
@@ -202,32 +232,29 @@ def check(recordings: tuple[Path, ...], as_json: bool, quiet: bool, **reading: A
 @click.option("--name", help="Name of the device; by default that of the first file.")
 @FORCE
 @WORKERS
-@OUTPUT
+@_with_output
 def fit(
     recordings: tuple[Path, ...],
     out: Path,
     name: str | None,
     force: bool,
     workers: int | None,
-    as_json: bool,
-    quiet: bool,
+    output: Output,
     **options: Any,
 ) -> None:
     """Posterior of one device; several recordings are its consecutive runs."""
     need_files(recordings, RecordingError)
     from shj_bayes.commands.finished import kept_result
 
-    options, speak = _listed(options), not (as_json or quiet)
+    options = _listed(options)
     result = kept_result(recordings, out, options, name)
     if result is None:
         from shj_bayes.commands.pipeline import Options, fit_device
 
         shared = Options(**options)
-        result = fit_device(recordings, out, shared, name=name, progress=speak, threads=workers or 0, force=force)
-    if as_json:
-        click.echo(json.dumps(result.record, indent=1))
-    elif speak:
-        click.echo(result.text)
+        threads, speak = workers or 0, output.speaks
+        result = fit_device(recordings, out, shared, name=name, progress=speak, threads=threads, force=force)
+    output.show(result.record, result.text)
     if result.record["verdict"] == "unusable":
         raise ShjError(f"{result.record['device']}: the posterior is unusable: {result.record['reasons'][0]}")
 
@@ -243,7 +270,7 @@ def fit(
 @click.option("--name", help="Name of the device; by default that of the first file.")
 @FORCE
 @WORKERS
-@OUTPUT
+@_with_output
 def diagnose(
     recordings: tuple[Path, ...],
     out: Path,
@@ -252,15 +279,13 @@ def diagnose(
     name: str | None,
     force: bool,
     workers: int | None,
-    as_json: bool,
-    quiet: bool,
+    output: Output,
     **options: Any,
 ) -> None:
     """Fit, then locate, name, model and show what the base law leaves out."""
     need_files(recordings, RecordingError)
     from shj_bayes.commands.pipeline import Options, diagnose_device
 
-    speak = not (as_json or quiet)
     result = diagnose_device(
         recordings,
         out,
@@ -268,15 +293,12 @@ def diagnose(
         without=without,
         name=name,
         quick=quick,
-        progress=speak,
+        progress=output.speaks,
         threads=workers or 0,
         force=force,
-        tell=(lambda line: click.echo(f"  {line}", err=True)) if speak else (lambda _: None),
+        tell=output.tell,
     )
-    if as_json:
-        click.echo(json.dumps(result.record, indent=1))
-    elif speak:
-        click.echo(result.text)
+    output.show(result.record, result.text)
 
 
 @main.command()
@@ -291,7 +313,7 @@ def diagnose(
     type=click.Choice(["quick", "full", "off"]),
     help="Look for what the law leaves out; by default as the manifest says, quick where it says nothing.",
 )
-@OUTPUT
+@_with_output
 def campaign(
     manifest: Path,
     out: Path,
@@ -299,8 +321,7 @@ def campaign(
     workers: int | None,
     cluster: str | None,
     diagnosis: str | None,
-    as_json: bool,
-    quiet: bool,
+    output: Output,
 ) -> None:
     """Fit and diagnose every device of a TOML manifest, then population and report; resumes where it stopped.
 
@@ -310,9 +331,7 @@ def campaign(
         raise click.UsageError("--workers is for this machine and --dask for a cluster; give one of them.")
     if cluster is not None and not cluster.strip():
         raise click.UsageError("--dask needs an address, such as tcp://10.0.0.5:8786.")
-    _run_campaign(
-        manifest, out, seed=seed, workers=workers, cluster=cluster, diagnosis=diagnosis, quiet=quiet, as_json=as_json
-    )
+    _run_campaign(manifest, out, seed=seed, workers=workers, cluster=cluster, diagnosis=diagnosis, output=output)
 
 
 def _run_campaign(
@@ -321,8 +340,7 @@ def _run_campaign(
     *,
     seed: int,
     workers: int | None,
-    quiet: bool,
-    as_json: bool,
+    output: Output,
     cluster: str | None = None,
     diagnosis: str | None = None,
 ) -> None:
@@ -331,14 +349,10 @@ def _run_campaign(
     from shj_bayes.commands.campaign import read_manifest, run_campaign
     from shj_bayes.commands.summary import summarise_campaign
 
-    speak = not (quiet or as_json)
-    plan = read_manifest(manifest)
+    plan, speak = read_manifest(manifest), output.speaks
     outcomes = run_campaign(plan, out, workers=workers or 0, cluster=cluster or "", diagnose=diagnosis, progress=speak)
     result = summarise_campaign(plan, outcomes, out, seed=seed, progress=speak)
-    if as_json:
-        click.echo(json.dumps(result.record, indent=1))
-    elif speak:
-        click.echo(result.text)
+    output.show(result.record, result.text)
     if not result.usable:
         raise CampaignError("no device could be used; the reasons stand above and in campaign.json")
     if failed := [f"{o.device.set_name}, {o.device.name} ({'; '.join(o.failures)})" for o in outcomes if o.failures]:
@@ -351,18 +365,15 @@ def _run_campaign(
 @main.command()
 @_out("shj-bayes-tables")
 @SEED
-@OUTPUT
-def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
+@_with_output
+def tables(out: Path, seed: int, output: Output) -> None:
     """Bands and comparisons from the published, rounded parameter tables alone."""
     make_writable(out)
     from shj_bayes.commands.summary import summarise_tables
     from shj_bayes.commands.validation import paper_claims
 
-    result = summarise_tables(out, paper_claims(), seed=seed, progress=not (quiet or as_json))
-    if as_json:
-        click.echo(json.dumps(result.record, indent=1))
-    elif not quiet:
-        click.echo(result.text)
+    result = summarise_tables(out, paper_claims(), seed=seed, progress=output.speaks)
+    output.show(result.record, result.text)
 
 
 @main.command()
@@ -400,18 +411,15 @@ def tables(out: Path, seed: int, as_json: bool, quiet: bool) -> None:
     metavar="NAME",
     help="Print this set only, and take --nominal for it alone; may be given again.",
 )
-@OUTPUT
-def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **request: Any) -> None:
+@_with_output
+def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any) -> None:
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
     need_population(folder)
     from shj_bayes.commands.design import design_margins
     from shj_bayes.margins.request import Request
 
-    design = design_margins(folder, Request(sets=sets, **request), progress=not (quiet or as_json))
-    if as_json:
-        click.echo(json.dumps(design.record, indent=1))
-    elif not quiet:
-        click.echo(design.text)
+    design = design_margins(folder, Request(sets=sets, **request), progress=output.speaks)
+    output.show(design.record, design.text)
 
 
 @main.command()
@@ -420,25 +428,21 @@ def margins(folder: Path, sets: tuple[str, ...], as_json: bool, quiet: bool, **r
 @click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="By default DIR/opensees.")
 @click.option("--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of the cycle; largest tested by default.")
 @click.option("--draws", type=int, metavar="N", help="New devices of each set too, as materials for Monte Carlo.")
-@OUTPUT
+@_with_output
 def export(
     folder: Path,
     target: str,
     out: Path | None,
     amplitude_mm: float | None,
     draws: int | None,
-    as_json: bool,
-    quiet: bool,
+    output: Output,
 ) -> None:
     """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
     need_population(folder)
     from shj_bayes.commands.design import export_analysis
 
-    paths = export_analysis(folder, out, amplitude_mm, draws, progress=not (quiet or as_json))
-    if as_json:
-        click.echo(json.dumps({"schema": "shj-bayes/export/1", "to": target, "files": [str(p) for p in paths]}))
-    elif not quiet:
-        click.echo("\n".join(str(path) for path in paths))
+    paths = [str(path) for path in export_analysis(folder, out, amplitude_mm, draws, progress=output.speaks)]
+    output.show({"schema": "shj-bayes/export/1", "to": target, "files": paths}, "\n".join(paths))
 
 
 @main.command()
@@ -453,8 +457,8 @@ def export(
     metavar="PERCENT",
     help="Differences below this count as the same.",
 )
-@OUTPUT
-def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, quiet: bool) -> None:
+@_with_output
+def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -> None:
     """Compare two sets of a campaign or of the tables in DIR.
 
     A and B are names of sets, or kinds of sets that are compared pair by pair: corroded and uncorroded, coated and
@@ -464,10 +468,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
     from shj_bayes.commands.comparison import compare_sets
 
     record, text = compare_sets(folder, set_a, set_b, rope)
-    if as_json:
-        click.echo(json.dumps(record, indent=1))
-    elif not quiet:
-        click.echo(text)
+    output.show(record, text)
 
 
 @main.command()
@@ -486,7 +487,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, as_json: bool, qu
 @click.option("--last-cycles", type=int, default=5, show_default=True, help="Cycles in the last block of Table 1.")
 @MODEL
 @SEED
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@QUIET
 def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None:
     """Make recordings of two runs of Table 1 from stated parameters, with the truth beside them."""
     from shj_bayes.commands.simulated import write_simulated
@@ -514,7 +515,7 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
 @click.option("--priors", help="Family that ships (afc, general) or TOML file: a plan before any test.")
 @click.option("--example-rig", type=click.Path(path_type=Path), metavar="FILE", help="Write an example of rig.toml.")
 @SEED
-@OUTPUT
+@_with_output
 def plan(
     folders: tuple[Path, ...],
     out: Path | None,
@@ -522,8 +523,7 @@ def plan(
     among: str,
     priors: str | None,
     example_rig: Path | None,
-    as_json: bool,
-    quiet: bool,
+    output: Output,
     **options: Any,
 ) -> None:
     """Plan the next test of the devices whose results are in DIR, or of a new one from --priors."""
@@ -542,20 +542,16 @@ def plan(
     from shj_bayes.planning.rig import LIMITS, read_rig
 
     stated = {name: value for name in LIMITS if (value := options.pop(name)) is not None}
-    speak = not (as_json or quiet)
     planned = plan_next(
         folders,
         out,
         limits=(read_rig(rig) if rig else {}) | stated,
         among=[part.strip() for part in among.split(",") if part.strip()],
         priors=priors or "afc",
-        tell=(lambda line: click.echo(f"  {line}", err=True)) if speak else (lambda _: None),
+        tell=output.tell,
         **options,
     )
-    if as_json:
-        click.echo(json.dumps(planned.record, indent=1))
-    elif speak:
-        click.echo(planned.text)
+    output.show(planned.record, planned.text)
 
 
 @main.command("open")
@@ -601,7 +597,7 @@ def completion(shell: str) -> None:
 )
 @click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")
 @WORKERS
-@OUTPUT
+@_with_output
 def prove(
     n: int,
     seed: int,
@@ -610,42 +606,31 @@ def prove(
     recordings: Path | None,
     full: bool,
     workers: int | None,
-    as_json: bool,
-    quiet: bool,
+    output: Output,
 ) -> None:
     """Concealed-effect trials: sealed, diagnosed behind a fence, opened, scored; or --check of a finished proof."""
-    speak = not (as_json or quiet)
     if checked is not None:
         from shj_bayes.commands.validation import check
 
-        lines = check(checked, workers=workers or 2, progress=speak)
-        if as_json:
-            click.echo(json.dumps({"checked": lines}))
-        elif speak:
-            click.echo("\n".join([*lines, "the transcript holds"]))
+        lines = check(checked, workers=workers or 2, progress=output.speaks)
+        output.show({"checked": lines}, "\n".join([*lines, "the transcript holds"]))
         return
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
     if recordings is not None:
         from shj_bayes.commands.validation import prove_recordings
 
-        real = prove_recordings(recordings, out, workers=workers or 2, progress=speak)
-        if as_json:
-            click.echo(json.dumps(real.record, indent=1))
-        elif speak:
-            click.echo(real.text)
+        real = prove_recordings(recordings, out, workers=workers or 2, progress=output.speaks)
+        output.show(real.record, real.text)
         return
     from shj_bayes.commands.validation import prove as run_proof
 
-    proof = run_proof(out, n=n, seed=seed, workers=workers or 2, quick=not full, progress=speak)
-    if as_json:
-        click.echo(json.dumps(proof.score, indent=1))
-    elif speak:
-        click.echo(proof.text)
+    proof = run_proof(out, n=n, seed=seed, workers=workers or 2, quick=not full, progress=output.speaks)
+    output.show(proof.score, proof.text)
 
 
 @main.command()
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else.")
+@JSON
 def doctor(as_json: bool) -> None:
     """Say what is installed, whether it works, how fast this machine is."""
     from shj_bayes.commands.doctor import examine

@@ -20,7 +20,7 @@ from shj_bayes.model.history import ARRAYS, History, histories
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
 
-# The table of INTERFACE.md, "Effects and families".
+# Ids and families keep their meaning: users script against them.
 FAMILY = {
     "velocity": "even_in_position",
     "prying": "even_in_position",
@@ -48,7 +48,7 @@ FAMILY = {
     "inertia": "odd_in_position",
     "stick_slip": "oscillation",
 }
-# Signs under C: (x, q) -> (-x, -q) and M: x -> -x (DOMAIN 1.0).
+# Signs under C: (x, q) -> (-x, -q) and M: x -> -x.
 PARITY = {
     **dict.fromkeys(("velocity", "prying", "centre_wear", "velocity_law", "stribeck"), (-1, 1)),
     **dict.fromkeys(("asymmetry", "load_offset", "drift"), (1, 1)),
@@ -200,7 +200,7 @@ def test_any_two_effects_combine():
 
 @pytest.mark.parametrize("id", PARITY)
 def test_plateau_parity(id: str):
-    """Difference to the base in the last full cycle, on the plateau, split into the four classes of DOMAIN 1.0."""
+    """Difference to the base in the last full cycle, on the plateau, split into the four classes of sign."""
     h = runs()[0]
     moved = change(EFFECTS[id], typical(EFFECTS[id]))[: h.time_s.size]
     reach = 0.75 * h.half_stroke_mm  # the plateau starts 9 mm after the reversal

@@ -114,7 +114,7 @@ def test_jump_at_a_reversal_from_the_sliding_force(beta: float, share: float) ->
     law = {"K": 18.0, "Fy": 80.0, "beta": beta, "start_force_kN": 80.0}
     published = force(unloading(), **law)[0] / 80.0
     assert published == pytest.approx(2.0 ** (-1.0 / beta), rel=1e-12)
-    assert published == pytest.approx(share, abs=5e-4)  # the figures of DOMAIN 5.4
+    assert published == pytest.approx(share, abs=5e-4)
     assert force(unloading(), **law, variant="continuous")[0] == 80.0
 
 

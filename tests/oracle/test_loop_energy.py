@@ -1,4 +1,4 @@
-"""Energy of steady loops against the closed forms of DOMAIN 2.2."""
+"""Energy of steady loops against their closed forms."""
 
 import math
 

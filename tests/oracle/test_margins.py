@@ -100,7 +100,7 @@ def test_en1990_limits_and_design_level():
 
 
 def test_en1990_pooled_spread_of_the_paper():
-    """Factors of DOMAIN 2.4 and the bands about a coating's mean of 2.7, from the published pairs."""
+    """Factors and bands about a coating's mean of 2.7, from the published pairs."""
     assert en1990.factor_unknown(2, degrees=5) == pytest.approx(2.4679, abs=1e-4)
     k = en1990.factor_unknown(2, degrees=10)
     assert k == pytest.approx(2.2198, abs=1e-4)

@@ -294,7 +294,7 @@ def test_devices_sort_and_filter(show: Open, tmp_path: Path) -> None:
     assert names() == ["b"]
     assert "1 of 4 shown" in page.locator("[role=status]").inner_text()
     with page.expect_download() as waiting:
-        page.get_by_role("button", name="Download as CSV: Middle and 90 %").click()
+        page.get_by_role("button", name="Download as CSV: Median and 90 %").click()
     waiting.value.save_as(tmp_path / "devices.csv")
     assert len((tmp_path / "devices.csv").read_text(encoding="utf-8-sig").strip().splitlines()) == 2
 

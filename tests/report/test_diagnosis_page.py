@@ -75,7 +75,7 @@ def test_numbers_are_those_of_the_record(pages: dict[str, Page]) -> None:
     for text in ("3.33", "0.538", "below 0.001", "0.012", "up to 11.9 kN, 15 % of the sliding force", "97 %", "+123,"):
         assert text in page.text
     assert "Prying: the plates bend." in page.raw[: page.raw.index("<nav")]
-    assert "Dep has no bound" in page.text or "dep has no bound" in page.text
+    assert "dep has no bound" in page.text
     assert "dep between" in page.text
     assert "ab" * 32 in page.text
 
@@ -189,3 +189,17 @@ def test_a_period_and_a_fluctuation_are_sentences() -> None:
     (told,) = fluctuation_words({"verdict": "unknown", "coordinates": [row]})
     assert told.startswith("The force fluctuates within a stroke by 23 % of the sliding force")
     assert fluctuation_words({"verdict": "named", "coordinates": [row]}) == []
+    (told,) = fluctuation_words({"verdict": "unknown", "coordinates": [row | {"size_percent": 160.3}]})
+    assert "by 160 % of the sliding force" in told
+
+
+def test_a_chance_that_did_not_decide_is_not_told_beside_the_verdict(tmp_path: Path, hostile_name: str) -> None:
+    folder = write(tmp_path, "unknown", hostile_name)
+    why = "the force fluctuates within a stroke by more than noise can"
+    for p, told in ((1.0, False), (1e-4, True)):
+        changed = record("unknown", hostile_name) | {"p_value": p, "reason": why, "modelled": {}}
+        (folder / "diagnosis.json").write_text(json.dumps(changed), encoding="utf-8")
+        page = Page(render_diagnosis(folder))
+        first = DiagnosisResult(folder, changed, folder / "diagnosis.html").text.splitlines()[0]
+        assert ("if nothing were missing" in page.text) == ("if nothing were missing" in first) == told
+        assert (why in first) != told

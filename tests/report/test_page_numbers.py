@@ -8,7 +8,7 @@ import pytest
 
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
-from shj_bayes.report import numbers, words
+from shj_bayes.report import numbers, sets_page, words
 from shj_bayes.report.data import RunData
 from shj_bayes.report.device import freed_words
 from shj_bayes.report.figures import loops
@@ -171,3 +171,18 @@ def test_the_key_of_the_energy_picture_has_room_for_every_run(elastoplastic: Run
     energy = numbers.cycle_energy(elastoplastic)
     picture = loops.energy([replace(energy, run=number) for number in range(1, n_runs + 1)])
     assert picture.startswith("data:image/svg+xml;base64,")
+
+
+@pytest.mark.parametrize(
+    ("counts", "tail"),
+    [
+        ((2,), ""),
+        ((1, 7), " 1 of the 2 sets here rests on one"),
+        ((2, 2, 4), " 2 of the 3 sets here rest"),
+    ],
+)
+def test_sets_of_few_devices_are_counted_in_english(counts: tuple[int, ...], tail: str) -> None:
+    result = SimpleNamespace(sets=[SimpleNamespace(devices=range(n)) for n in counts])
+    text = sets_page._few(result)
+    assert tail in text
+    assert ("sets here" in text) == bool(tail)

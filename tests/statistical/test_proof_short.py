@@ -44,7 +44,7 @@ def records(tmp_path_factory):
 
 @pytest.mark.parametrize("name", TRIALS)
 def test_what_is_concealed_is_named(name, records):
-    """Offset and asymmetry may stand in one family (DOMAIN 1.3, group G5); the others have no such twin."""
+    """Offset and asymmetry may stand in one family (both are even in direction); the others have no such twin."""
     record = records(name)
     allowed = RIGHT_OUTCOMES if name in ("load_offset", "asymmetry") else ("right",)
     assert outcome(TRIALS[name], record) in allowed, record["reason"]

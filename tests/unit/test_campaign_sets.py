@@ -44,6 +44,10 @@ def test_what_a_set_has_enters_models_and_margins(campaign):
     assert {o.diagnosis for o in outcomes[:2]} <= {"named", "family", "unknown"}
     assert [bool(o.with_set) for o in outcomes] == [True, True, False]
     assert not any(o.failures for o in outcomes)
+    for o in outcomes[:2]:
+        page = (out / o.device.folder / "report.html").read_text(encoding="utf-8")
+        assert "The diagnosis of these recordings" in page
+        assert 'href="diagnosis/diagnosis.html"' in page
     (together,) = json.loads((out / "campaign.json").read_text(encoding="utf-8"))["together"]
     first = together["classes"][0]
     assert together["set"] == "bare"

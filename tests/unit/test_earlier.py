@@ -34,6 +34,14 @@ def test_laws_have_the_quantiles_of_the_earlier_posterior():
     assert "device d" in priors.family
 
 
+def test_the_ratio_of_the_second_run_says_nothing_of_the_third():
+    family = read_priors()
+    assert KNOWN.on(family).of("ratio_3") == family.of("ratio_3")
+    third = Earlier("device d", BANDS | {"ratio_3": (0.7, 0.75, 0.8)}, "digest", frozenset()).on(family)
+    assert third.of("ratio_3").quantile(0.5) == pytest.approx(0.75)
+    assert third.of("ratio").quantile(0.5) == pytest.approx(0.85)
+
+
 def test_a_recording_that_the_prior_rests_on_is_told():
     t = np.arange(100) / 10.0
     mine, other = (Recording(t, np.sin(t), np.cos(t), source=Source("r.csv", d * 64)) for d in "ab")
@@ -58,3 +66,6 @@ def test_a_set_of_a_campaign_is_chosen_by_name(tmp_path: Path):
         earlier(str(tmp_path))
     with pytest.raises(PriorError, match="there is no fit and no campaign in it"):
         earlier(str(tmp_path / "none"))
+    (tmp_path / "fit.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(PriorError, match="the fit of one device and has no sets; leave #Bare out"):
+        earlier(f"{tmp_path}#Bare")

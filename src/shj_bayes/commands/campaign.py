@@ -39,8 +39,9 @@ from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.report.campaign import DIAGNOSIS, WITH_SET
-from shj_bayes.report.device import is_simulated
+from shj_bayes.report.campaign import WITH_SET
+from shj_bayes.report.device import is_simulated, render_device
+from shj_bayes.report.residual_file import DIAGNOSIS
 
 if TYPE_CHECKING:  # only a campaign with diagnoses needs it
     from shj_bayes.mismatch.together import Together
@@ -424,13 +425,21 @@ def _with_whole_paths(device: Device) -> Device:
 def _fit_one(device: Device, folder: Path) -> Outcome:
     """Fit and diagnose one device in a worker process."""
     place = folder / device.folder
-    result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1))
+    off = device.diagnose == "off"
+    result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1, page=off))
     if isinstance(result, str):
         return Outcome(device, FAILED, result)
     outcome = _outcome(device, result)
-    if device.diagnose == "off":
+    if off:
         return replace(outcome, diagnosis="off")
-    known = _kept_diagnosis(device, place, result.record["key"])
+    outcome = _diagnosed(device, place, outcome, result.record["key"])
+    page = _tried(lambda: render_device(place))  # now, since it says what the diagnosis found
+    return replace(outcome, status=FAILED, reason=page) if isinstance(page, str) else outcome
+
+
+def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outcome:
+    """Diagnose a fitted device, where that was not done earlier."""
+    known = _kept_diagnosis(device, place, key)
     if known is not None:
         return replace(outcome, diagnosis=known)
     quick = device.diagnose == "quick"

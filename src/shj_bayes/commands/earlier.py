@@ -19,7 +19,7 @@ from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import read_bytes, read_json
 from shj_bayes.errors import PriorError
 from shj_bayes.inference.record import read_group, read_record
-from shj_bayes.model.priors import FROM_EARLIER, Prior, Priors
+from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.recording import Finding, Recording
 
 LAW = ("K", "Fy", "gamma", "ratio")
@@ -51,14 +51,15 @@ class Earlier:
 
     def on(self, family: Priors) -> Priors:
         """Priors of a family with the laws of these parameters in place of its own."""
-        own = {name: _law(family.of(name), band, self.statement) for name, band in self.bands.items()}
+        laws = {name: replace(family.of(name), name=name) for name in self.bands}
+        own = {name: _law(laws[name], band, self.statement) for name, band in self.bands.items()}
         digest = hashlib.sha256(f"{family.sha256} {self.sha256}".encode()).hexdigest()
         return replace(
             family,
             family=f"{family.family}, and the posterior of {self.statement}",
             statement=f"{family.statement} Taken from earlier tests: {', '.join(own)}, of {self.statement}.",
-            priors=family.priors | own,
             sha256=digest,
+            earlier=own,
         )
 
     def remarked(self, recordings: Sequence[Recording]) -> list[Recording]:
@@ -98,6 +99,10 @@ def earlier(where: str) -> Earlier:
     name, _, chosen = where.partition("#")
     folder = Path(name)
     if (folder / "fit.json").is_file():
+        if chosen:
+            raise PriorError(
+                f"--priors-from {where}: {name} is the fit of one device and has no sets; leave #{chosen} out"
+            )
         return _of_device(folder)
     if (folder / "population.csv").is_file():
         return _of_set(folder, chosen)
@@ -108,7 +113,8 @@ def _of_device(folder: Path) -> Earlier:
     record, draws = read_record(folder), read_group(folder, "posterior")
     if record["verdict"] == "unusable":
         raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
-    bands = {name: _band(np.quantile(draws[name], (0.05, 0.5, 0.95))) for name in LAW if name in draws}
+    names = [name for name in draws if name in LAW or name.startswith("ratio_")]
+    bands = {name: _band(np.quantile(draws[name], (0.05, 0.5, 0.95))) for name in names}
     inputs = frozenset(str(entry["sha256"]) for entry in record["inputs"])
     return Earlier(f"device {record['device']}", bands, str(record.get("digest", "")), inputs)
 
@@ -153,8 +159,8 @@ def _band(values: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
 def _law(own: Prior, band: tuple[float, float, float], statement: str) -> Prior:
     """Law of a parameter with the 5, 50 and 95 % of an earlier result."""
     low, middle, high = band
-    source = f"{FROM_EARLIER}{statement}."
+    own = replace(own, source=f"Posterior of {statement}.", earlier=True)
     if own.name == "gamma":
-        return replace(own, law="normal", a=middle, b=max((high - low) / NINETY, 1e-6), source=source)
+        return replace(own, law="normal", a=middle, b=max((high - low) / NINETY, 1e-6))
     spread = max(math.log(high / low) / NINETY, LEAST_SPREAD)
-    return replace(own, law="lognormal", a=middle, b=spread, source=source)
+    return replace(own, law="lognormal", a=middle, b=spread)

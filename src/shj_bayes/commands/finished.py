@@ -15,6 +15,7 @@ from shj_bayes._util.files import file_digest, plain_name
 from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.record import check_files, read_record
+from shj_bayes.inference.remarks import Remark
 from shj_bayes.model.parameters import BASE
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
@@ -58,12 +59,14 @@ class DeviceResult:
         units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
         family = record["model"]["priors"]
         lines += [f"  warning: {words.remark(r, *units[r['parameter']], family=family)}" for r in remarks]
-        unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
+        unknown = {r["parameter"] for r in remarks if r["kind"] == Remark.UNDETERMINED}
         width = max(len(row["name"]) for row in record["parameters"]) + 1
         lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
         for row in map(shown.row, record["parameters"]):
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
-            numbers += f"  {row['unit']}{dep_words(row)}"
+            numbers += f"  {row['unit']}"
+            if row["name"].partition("_")[0] == "gamma":
+                numbers += f"  ({words.dep_words(row)})"
             if row["name"] in unknown:
                 numbers = f"{'not determined':>47}  {row['unit']}"
             lines.append(f"  {row['name']:{width}}{numbers}")
@@ -142,17 +145,6 @@ def key_of(
 def default_name(file: str) -> str:
     """Name of a file without its endings (a dot inside the name stays)."""
     return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", file, flags=re.IGNORECASE))
-
-
-def dep_words(row: dict[str, Any]) -> str:
-    """Interval of dep = 1/gamma behind a row of the parameter table; nothing for other parameters."""
-    if row["name"].partition("_")[0] != "gamma":
-        return ""
-    low, high = row["q05"], row["q95"]
-    if low <= 0 <= high:
-        return "  (dep has no bound: the force may not depend on speed)"
-    first, second = sorted((1 / low, 1 / high))
-    return f"  (dep {first:.4g} to {second:.4g} mm/s)"
 
 
 def finished_record(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]:

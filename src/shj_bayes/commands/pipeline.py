@@ -31,7 +31,6 @@ from shj_bayes.recording.units import parse_units
 from shj_bayes.report.device import render_device
 
 SEEDS, STEPS = (0, 2**32 - 1), (1, 1_000_000)
-SURE_P = 1e-3  # below it, digits of a p value say nothing to a reader; diagnosis.json keeps them
 
 
 @dataclass(frozen=True)
@@ -137,11 +136,16 @@ class DiagnosisResult:
     @property
     def text(self) -> str:
         """What a person wants to read at the end of a diagnosis."""
-        from shj_bayes.report.diagnosis_words import sentences, verdict_words  # noqa: PLC0415  (for a diagnosis only)
+        from shj_bayes.report.diagnosis_words import (  # noqa: PLC0415  (for a diagnosis only)
+            chance_words,
+            sentences,
+            verdict_words,
+        )
 
         record = self.record
-        p = f"below {SURE_P:g}" if record["p_value"] < SURE_P else f"{record['p_value']:.2g}"
-        lines = [f"{record['device']}: {record['verdict']} (chance of such a misfit if nothing were missing: {p})"]
+        chance = chance_words(record)
+        why = f"chance of such a misfit if nothing were missing: {chance}" if chance else str(record.get("reason", ""))
+        lines = [f"{record['device']}: {record['verdict']} ({why})"]
         lines += [f"  {sentence}" for sentence in (verdict_words(record)[2], *sentences(record))]
         # Where nothing was added to the law there is one law and one set of numbers.
         stages = ("before", "after") if record["modelled"] else ("after",)
@@ -175,8 +179,9 @@ def fit_device(
     progress: bool = False,
     threads: int = 0,
     force: bool = False,
+    page: bool = True,
 ) -> DeviceResult:
-    """Fit one device from its recordings and write the files and the page of INTERFACE.
+    """Fit one device from its recordings and write its files and its page.
 
     An unchanged finished result in `folder` is kept; an unfinished one is gone on with.
 
@@ -196,6 +201,8 @@ def fit_device(
         Ensembles that run at the same time, 0 for one per processor.
     force : bool
         Replace the result of another device in `folder`.
+    page : bool
+        Draw the page.
 
     Returns
     -------
@@ -220,7 +227,7 @@ def fit_device(
         finished, fresh = _fit(runs_of(recordings), folder, options, model, name, key, progress, threads), True
     else:
         fresh = False
-    if fresh or stale(folder):
+    if page and (fresh or stale(folder)):
         (step_told if progress else ignored)("drawing the page")
         render_device(folder)
     return device_result(folder, finished, fresh=fresh, note=note)

@@ -1,4 +1,4 @@
-"""The fit of one device, from recordings to the files of INTERFACE (without the page)."""
+"""The fit of one device, from recordings to its files, without the page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 
 CHECKPOINT = "checkpoint.h5"
-N_DRAWS = 2000  # of a first look
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,33 +128,6 @@ def fit(
     if folder is not None:
         store.write_fit(folder, data, table, record)
     return Fit(posterior, data, table, figures, floor, verdict, record)
-
-
-def first_look(
-    runs: Sequence[Run], model: DeviceModel, *, tops: Sequence[FloatArray] = (), seed: int = 1, threads: int = 0
-) -> dict[str, FloatArray]:
-    """Draw from the Gaussian around the most probable parameters, no narrower than the cycles scatter.
-
-    Parameters
-    ----------
-    runs, model, tops
-        As for `fit`.
-    seed : int
-        Same seed, same draws.
-    threads : int
-        As for `fit`.
-
-    Returns
-    -------
-    dict of str to array, shape (n,)
-        Draws of each parameter in its unit.
-    """
-    posterior, start = find_start(make_posterior(runs, model), threads=threads, tops=tops)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
-    root = np.linalg.cholesky(start.covariance + 1e-14 * np.eye(start.free.size))
-    z = start.free + rng.standard_normal((N_DRAWS, start.free.size)) @ root.T
-    theta = posterior.natural(floor_of(posterior, start).spread(z, start.free))
-    return dict(zip(posterior.names, theta.T, strict=True))
 
 
 def with_floor(verdict: Verdict, floor: Floor) -> Verdict:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import FROM_EARLIER
 
 UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away
 AGAINST = 2.6  # standard deviations of the prior: 1 in 100 beyond it
+
+
+class Remark(StrEnum):
+    """What the data do not say of a parameter."""
+
+    UNDETERMINED = "undetermined"
+    AGAINST_PRIOR = "against-prior"
+    AGAINST_EARLIER = "against-earlier"
 
 
 def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:
@@ -27,7 +35,7 @@ def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``parameter``, ``kind`` (``undetermined`` or ``against-prior``), ``q50`` and the prior's ``prior_q05`` and
+        ``parameter``, ``kind`` (a `Remark`), ``q50`` and the prior's ``prior_q05`` and
         ``prior_q95``; of the law alone, since nobody designs with the noise.
     """
     flat = chains.reshape(-1, chains.shape[-1])
@@ -37,12 +45,12 @@ def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:
             continue
         place = law.to_free(flat[:, i])  # standard normal, were there no data
         place = place[np.isfinite(place)]
-        kind = ""
-        known = law.source.startswith(FROM_EARLIER)  # a recording that adds nothing to it leaves it as well known
-        if place.size and np.std(place) > UNDETERMINED and not known:
-            kind = "undetermined"
+        kind = None
+        # A recording that adds nothing to what an earlier one said leaves the parameter as well known.
+        if place.size and np.std(place) > UNDETERMINED and not law.earlier:
+            kind = Remark.UNDETERMINED
         elif place.size and abs(np.median(place)) > AGAINST:
-            kind = "against-prior"
+            kind = Remark.AGAINST_EARLIER if law.earlier else Remark.AGAINST_PRIOR
         if kind:
             low, high = law.quantile(np.array([0.05, 0.95])).tolist()
             middle = float(np.median(flat[:, i]))

@@ -167,7 +167,7 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.
     Returns
     -------
     pandas.DataFrame
-        Columns of INTERFACE: name, unit, mean, sd, q05, q50, q95, ess_bulk, ess_tail, rhat.
+        Columns name, unit, mean, sd, q05, q50, q95, ess_bulk, ess_tail, rhat.
     """
     flat = chains.reshape(-1, chains.shape[-1])
     of_draws = (flat.mean(axis=0), flat.std(axis=0, ddof=1), *np.quantile(flat, [0.05, 0.5, 0.95], axis=0))

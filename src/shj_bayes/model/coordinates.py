@@ -19,7 +19,6 @@ from shj_bayes.model.parameters import FloatArray
 
 LOW_SPEED = 0.02  # of the peak speed, below which the logarithmic scale of the speed is linear
 SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid
-REST_S = 1.0  # likewise for a rest
 FASTEST = 1.15  # of the peak speed (a 95th percentile)
 STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
 # How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or
@@ -49,7 +48,7 @@ class Coordinate:
     repeats : float
         Probability that a curve over it comes again and again: threads and clocks do, wear and heat do not.
     family : str
-        Family of the effects that a curve over it belongs to, as in INTERFACE.
+        Family of the effects that a curve over it belongs to.
     symbol : str
         Letter in formulas.
     of_base : bool

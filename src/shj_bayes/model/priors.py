@@ -6,7 +6,7 @@ that way; the likelihood never sees either.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,6 @@ LAWS = {
 }
 # Where the law and the noise exist (above 0 for all others); a prior with mass beyond stops a fit half-way.
 ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf), "phi": (-1.0, 1.0)}
-FROM_EARLIER = "Posterior of "  # begins the source of a law that an earlier test gave
 MIN_NUMBER = 1e-30  # of what is not 0; the inverse of a smaller one overflows, and 1e-320 has four digits left
 MAX_NUMBER = 1e30  # squares and ratios of two such numbers still fit into a double
 FREE_EDGE = 8.0  # normal quantile at which the upper end of a law is still told from 1 in double precision
@@ -53,6 +52,8 @@ class Prior:
         The two numbers of the law, in that order.
     source : str
         Why this law.
+    earlier : bool
+        Whether it is the result of an earlier test.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Prior:
     a: float
     b: float
     source: str
+    earlier: bool = False
 
     def __post_init__(self) -> None:
         """Refuse laws that are no probability laws."""
@@ -183,12 +185,15 @@ class Priors:
         By parameter name.
     sha256 : str
         Digest of the file.
+    earlier : dict of str to Prior
+        What earlier tests say, by the name of the sampled parameter itself: a ``ratio`` says nothing of ``ratio_3``.
     """
 
     family: str
     statement: str
     priors: dict[str, Prior]
     sha256: str
+    earlier: dict[str, Prior] = field(default_factory=dict)
 
     def of(self, name: str) -> Prior:
         """Prior of a sampled parameter; ``K_2`` and ``ratio_3`` use the law of ``K`` and ``ratio``.
@@ -196,6 +201,8 @@ class Priors:
         A file that holds only the law of one noise scale, ``sigma``, serves for both parts of the noise.
         """
         base, _ = base_and_run(name)
+        if name in self.earlier:
+            return self.earlier[name]
         if base in self.priors:
             return self.priors[base]
         if base in ("sigma_white", "sigma_slow") and "sigma" in self.priors:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import PopulationError
@@ -13,6 +14,15 @@ from shj_bayes.population.measurement import Rounded
 
 DEVICE_TABLES = (3, 4, 5, 6, 7)
 Value = float | int | tuple[float, ...] | tuple[int, ...]
+
+
+class Held(StrEnum):
+    """Whether the tables of the paper bear out what its text says."""
+
+    YES = "holds"
+    PARTLY = "holds in part"
+    NO = "does not hold"
+    OPEN = "not settled"
 
 
 @dataclass(frozen=True)
@@ -25,7 +35,7 @@ class Claim:
         Short name.
     claim : str
         What the paper says, in our words.
-    verdict : {"holds", "holds in part", "does not hold", "not settled"}
+    verdict : Held
         What its tables say.
     values : mapping of str to number or tuple of numbers
         The figures behind the verdict.
@@ -35,7 +45,7 @@ class Claim:
 
     id: str
     claim: str
-    verdict: str
+    verdict: Held
     values: Mapping[str, Value]
     sentence: str
 

@@ -39,32 +39,19 @@ def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> lis
     -------
     list of Finding
     """
-    findings = []
     force, stroke = float(np.max(np.abs(force_kN))), float(np.ptp(displacement_mm))
-    if force > MAX_FORCE_KN:
-        message = (
-            f"force up to {force:.6g} kN; the largest machines reach {MAX_FORCE_KN:g} kN; "
-            f"if it is in N, use --units force=N"
-        )
-        findings.append(Finding("force-unit", "unusable", message))
-    if np.ptp(force_kN) < MIN_FORCE_KN:
-        message = (
-            f"force varies by {np.ptp(force_kN):.3g} kN only; at least {MIN_FORCE_KN:g} kN is needed; "
-            f"check its column and unit"
-        )
-        findings.append(Finding("force-flat", "unusable", message))
-    if stroke > MAX_STROKE_MM:
-        message = (
-            f"displacement spans {stroke:.6g} mm; at most {MAX_STROKE_MM:g} mm is plausible; check its column and unit"
-        )
-        findings.append(Finding("displacement-unit", "unusable", message))
-    if stroke < MIN_STROKE_MM:
-        message = (
-            f"displacement spans {stroke:.3g} mm; at least {MIN_STROKE_MM:g} mm is needed; "
-            f"is it in m or in? Use --units"
-        )
-        findings.append(Finding("displacement-flat", "unusable", message))
-    return findings
+    varies = float(np.ptp(force_kN))
+    checks = (
+        (force > MAX_FORCE_KN, "force-unit", f"force up to {force:.6g} kN; the largest machines reach "
+         f"{MAX_FORCE_KN:g} kN; if it is in N, use --units force=N"),
+        (varies < MIN_FORCE_KN, "force-flat", f"force varies by {varies:.3g} kN only; at least {MIN_FORCE_KN:g} kN is "
+         "needed; check its column and unit"),
+        (stroke > MAX_STROKE_MM, "displacement-unit", f"displacement spans {stroke:.6g} mm; at most "
+         f"{MAX_STROKE_MM:g} mm is plausible; check its column and unit"),
+        (stroke < MIN_STROKE_MM, "displacement-flat", f"displacement spans {stroke:.3g} mm; at least "
+         f"{MIN_STROKE_MM:g} mm is needed; is it in m or in? Use --units"),
+    )  # fmt: skip
+    return [Finding(code, "unusable", message) for found, code, message in checks if found]
 
 
 def dissipation(displacement_mm: FloatArray, force_kN: FloatArray) -> float:

@@ -86,15 +86,14 @@ def divisions(recording: Recording) -> tuple[Division, ...]:
     pauses = _apart(recording, sketch, FEW_HALF_CYCLES)
     if pauses:
         strokes = [_strokes(part) for part in sketch.parts([pause.middle_s for pause in pauses])]
-        again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _alike(strokes[0], own)]
+        again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _again(strokes[0], own)]
         if again:
             words = f"after {_rests(again)} the protocol begins again as it began"
             found.append(Division("repeat", _between(recording, sketch, again), words))
     if not any(way.why == "repeat" for way in found):
         found += _repeated(recording, sketch)
     longest = sketch.longest_half_cycle_s(pauses)
-    home = REST_HOME * float(np.ptp(sketch.x_mm))
-    pauses = [p for p in pauses if p.length_s > longest and abs(sketch.at(p.middle_s) - sketch.x_mm[0]) < home]
+    pauses = [p for p in pauses if p.length_s > longest and not sketch.holds(p)]
     if pauses:
         found.append(Division("rest", _between(recording, sketch, pauses), f"{_rests(pauses)} between movements"))
     return tuple(found)
@@ -275,6 +274,15 @@ class _Sketch:
         """Find the samples of the reversals."""
         return hysteresis(self.x_mm, self.threshold_mm)
 
+    def holds(self, pause: _Pause) -> bool:
+        """Whether a pause is a hold of the test: at the end of a stroke as long as the next, away from the start."""
+        level, span = self.at(pause.middle_s), float(np.ptp(self.x_mm))
+        before, after = self.parts([pause.begin_s])[0], self.parts([pause.end_s])[1]
+        ends = [float(part.x_mm[turn]) for part, k in ((before, -1), (after, 0)) for turn in part.turns()[k:][:1]]
+        centre = 0.5 * float(np.max(self.x_mm) + np.min(self.x_mm))
+        full = any(abs(abs(end - centre) - abs(level - centre)) < SAME_STROKE * span for end in ends)
+        return full and abs(level - float(self.x_mm[0])) > REST_HOME * span
+
     def longest_half_cycle_s(self, pauses: list[_Pause]) -> float:
         """Longest time from one reversal to the next, without those that hold one of the pauses."""
         edges = self.time_s[[0, *self.turns(), self.time_s.size - 1]]
@@ -338,6 +346,13 @@ def _apart(recording: Recording, sketch: _Sketch, n_half: int) -> list[_Pause]:
 def _strokes(sketch: _Sketch) -> FloatArray:
     """Lengths of the movements from reversal to reversal."""
     return np.abs(np.diff(sketch.x_mm[[0, *sketch.turns()]]))
+
+
+def _again(first: FloatArray, other: FloatArray) -> bool:
+    """Whether a protocol begins again: at once, or after the way back from where the one before it was cut off."""
+    full = first[1:]
+    varied = full.size >= PROTOCOL_HALF_CYCLES and float(np.max(full)) > PROTOCOL_VARIES * float(np.min(full))
+    return _alike(first, other) or (varied and any(_alike(full, other[back:]) for back in (1, 2)))
 
 
 def _alike(first: FloatArray, other: FloatArray) -> bool:

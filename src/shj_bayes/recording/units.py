@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 Role = Literal["time", "displacement", "force"]
 ROLES: tuple[Role, ...] = ("time", "displacement", "force")
 TARGET: dict[Role, str] = {"time": "s", "displacement": "mm", "force": "kN"}
-_DIMENSION: dict[Role, str] = {"time": "[time]", "displacement": "[length]", "force": "[force]"}
 _EXAMPLES: dict[Role, tuple[str, ...]] = {
     "time": ("s", "ms", "us", "min", "h"),
     "displacement": ("mm", "cm", "m", "um", "in", "ft"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import sparse
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray, RunData
@@ -56,47 +55,35 @@ def counted(run: RunData) -> BoolArray:
 
 def stroke_profiles(run: RunData, n_bins: int = N_STROKE) -> tuple[StrokeProfile, StrokeProfile]:
     """Mean residual over stroke for push and pull, beside what noise alone would give."""
-    x, direction = run.displacement_mm, run.direction
-    edges, index = _stroke_bins(x, n_bins)
+    edges = edges_of(run.displacement_mm, n_bins)
+    index, left = index_in(run.displacement_mm, edges), residual(run)
+    noise = run.predicted_kN - run.law_kN
+    # The fitted noise is stationary, so each draw may be moved in time to give several.
+    shifts = np.linspace(0, noise.shape[1], N_SHIFTS, endpoint=False).astype(int)
     out = []
     for sign in (1, -1):
-        label = np.where(counted(run) & (direction == sign), index, -1)
-        weights, present = means(label)
-        low, high = np.quantile(noise_means(run, weights), (0.05, 0.95), axis=1)
-        centre = 0.5 * (edges[:-1] + edges[1:])[present]
-        out.append(StrokeProfile(run.number, sign, centre, weights @ residual(run), low, high))
+        inside = counted(run) & (run.direction == sign)
+        mean = bin_means(index, left, inside, n_bins)
+        there = np.isfinite(mean)
+        alone = [bin_means(index, np.roll(row, step), inside, n_bins)[there] for row in noise for step in shifts]
+        low, high = np.quantile(alone, (0.05, 0.95), axis=0)
+        out.append(StrokeProfile(run.number, sign, 0.5 * (edges[:-1] + edges[1:])[there], mean[there], low, high))
     return out[0], out[1]
 
 
-def noise_means(run: RunData, weights: sparse.csr_array, n_shifts: int = N_SHIFTS) -> FloatArray:
-    """Binned means of noise alone, from the posterior predictive.
-
-    Parameters
-    ----------
-    run : RunData
-    weights : sparse array, shape (n_bins, n)
-        As `means` gives it.
-    n_shifts : int
-        The fitted noise is stationary, so each draw may be moved in time to give several.
-
-    Returns
-    -------
-    array, shape (n_bins, m n_shifts)
-    """
-    noise = run.predicted_kN - run.law_kN
-    steps = np.linspace(0, noise.shape[1], n_shifts, endpoint=False).astype(int)
-    # One shift after the other: all at once would take gigabytes for a long recording.
-    return np.concatenate([weights @ np.roll(noise, step, axis=1).T for step in steps], axis=1)
+def edges_of(values: FloatArray, n_bins: int) -> FloatArray:
+    """Edges of even bins over the range of values."""
+    low, high = float(values.min()), float(values.max())
+    return np.linspace(low, high if high > low else low + 1.0, n_bins + 1)
 
 
-def _stroke_bins(x: FloatArray, n_bins: int) -> tuple[FloatArray, IntArray]:
-    """Edges of even bins over the stroke, mm, and the bin of each sample."""
-    edges = np.linspace(float(x.min()), float(x.max()), n_bins + 1)
-    return edges, np.clip(np.digitize(x, edges) - 1, 0, n_bins - 1).astype(np.int64)
+def index_in(values: FloatArray, edges: FloatArray) -> IntArray:
+    """Bin of each value."""
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2).astype(np.int64)
 
 
-def means(label: IntArray) -> tuple[sparse.csr_array, IntArray]:
-    """Matrix that takes the mean over the samples of each label (those of -1 left out), and the labels present."""
-    inside = np.flatnonzero(label >= 0)
-    present, row, count = np.unique(label[inside], return_inverse=True, return_counts=True)
-    return sparse.csr_array((1.0 / count[row], (row, inside)), shape=(present.size, label.size)), present
+def bin_means(index: IntArray, what: FloatArray, inside: BoolArray, size: int, fewest: int = 1) -> FloatArray:
+    """Mean of the samples of each bin; nan where there are fewer than `fewest`."""
+    count = np.bincount(index[inside], minlength=size)
+    total = np.bincount(index[inside], weights=what[inside], minlength=size)
+    return np.where(count >= fewest, total / np.maximum(count, 1), np.nan)

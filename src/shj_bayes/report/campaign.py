@@ -10,20 +10,16 @@ from urllib.parse import quote
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.published import Claim
+from shj_bayes.population.published import Claim, Held
 from shj_bayes.population.results import load_population
 from shj_bayes.report import words
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.campaign_physics import rows_of, statements, table
 from shj_bayes.report.page import PAGE, write_page
-from shj_bayes.report.residual_file import read_residual
-from shj_bayes.report.sets import Interval
+from shj_bayes.report.residual_file import DIAGNOSIS, read_residual
 from shj_bayes.report.sets_page import population_content, tested_motion
 
-DIAGNOSIS, WITH_SET = (
-    "diagnosis",
-    "with-set",
-)  # in the folder of a device: its diagnosis, its fit with its set's physics
+WITH_SET = "with-set"  # in the folder of a device: its fit with its set's physics
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
 
@@ -106,7 +102,7 @@ def render_tables(folder: Path, population: PopulationResult, claims: Sequence[C
     Path
         The page.
     """
-    colours = {"holds": "holds", "does not hold": "not"}
+    colours = {Held.YES: "holds", Held.NO: "not"}
     content = {
         "claims": [
             {"claim": c.claim, "verdict": c.verdict, "colour": colours.get(c.verdict, "part"), "sentence": c.sentence}
@@ -151,7 +147,7 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
             row[key] = quote(f"{place}/{page}")
     for parameter in _parameters(folder / place):
         key = str(parameter["name"])
-        row["intervals"][key] = _interval(parameter)
+        row["intervals"][key] = (parameter["q05"], parameter["q50"], parameter["q95"])
         row["numbers"][key] = {
             "exact": repr(parameter["q50"]),
             "text": words.rounded(parameter["q50"], parameter["sd"] or 0.0),
@@ -172,7 +168,3 @@ def _parameters(place: Path) -> list[dict[str, Any]]:
         return list(rows)
     except (ReportError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return []
-
-
-def _interval(row: Mapping[str, Any]) -> Interval:
-    return float(row["q05"]), float(row["q50"]), float(row["q95"])

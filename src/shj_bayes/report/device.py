@@ -11,6 +11,7 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import ReportError
+from shj_bayes.inference.remarks import Remark
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.report import words
@@ -18,7 +19,7 @@ from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.page import LOOPS, write_page
-from shj_bayes.report.residual_file import LeftOver, left_over, write_residual
+from shj_bayes.report.residual_file import LeftOver, diagnosis_in, left_over, write_residual
 from shj_bayes.report.viewer import device_viewer, thinning_words
 
 
@@ -49,6 +50,7 @@ def render_device(folder: Path) -> Path:
         viewer = device_viewer(device, numbers)
         moving = {"pictures": draw(device, numbers, left), "viewer": viewer, "thinning": thinning_words(viewer)}
         filled = content(device, numbers, left) | moving
+        filled["diagnosis"] = f"{diagnosis_in(folder)}/diagnosis.html" if left.diagnosed else ""
         write_residual(folder, left)
         return write_page(folder, "device.html", filled, LOOPS)
 
@@ -62,7 +64,7 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
     record, unit = device.record, force_unit(device.record)
     remarks = record.get("remarks", [])
     units = {row["name"]: unit.of(row["unit"]) for row in record["parameters"]}
-    unknown = {r["parameter"] for r in remarks if r["kind"] == "undetermined"}
+    unknown = {r["parameter"] for r in remarks if r["kind"] == Remark.UNDETERMINED}
     gamma = next((row for row in record["parameters"] if row["name"] in ("gamma", "velocity.size")), NO_SPEED)
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
     peak = numbers.one_speed or max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
@@ -74,7 +76,6 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
         "reasons": record["reasons"],
         "remarks": [words.remark(r, *units[r["parameter"]], family=record["model"]["priors"]) for r in remarks],
         "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
-        "diagnosis": "diagnosis.html" if left.diagnosed else "",
         "cards": cards(device, numbers.one_speed is not None, unknown),
         "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
         "alias": words.alias_words(numbers.one_speed),

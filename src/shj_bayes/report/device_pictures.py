@@ -55,7 +55,7 @@ def _hero(device: DeviceData, numbers: Numbers, left: LeftOver, unit: ForceUnit)
         f"Force over displacement for one large cycle of {runs}: measured points, the model's line and a band around "
         "it.",
         f"One cycle of the largest stroke of {runs}: points measured, line the model, known to about "
-        f"{words.short(width)} {unit.name} if it is right; nine in ten points should lie in the band. "
+        f"{words.short(width)} {unit.name} if it is right; 90 % of the points should lie in the band. "
         f"{words.band_words(left)}",
     )
 

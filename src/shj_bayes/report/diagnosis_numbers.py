@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.binned import bin_means, edges_of, index_in
 from shj_bayes.report.data import BoolArray, IntArray
 from shj_bayes.report.diagnosis_data import Channels
 
@@ -72,9 +73,10 @@ def profile(
     -------
     Profile
     """
-    edges = _edges(values[used], n_bins)
+    edges = edges_of(values[used], n_bins)
     signed = residual_kN * direction
-    means = [_binned(values, edges, signed, used & (direction == sign)) for sign in (1, -1)]
+    index = index_in(values, edges)
+    means = [bin_means(index, signed, used & (direction == sign), n_bins, FEWEST) for sign in (1, -1)]
     return Profile(0.5 * (edges[:-1] + edges[1:]), means[0], means[1])
 
 
@@ -82,12 +84,12 @@ def position_travel(channels: Channels, residual_kN: FloatArray) -> Map:
     """Average the direction-signed residual over position and travel, about one row for each large cycle."""
     used = channels.used
     position, travel = channels.position_mm, channels.travel_m
-    across = _edges(position[used], N_POSITION)
+    across = edges_of(position[used], N_POSITION)
     rows = travel_bins(channels)
-    along = _edges(travel[used], rows)
-    cell = _index(travel, along) * N_POSITION + _index(position, across)
+    along = edges_of(travel[used], rows)
+    cell = index_in(travel, along) * N_POSITION + index_in(position, across)
     parts = [
-        _means(cell, residual_kN * channels.direction, used & (channels.direction == sign), rows * N_POSITION, 1)
+        bin_means(cell, residual_kN * channels.direction, used & (channels.direction == sign), rows * N_POSITION)
         for sign in (1, -1)
     ]
     return Map(across, along, parts[0].reshape(rows, N_POSITION), parts[1].reshape(rows, N_POSITION))
@@ -112,22 +114,3 @@ def shown_cycle(channels: Channels, run: int) -> slice:
     if not pairs:
         return slice(ends[0], ends[-1])
     return slice(halves[pairs[-1]][0], halves[pairs[-1] + 1][1])
-
-
-def _edges(values: FloatArray, n_bins: int) -> FloatArray:
-    low, high = float(values.min()), float(values.max())
-    return np.linspace(low, high if high > low else low + 1.0, n_bins + 1)
-
-
-def _index(values: FloatArray, edges: FloatArray) -> IntArray:
-    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2).astype(np.int64)
-
-
-def _binned(values: FloatArray, edges: FloatArray, what: FloatArray, inside: BoolArray) -> FloatArray:
-    return _means(_index(values, edges), what, inside, edges.size - 1, FEWEST)
-
-
-def _means(index: IntArray, what: FloatArray, inside: BoolArray, size: int, fewest: int) -> FloatArray:
-    count = np.bincount(index[inside], minlength=size)
-    total = np.bincount(index[inside], weights=what[inside], minlength=size)
-    return np.where(count >= fewest, total / np.maximum(count, 1), np.nan)

@@ -112,7 +112,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     if verdict == "unknown":
         left = number(record.get("left_over_percent"))
         if math.isfinite(left) and left >= 1.0:
-            out.append(f"What is left beside what was found reaches {left:.2g} % of the sliding force.")
+            out.append(f"What is left beside what was found reaches {per_cent(left / 100)} % of the sliding force.")
         if (record.get("unknown") or {}).get("words"):  # files of schema 1
             out.append(str(record["unknown"]["words"]))
     gamma = record["shift"].get("gamma")
@@ -130,17 +130,17 @@ def curve_words(c: Mapping[str, Any]) -> str:
     size = number(c.get("range_percent"))
     period = number(c.get("period"))
     over = f"every {period:.3g} {c.get('unit')}, again and again" if math.isfinite(period) else "over what was tested"
-    much = f": it changes by {size:.2g} % of Fy {over}" if math.isfinite(size) else ""
+    much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if math.isfinite(size) else ""
     return f"{what} depends on {COORDINATES.get(str(c.get('coordinate')), c.get('coordinate'))}{much}."
 
 
 def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
     """Say what a force that fluctuates by more than noise can may be, and what would tell."""
     return [
-        f"The force fluctuates within a stroke by {number(c.get('size_percent')):.2g} % of the sliding force, more "
-        "than the noise of a load cell. Surfaces that stick and jump do that, and so does a frame that swings. Effects "
-        "below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower the speed "
-        "or stiffen the grip: stick-slip changes with both."
+        f"The force fluctuates within a stroke by {per_cent(number(c.get('size_percent')) / 100)} % of the sliding "
+        "force, more than the noise of a load cell. Surfaces that stick and jump do that, and so does a frame that "
+        "swings. Effects below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower "
+        "the speed or stiffen the grip: stick-slip changes with both."
         for c in record.get("coordinates") or ()
         if record["verdict"] == "unknown" and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
     ]
@@ -156,7 +156,7 @@ def coordinates(data: DiagnosisData) -> list[dict[str, str]]:
                 "words": curve_words(c),
                 "probability": percent(c.get("probability")),
                 "evidence": f"{evidence:+.0f}" if math.isfinite(evidence) else "",
-                "size": f"{size:.2g} %" if math.isfinite(size) else "",
+                "size": f"{per_cent(size / 100)} %" if math.isfinite(size) else "",
                 "names": "; ".join(title_of(name) for name in c.get("matches") or ()) or "none known",
             }
         )
@@ -198,6 +198,12 @@ def p_words(p: Any) -> str:
     return "below 0.001" if value < 1e-3 else f"{value:.2g}"
 
 
+def chance_words(record: Mapping[str, Any]) -> str:
+    """Say how probable such a misfit is by chance; nothing where something else than that decided the verdict."""
+    p = number(record["p_value"])
+    return "" if record["verdict"] != "adequate" and p >= LIMIT else p_words(p)
+
+
 def cards(data: DiagnosisData) -> list[dict[str, str]]:
     """Give the numbers of the first screen: parameters before and after, held-out error, chance."""
     out = []
@@ -217,10 +223,9 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     out.append(_card("Error on cycles that were held out", words.short(before), words.short(after), "kN", noise))
     if not data.channels.changed:
         out = [card | {"before": ""} for card in out]
-    note = "An upper limit, corrected for everything that was tried. Small: something is missing."
-    out.append(
-        _card("Chance of so large a misfit if nothing were missing", "", p_words(data.record["p_value"]), "", note)
-    )
+    if chance := chance_words(data.record):
+        note = "An upper limit, corrected for everything that was tried. Small: something is missing."
+        out.append(_card("Chance of so large a misfit if nothing were missing", "", chance, "", note))
     return out
 
 

@@ -12,6 +12,7 @@ from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import sets_suffice
 from shj_bayes.report.sets import name_of
+from shj_bayes.report.words import digits
 
 MAX_SETS = 16
 BANDS = (
@@ -45,15 +46,6 @@ FACTORS = (
 EQUIVALENTS = ("phi equivalent, first run", "phi equivalent, after a first earthquake", "phi_o equivalent")
 SPREADS = ("device to device", "within a device", "model, V_delta")
 Index = dict[tuple[str, str, str, str], Margin]
-
-
-def digits(value: float) -> str:
-    """Three digits, whole numbers from 100 on; a dash where a number cannot be given."""
-    if not math.isfinite(value):
-        return "-"
-    if abs(value) >= 1e4:
-        return f"{value:.1e}"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def band_table(sheet: Sheet) -> list[dict[str, Any]]:

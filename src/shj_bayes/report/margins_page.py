@@ -98,7 +98,7 @@ def _pictures(loops: Sequence[LoopBand]) -> list[Picture]:
     return [
         Picture(
             loop(bands),
-            f"Force over displacement of the tested devices of {name}: middle and 90 % band, run by run.",
+            f"Force over displacement of the tested devices of {name}: median and 90 % band, run by run.",
             "Every tested device through its widest cycle, with the model that was found for it. Values: loops.csv.",
             name,
         )

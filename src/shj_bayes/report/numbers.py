@@ -258,17 +258,16 @@ def one_peak_speed(energies: tuple[CycleEnergy, ...]) -> float | None:
     if peaks.size == 0:
         return None
     middle = float(np.median(peaks))
-    # A cycle or two may be started or stopped by hand; nine in ten must agree.
+    # A cycle or two may be started or stopped by hand; 90 % must agree.
     alike = float(np.mean(np.abs(peaks - middle) <= SAME_SPEED * middle))
     return middle if alike >= 0.9 else None
 
 
 @dataclass(frozen=True, eq=False)
 class Degradation:
-    """Loss of sliding force from the first run to run `run`, per cent: draws and 5, 50 and 95 %."""
+    """Loss of sliding force from the first run to run `run`, per cent: 5, 50 and 95 %."""
 
     run: int
-    loss_percent: FloatArray = field(repr=False)
     q05: float
     q50: float
     q95: float
@@ -281,5 +280,5 @@ def degradation(device: DeviceData) -> tuple[Degradation, ...]:
         name = "ratio" if run.number == 2 else f"ratio_{run.number}"
         loss = 100 * (1 - device.draws[name].ravel())
         q05, q50, q95 = (float(v) for v in np.quantile(loss, LEVELS))
-        out.append(Degradation(run.number, loss, q05, q50, q95))
+        out.append(Degradation(run.number, q05, q50, q95))
     return tuple(out)

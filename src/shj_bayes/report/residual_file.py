@@ -19,6 +19,7 @@ from shj_bayes.errors import ReportError
 if TYPE_CHECKING:
     from shj_bayes.report.data import DeviceData
 
+DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
 FILE, SCHEMA = "residual.json", "shj-bayes/residual/2"
 FEWEST_CYCLES = 3  # what comes again twice may be shape; what is there once or twice may be chance
 FAIR_PERCENT = 2.0  # of Fy: a load cell's own drift stays below
@@ -80,11 +81,16 @@ def left_over(device: DeviceData, folder: Path | None = None) -> LeftOver:
 def _diagnosed(device: DeviceData, folder: Path) -> str:
     """Verdict of ``diagnosis.json``; empty where it is missing, unreadable, or of other recordings."""
     try:
-        record = read_json(folder / "diagnosis.json", ReportError)
+        record = read_json(folder / diagnosis_in(folder) / "diagnosis.json", ReportError)
         same = [i["sha256"] for i in record["inputs"]] == [i["sha256"] for i in device.record["inputs"]]
         return str(record["verdict"]) if same and record["verdict"] in DIAGNOSED else ""
     except (ReportError, KeyError, TypeError):
         return ""
+
+
+def diagnosis_in(folder: Path) -> str:
+    """Where the diagnosis of a device lies, below the folder of its fit: in it, or in one of its own."""
+    return DIAGNOSIS if (folder / DIAGNOSIS / "diagnosis.json").is_file() else "."
 
 
 def write_residual(folder: Path, left: LeftOver) -> None:

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.store import read_posterior
+from shj_bayes.inference.record import read_group
 from shj_bayes.population.compare import Comparison
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.predict import dep_words, how_wide, never_tested_words, sets_suffice
 from shj_bayes.report import sets, words
+
+NUMBERS = ("Two", "Three", "Four", "Five")
 
 
 def population_content(
@@ -51,10 +53,9 @@ def population_content(
 def tested_motion(folder: Path) -> tuple[float, float] | None:
     """Largest amplitude, mm, and peak speed, mm/s, of a fitted device; None where its files cannot be read."""
     try:
-        data: Any = read_posterior(folder)
-        constant = data.constant_data
-        x, speed = constant["displacement_mm"].to_numpy(), constant["speed_mm_s"].to_numpy()
-    except (ShjError, AttributeError, KeyError):
+        constant = read_group(folder, "constant_data")
+        x, speed = constant["displacement_mm"], constant["speed_mm_s"]
+    except (ShjError, KeyError):
         return None
     amplitude, peak = 0.5 * float(np.ptp(x)), float(np.quantile(speed, 0.99))
     return (amplitude, peak) if amplitude > 0 and peak > 0 else None
@@ -70,9 +71,9 @@ def _table(bands: Mapping[str, tuple[sets.SetBand, ...]]) -> list[dict[str, Any]
             row["n"] = max(row["n"], band.n_devices)
             row["cells"][quantity] = {
                 "exact": repr(middle),
-                "middle": _digits(middle),
-                "low": _digits(low),
-                "high": _digits(high),
+                "middle": words.digits(middle),
+                "low": words.digits(low),
+                "high": words.digits(high),
                 "dep": _dep(low, high) if quantity == "gamma" else "",
             }
     for row in rows.values():
@@ -91,26 +92,19 @@ def _dep(low: float, high: float) -> str:
     return "dep open" if low <= 0 <= high else f"dep {dep_words(low, high)}"
 
 
-def _digits(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-def _number(n: int) -> str:
-    return ("Two", "Three", "Four", "Five")[n - 2]
-
-
 def _few(result: PopulationResult) -> str:
     """Say plainly when there are too few devices for a band of their own."""
     counts = [len(group.devices) for group in result.sets]
     if min(counts) >= 6:
         return ""
     few = sum(n <= 2 for n in counts)
-    tail = f" {few} of the {len(counts)} sets here rest on one or two devices." if few else ""
+    verb = "rests" if few == 1 else "rest"
+    tail = f" {few} of the {len(counts)} sets here {verb} on one or two devices." if few and len(counts) > 1 else ""
     return (
-        f"{_number(max(2, min(counts)))} devices are not a band: the next one need not lie between them. The blue bars "
-        "are for a new device. They "
-        "hold how much devices of one set differ, which few devices can hardly tell, so most of their width comes from "
-        f"the other sets and from assumptions; the thin grey lines show how far other assumptions move them.{tail}"
+        f"{NUMBERS[max(2, min(counts)) - 2]} devices are not a band: the next one need not lie between them. The blue "
+        "bars are for a new device. They hold how much devices of one set differ, which few devices can hardly tell, "
+        "so most of their width comes from the other sets and from assumptions; the thin grey lines show how far other "
+        f"assumptions move them.{tail}"
     )
 
 

@@ -41,8 +41,8 @@ def _bands(bands: Mapping[str, tuple[sets.SetBand, ...]], quantity: str) -> Pict
     caption = _ends(rows)
     if quantity == "Fy":
         caption = (
-            "Dots are tested devices; how many stands behind the name of the set. The blue bar is where a new device "
-            "of that set lies with a probability of 90 %, its upright line is the middle."
+            "Dots are tested devices; how many stands behind the name of the set. The blue bar is the 90 % interval "
+            "of a new device of that set, its upright line the median."
         )
     if quantity == "gamma":
         caption += " 0 means no dependence on speed; a band on both sides of 0 leaves dep = 1/gamma open."
@@ -66,8 +66,8 @@ def _ends(rows: tuple[sets.SetBand, ...]) -> str:
     low, _, high = (f"{value:.3g}" for value in widest.band)
     text = f"Widest band: {widest.name}, {low} to {high}{unit}."
     if least is most:
-        return f"Middle: {least.band[1]:.3g}{unit}. {text}"
-    return f"Middles from {least.band[1]:.3g}{unit} ({least.name}) to {most.band[1]:.3g}{unit} ({most.name}). {text}"
+        return f"Median: {least.band[1]:.3g}{unit}. {text}"
+    return f"Medians from {least.band[1]:.3g}{unit} ({least.name}) to {most.band[1]:.3g}{unit} ({most.name}). {text}"
 
 
 def _loops(bands: tuple[LoopBand, ...]) -> list[Picture]:
@@ -79,7 +79,7 @@ def _loops(bands: tuple[LoopBand, ...]) -> list[Picture]:
             Picture(
                 figures.loop(parts),
                 f"Band of the force over displacement of a new device of {name}.",
-                f"Energy of one cycle, middle and 90 %: {energy}. Devices tested: {parts[0].n_devices}.",
+                f"Energy of one cycle, median and 90 % interval: {energy}. Devices tested: {parts[0].n_devices}.",
                 name,
             )
         )

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from shj_bayes.inference.remarks import Remark
 from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
@@ -65,6 +66,15 @@ def short(value: float) -> str:
     return f"{value:.2e}"
 
 
+def digits(value: float) -> str:
+    """Three digits, whole numbers from 100 on; a dash where a number cannot be given."""
+    if not math.isfinite(value):
+        return "-"
+    if abs(value) >= 1e4:
+        return f"{value:.1e}"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
 def interval(row: Mapping[str, Any]) -> str:
     """90 % interval of a row of the parameter table."""
     return f"{rounded(row['q05'], row['sd'])} to {rounded(row['q95'], row['sd'])}"
@@ -79,8 +89,8 @@ def dep_words(row: Mapping[str, Any]) -> str:
         edges = f"; if there is any, dep is {' or '.join(sides)} mm/s" if sides else ""
         return f"dep has no bound: the force may not depend on speed at all{edges}"
     first, second = sorted((1 / low, 1 / high))
-    digits = max(0, 1 - math.floor(math.log10(max(second - first, 1e-6))))
-    return f"dep between {first:+.{min(digits, 3)}f} and {second:+.{min(digits, 3)}f} mm/s"
+    places = min(3, max(0, 1 - math.floor(math.log10(max(second - first, 1e-6)))))
+    return f"dep between {first:+.{places}f} and {second:+.{places}f} mm/s"
 
 
 def speed_words(row: Mapping[str, Any], peak_mm_s: float) -> str:
@@ -122,15 +132,21 @@ def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0, *, f
     name = str(finding["parameter"])
     low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
     unit = "" if unit in ("", "1") else f" {unit}"
-    if finding["kind"] == "undetermined":
+    if finding["kind"] == Remark.UNDETERMINED:
         wanted = _DETERMINES.get(name.partition("_")[0])
         return (
             f"{name} is not determined by this recording: it may lie almost anywhere in its prior, {low} to {high}"
             f"{unit} (90 %)" + (f"; {wanted} would tell." if wanted else ".")
         )
+    value = f"{name} is {short(factor * float(finding['q50']))}{unit}"
+    if finding["kind"] == Remark.AGAINST_EARLIER:
+        return (
+            f"{value}, and the earlier result {low} to {high}{unit} (90 %): the two disagree, and this one is drawn "
+            "towards it. Leave --priors-from out; for another device of the same kind name a campaign's set there."
+        )
     check = "Check the units (--units), or g" if unit else "The law may not be that of this device; if it is, g"
     return (
-        f"{name} is {short(factor * float(finding['q50']))}{unit}, which the prior holds nearly impossible ({low} to "
+        f"{value}, which the prior holds nearly impossible ({low} to "
         f"{high}{unit}, 90 %): the result is drawn towards it. {check}ive priors for this kind of device "
         f"(--priors {'with a file of your own' if family == 'general' else 'general, or a file of your own'})."
     )
@@ -162,9 +178,8 @@ def left_words(left: LeftOver) -> str:
 
 
 def left_cell(left: LeftOver) -> str:
-    """Say the same as far as a cell of a table has room for it."""
-    more = "; the cycles scatter more than the noise allows" if left.widening > 1.0 else ""
-    return fit_words(left) + more + (f"; diagnosis: {left.diagnosed}" if left.diagnosed else "")
+    """Say the same as far as a cell of a table has room for it; the diagnosis has a column of its own there."""
+    return fit_words(left) + ("; the cycles scatter more than the noise allows" if left.widening > 1.0 else "")
 
 
 def band_words(left: LeftOver) -> str:

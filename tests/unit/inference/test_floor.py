@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.convergence import Verdict
-from shj_bayes.inference.fit import first_look, fit, with_floor
+from shj_bayes.inference.fit import fit, with_floor
 from shj_bayes.inference.floor import FEWEST, Floor, _scores, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
@@ -100,13 +100,6 @@ def test_the_table_and_the_stored_draws_are_as_wide_as_each_other(misfit) -> Non
     table = misfit.summary.set_index("name")
     np.testing.assert_allclose(draws_of(misfit).std(axis=0), table["sd"], rtol=0.1)
     np.testing.assert_allclose(draws_of(misfit).mean(axis=0), table["mean"], atol=0.1 * table["sd"].max())
-
-
-def test_a_first_look_is_as_wide(misfit) -> None:
-    draws = first_look(misfit.posterior.runs, misfit.posterior.model)
-    table = misfit.summary.set_index("name")
-    for name in ("K", "Fy", "ratio"):
-        assert draws[name].std() == pytest.approx(table.loc[name, "sd"], rel=0.25)
 
 
 def test_few_cycles_say_nothing(make_small: Make) -> None:

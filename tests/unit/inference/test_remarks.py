@@ -7,7 +7,7 @@ import pytest
 
 from shj_bayes.inference.remarks import remarks_of
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.priors import FROM_EARLIER, read_priors
+from shj_bayes.model.priors import read_priors
 
 
 @pytest.fixture
@@ -45,6 +45,8 @@ def test_noise_is_nobodys_design_value(model):
 
 
 def test_what_an_earlier_test_determined_stays_determined(model):
-    laws = {"K": replace(model.priors.of("K"), source=f"{FROM_EARLIER}device d.")}
-    known = replace(model, priors=replace(model.priors, priors=model.priors.priors | laws))
+    laws = {"K": replace(model.priors.of("K"), earlier=True)}
+    known = replace(model, priors=replace(model.priors, earlier=laws))
     assert remarks_of(known, chains(known, K=(0.0, 1.0))) == []
+    (remark,) = remarks_of(known, chains(known, K=(3.0, 0.1)))
+    assert remark["kind"] == "against-earlier"

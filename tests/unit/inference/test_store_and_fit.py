@@ -27,7 +27,7 @@ from shj_bayes.model.simulate import Truth
 from shj_bayes.report.data import read_device
 
 Fitted = tuple[Fit, Path]
-COLUMNS = ["name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat"]  # INTERFACE
+COLUMNS = ["name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat"]
 GROUPS = {
     "posterior", "prior", "posterior_predictive", "prior_predictive", "log_likelihood", "log_prior", "sample_stats",
     "observed_data", "constant_data", "loops",

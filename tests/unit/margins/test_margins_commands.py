@@ -18,7 +18,8 @@ from shj_bayes.margins.row import LOW
 from shj_bayes.margins.sheet import margins
 from shj_bayes.population.results import write_population
 from shj_bayes.population.selectors import is_bare
-from shj_bayes.report.margins_numbers import digits, factor_table
+from shj_bayes.report.margins_numbers import factor_table
+from shj_bayes.report.words import digits
 
 LABEL = "=cmd|'<b>"
 

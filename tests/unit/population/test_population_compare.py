@@ -154,7 +154,7 @@ def test_holm():
 
 
 def test_power_of_two_devices():
-    """DOMAIN: a factor of 2 at a spread of 0.34, by simulation of 60 to 400 campaigns: 0.24, 0.70, 0.92."""
+    """A factor of 2 at a spread of 0.34, by another simulation of 60 to 400 campaigns: 0.24, 0.70, 0.92."""
     found = [power(math.log(2.0), 0.34, n, n) for n in (2, 4, 6)]
     assert found == pytest.approx([0.24, 0.70, 0.92], abs=0.04)
     assert power(0.0, 0.3, 5, 5) == pytest.approx(0.05, abs=1e-6)

@@ -67,6 +67,36 @@ def test_rests_away_from_the_start_belong_to_the_test():
     assert divisions(recording) == ()
 
 
+def stood_still(parts, rest_s=40.0):
+    """Positions of a rig that stands still between the parts where the one before it ended, and goes on from there."""
+    x, n = [parts[0]], round(rest_s * RATE_HZ)
+    for part in parts[1:]:
+        way = np.arange(x[-1][-1], part[0], np.sign(part[0] - x[-1][-1]) * 10.0 / RATE_HZ)
+        x += [np.full(n, x[-1][-1]), way, part]
+    x = np.concatenate(x)
+    noise = np.random.default_rng(5).standard_normal(x.size)
+    return Recording(np.arange(x.size) / RATE_HZ, x + 0.02 * noise, 70.0 * np.tanh(np.gradient(x) * 100))
+
+
+def test_a_protocol_cut_off_away_from_the_start_is_found_when_it_begins_again():
+    x = exact_motion(STEPPED, RATE_HZ)[1].displacement_mm
+    early, late = x[: round(0.62 * x.size)], x[: round(0.94 * x.size)]
+    assert min(abs(early[-1]), abs(late[-1])) > 0.2 * np.ptp(x)
+    recording = stood_still([late, early, late])
+    assert "3 runs" in codes(settle([recording])[0])["several-runs"].message
+    for run, part in zip(split(recording), (late, early, late), strict=True):
+        assert run.n_samples == pytest.approx(part.size, abs=100)
+
+
+@pytest.mark.parametrize("blocks", [[replace(block, n_cycles=4) for block in STEPPED], (Block(24.0, 0.1, 12),)])
+def test_rests_in_the_middle_of_a_stroke_are_said(blocks):
+    x = exact_motion(blocks, RATE_HZ)[1].displacement_mm
+    one, two = round(0.45 * x.size), round(0.78 * x.size)
+    (whole,) = settle([stood_still([x[:one], x[one:two], x[two:]])])
+    assert "--runs 3" in codes(whole)["long-rests"].message
+    assert whole.usable
+
+
 @pytest.mark.parametrize(("rest_s", "sampled"), [(40.0, True), (40.0, False), (0.0, True)])
 def test_a_protocol_that_begins_again_is_refused_until_somebody_says(rest_s, sampled):
     recording = in_memory(behind(THREE, rest_s, sampled))

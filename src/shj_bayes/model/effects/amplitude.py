@@ -45,7 +45,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "amplitude"),),
-    source="DOMAIN E18.",
+    source="Assumed form: one change for each doubling, because most blocks of Table 1 double the one before.",
     start={"size": (0.02, -0.02)},
 ).with_form(
     "gradual",

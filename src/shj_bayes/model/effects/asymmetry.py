@@ -27,6 +27,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "direction"),),
-    source="DOMAIN E11.",
+    source="Assumed form: one factor for each direction, the least that makes push and pull differ.",
     start={"size": (0.05,)},
 )

@@ -35,7 +35,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "travel"),),
-    source="DOMAIN E07.",
+    source="Assumed form: an exponential approach, the least that rises with the first travel and levels off.",
     start={"size": (0.1,), "travel": (0.1, 0.5, 2.0)},
 ).with_form(
     "hyperbolic",

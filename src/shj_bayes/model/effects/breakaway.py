@@ -33,6 +33,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "slip"),),
-    source="DOMAIN E02: rate-and-state ageing, reduced to slip and rest.",
+    source="Ageing of contacts with the logarithm of rest (Hulikal, Bhattacharya and Lapusta, arXiv 1405.3643).",
     start={"size": (0.1,), "decay": (0.5, 2.0, 6.0), "growth": (0.2,)},
 )

@@ -32,6 +32,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "distance"),),
-    source="DOMAIN E12.",
+    source="Assumed form: a bell around mid-stroke, where every cycle passes.",
     start={"size": (0.08,), "width": (0.25, 0.6)},
 )

@@ -37,7 +37,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("added", "time"),),
-    source="DOMAIN E17.",
+    source="Assumed form: an exponential approach, the least that holds both a straight line and a warming-up.",
     start={"size": (0.02,), "warming": (0.5, 5.0)},
 ).with_form(
     "zeroed",

@@ -35,6 +35,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("added", "position"),),
-    source="DOMAIN E09; suanPan and OpenSees gap elements.",
+    source="Gap elements of OpenSees and suanPan; the slot of the paper, 220 mm, leaves 7 mm behind a stroke of 95 mm.",
     start={"size": (0.03,), "contact": (0.75, 0.92), "side": (-0.7, 0.0, 0.7), "returned": (0.2,)},
 )

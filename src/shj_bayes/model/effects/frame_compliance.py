@@ -27,6 +27,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("motion", "compliance"),),
-    source="DOMAIN E15.",
+    source="Springs in series.",
     start={"size": (0.003, 0.03)},
 )

@@ -34,6 +34,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "acceleration"),),
-    source="DOMAIN E14; KU Leuven, Lubricants 2023, 11, 326 (sinusoidal motion).",
+    source="KU Leuven, Lubricants 2023, 11, 326 (sinusoidal motion). Assumed form: a memory of first order over slip.",
     start={"size": (0.1,), "length": (3.0, 15.0)},
 )

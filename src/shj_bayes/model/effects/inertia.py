@@ -27,6 +27,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("added", "acceleration"),),
-    source="DOMAIN E19; Newton.",
+    source="Newton's second law.",
     start={"size": (100.0,)},
 )

@@ -29,6 +29,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("added", "constant"),),
-    source="DOMAIN E17.",
+    source="Assumed form: a constant, which is what a load cell adds that was not zeroed.",
     start={"size": (0.02, 0.5, 5.0)},
 )

@@ -38,7 +38,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "distance"),),
-    source="DOMAIN E08; column-base AFC studies cited by the paper [14, 15].",
+    source="Column-base AFC studies cited by the paper [14, 15]. Assumed form: V (tilting) to U (bending).",
     start={"size": (0.08,), "power": (1.2, 2.2)},
 ).with_form(
     "gap",

@@ -29,6 +29,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("added", "position"),),
-    source="DOMAIN E20.",
+    source="Assumed form: a linear and a cubic spring, the least that is odd in the position and stiffens.",
     start={"size": (0.03,), "stiffening": (0.1,)},
 )

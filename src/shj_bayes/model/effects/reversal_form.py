@@ -25,6 +25,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("motion", "reversal"),),
-    source="DOMAIN 5.4 item 8.",
+    source="A Menegotto-Pinto branch is continuous (Menegotto and Pinto 1973); Eq. (1) of the paper is not.",
     start={"size": (0.5,)},
 )

@@ -25,7 +25,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("motion", "delay"),),
-    source="DOMAIN E16.",
+    source="Assumed form: one constant delay, which is what unequal filters do to slow signals.",
     start={"size": (0.03, -0.03)},
     delay="size",
 )

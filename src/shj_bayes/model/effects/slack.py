@@ -32,7 +32,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("motion", "slack"),),
-    source="DOMAIN E10; the paper's brass shim ('slid rigidly back to zero').",
+    source="The paper's brass shim ('slid rigidly back to zero').",
     start={"size": (0.5, 2.0), "softness": (0.1, 1.0), "start": (0.2, 0.8)},
     initial=("start",),
 )

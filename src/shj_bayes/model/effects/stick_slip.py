@@ -37,6 +37,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("motion", "stick-slip"),),
-    source="DOMAIN E03.",
+    source="The paper reports stick-slip of zinc 100. Assumed form: teeth of one length in slip.",
     start={"size": (0.03,), "wave": tuple(round(0.5 * 1.03**i, 3) for i in range(130))},
 )

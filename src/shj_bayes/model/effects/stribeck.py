@@ -32,6 +32,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "speed"),),
-    source="DOMAIN E01; the exponent after Armstrong-Helouvry 1991.",
+    source="Brake-lining dampers (NZSEE repository, 1773); the exponent after Armstrong-Helouvry 1991.",
     start={"size": (0.1,), "speed": (0.5, 2.0), "shape": (1.0,)},
 )

@@ -25,6 +25,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "position"),),
-    source="DOMAIN E12.",
+    source="Assumed form: a straight line over the position, which is what a wedge does to the bolts.",
     start={"size": (0.03,)},
 )

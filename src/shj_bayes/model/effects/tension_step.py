@@ -66,7 +66,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "time"),),
-    source="DOMAIN 1.4 (bolt rupture step); brfd-lehigh ds4_step, where the band was moved in one direction only.",
+    source="brfd-lehigh ds4_step, where the band was moved in one direction only; a bolt that breaks does the same.",
     start={
         "size": (0.1,),
         "begin": tuple(round(0.03 + 0.04 * i, 2) for i in range(24)),

@@ -92,6 +92,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "heat"),),
-    source="DOMAIN E05; OpenSees FPBearingPTV for the idea of a temperature state.",
+    source="Zimbru et al. 2018 (heat in friction joints); OpenSees FPBearingPTV for the idea of a temperature state.",
     start={"size": (0.1,), "cooling": (30.0, 300.0, 2000.0), "spread": (0.1, 3.0, 20.0)},
 )

@@ -31,6 +31,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("motion", "second surface"),),
-    source="DOMAIN E04; MacRae et al. 2010, bolts of asymmetric friction connections.",
+    source="MacRae et al. 2010, Bulletin NZSEE 43(3), 202: the bolts of asymmetric friction connections.",
     start={"size": (0.3,), "delay": (1.0, 3.0, 8.0), "bolts": (0.8,)},
 )

@@ -27,6 +27,6 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "speed"),),
-    source="Eq. (2) of the paper, with 1/dep as the parameter; DOMAIN section 0.",
+    source="Eq. (2) of the paper, with 1/dep as the parameter.",
     start={"size": (0.005, -0.005)},
 )

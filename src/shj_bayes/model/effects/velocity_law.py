@@ -52,7 +52,7 @@ EFFECT = Effect(
     neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "speed"),),
-    source="DOMAIN E13: ln(1 + |v|/v0), rate-and-state friction with a cut-off.",
+    source="Rate-and-state friction with a cut-off: ln(1 + |v|/v0).",
     start={"size": (0.05, -0.05), "corner": (0.01, 0.2)},
 ).with_form(
     "power",

@@ -43,7 +43,7 @@ EFFECT = (
         neutral={"size": 0.0},
         act=act,
         acts=(("capacity", "travel"),),
-        source="DOMAIN E06: Archard wear with the bolt as a spring.",
+        source="Archard wear with the bolt as a spring: its tension falls with the thickness, and with it the wear.",
         start={"size": (0.02,)},
     )
     .with_form(
@@ -55,7 +55,7 @@ EFFECT = (
             Prior("travel", "m", "loguniform", 0.1, 30.0, "From the first cycles to far more than is tested."),
         ),
         act=_saturating,
-        source="Running-in law of wear: Blau (2006), Tribol. Int. 38, 1007, exponential approach to a steady state.",
+        source="Running-in law of wear: Blau (2005), Tribol. Int. 38, 1007, exponential approach to a steady state.",
         start={"size": (0.1,), "travel": (0.5, 2.0, 8.0)},
     )
     .with_form(

@@ -12,7 +12,7 @@ from shj_validation.proof.device import Device
 from shj_validation.proof.simulators.rig import Acts, Drive
 from shj_validation.proof.simulators.simulator import Shape, Simulator
 
-STRETCH_UM = 290.0  # shortening of the stack that takes all tension from an M16 bolt: 95 kN at 330 kN/mm (DOMAIN E06)
+STRETCH_UM = 290.0  # shortening of the stack that takes all tension from an M16 bolt: 95 kN at 330 kN/mm
 TESTED_RUNS = 2
 CONTACT_UM = 12.0  # approach of the rough faces under full tension; they follow the two-thirds power of Hertz
 
