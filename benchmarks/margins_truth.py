@@ -305,7 +305,7 @@ def ends_of(lines: list[Line], seed: int) -> dict[tuple[str, int, str, str, str]
     out = {}
     rng = np.random.default_rng(seed)
     for kind, state in dict.fromkeys((line["kind"], state) for line in lines for state in line["states"]):
-        own = [line for line in lines if line["kind"] == kind]
+        own = [line for line in lines if line["kind"] == kind and state in line["states"]]
         drawn = np.concatenate([line["drawn"] for line in own])
         many = [draw(kind, level_of(kind, line["seed"])[0], rng, 4000) for line in own]
         for q in (*SHOWN[LOW], *SHOWN[HIGH]):

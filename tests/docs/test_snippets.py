@@ -10,7 +10,6 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -112,8 +111,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "made" / "campaign.toml").write_text(MANIFEST.replace('"run', '"../run').replace('"plain', '"../plain'))
     short = {"n_warm": 75, "n_keep": 150, "thin": 1}  # of populations: a tenth of the time, and bands all the same
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hierarchy, "fit_quantity", partial(hierarchy.fit_quantity, **short))
-        patch.setattr(hierarchy, "_SHORT", short)
+        for sweeps in ("_FULL", "_SHORT", "_BRIEF"):
+            patch.setattr(hierarchy, sweeps, short)
+        patch.setattr(hierarchy, "LONGER", 1)
         # In this process, where pictures are left empty; tests/unit/test_campaign.py runs the workers.
         patch.setattr(campaign, "_in_processes", lambda job, devices, out, _: (job(d, out) for d in devices))
         patch.chdir(folder)

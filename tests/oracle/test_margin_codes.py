@@ -1,6 +1,7 @@
 """Every clause on numbers worked out by hand; the arithmetic stands in the tests."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,12 +33,12 @@ FORCE = Delivered(
     ratio=0.82,
 )
 AGE = Environment(Bounds(0.90, 1.0), Bounds(0.80, 1.05), "corroded over uncorroded")
+PARTS = Parts(80.0, "typical device", FORCE, AGE)
 CODES = {code.id: code for code in catalogue()}
 THREE = Sample(np.array([80.0, 84.0, 90.0]), 0.01)
 
 
-def rows(code, request=PLAIN, sample=THREE, common=(math.nan, 0)):
-    parts = Parts(80.0, "typical device", FORCE, AGE)
+def rows(code, request=PLAIN, sample=THREE, common=(math.nan, 0), parts=PARTS):
     given = Given("A", {"third": sample}, {"third": of_set(sample, common)}, {"third": sample.n}, parts, request)
     return {(row.kind, row.side): row for row in CODES[code].rows(given)}
 
@@ -61,6 +62,25 @@ def test_en1990_with_v_unknown_is_raised_to_a_tenth():
     normal = rows("en1990")["EN 1990 characteristic, normal, V unknown", LOW]
     assert normal.value == pytest.approx(84.6667 * (1 - 3.3717 * 0.10), abs=0.01)  # 56.12 kN
     assert ("EN 1990 characteristic, lognormal, V known", LOW) not in rows("en1990")
+
+
+def test_en1990_upper_values():
+    """80, 84, 90 kN: V unknown exp(4.43755 + 0.33633) = 118.38 kN, V of 0.06 known exp(4.43755 + 0.11386) = 94.77."""
+    found = rows("en1990", Request(v_known=0.06, v_reason="factory control of 300 devices"))
+    assert found["EN 1990 characteristic, lognormal, V unknown", HIGH].value == pytest.approx(118.38, abs=0.02)
+    assert found["EN 1990 characteristic, lognormal, V known", HIGH].value == pytest.approx(94.77, abs=0.01)
+
+
+def test_en1990_with_a_spread_common_to_all_sets():
+    """s_y = 0.12 with 5 degrees of freedom, mean of three: k = t(0.95; 5) sqrt(4/3) = 2.01505 x 1.15470 = 2.32678.
+
+    X_k = exp(4.43755 - 2.32678 x 0.12) = exp(4.15834) = 63.97 kN, upper exp(4.71676) = 111.81 kN. k_d = t(0.999; 5)
+    sqrt(4/3) = 5.89343 x 1.15470 = 6.80515: X_d = exp(4.43755 - 0.81662) = exp(3.62093) = 37.37 kN.
+    """
+    found = rows("en1990", common=(0.12, 5))
+    assert found["EN 1990 characteristic, lognormal, V common", LOW].value == pytest.approx(63.97, abs=0.02)
+    assert found["EN 1990 characteristic, lognormal, V common", HIGH].value == pytest.approx(111.81, abs=0.02)
+    assert found["EN 1990 design, lognormal, V common", LOW].value == pytest.approx(37.37, abs=0.02)
 
 
 def test_en1990_keeps_a_spread_wider_than_a_tenth():
@@ -97,9 +117,13 @@ def test_en1990_with_v_known_is_what_the_user_states():
 
 
 def test_tolerance_limits_keep_the_spread_as_measured():
-    """k(3; 0.95, 0.95) = 7.6559: exp(4.43755 - 7.6559 x 0.05918) = exp(3.98447) = 53.76 kN; no floor in ISO 16269-6."""
-    row = rows("iso16269_6")["tolerance 95/95 one-sided, lognormal, V unknown", LOW]
-    assert row.value == pytest.approx(53.76, abs=0.02)
+    """k(3; 0.95, 0.95) = 7.6559: exp(4.43755 - 7.6559 x 0.05918) = exp(3.98447) = 53.76 kN; no floor in ISO 16269-6.
+
+    Upper: exp(4.43755 + 0.45308) = exp(4.89063) = 133.04 kN.
+    """
+    found = rows("iso16269_6")
+    low, high = (found["tolerance 95/95 one-sided, lognormal, V unknown", side].value for side in (LOW, HIGH))
+    assert (low, high) == pytest.approx((53.76, 133.04), abs=0.04)
 
 
 def test_en1990_design_value_from_four_devices():
@@ -136,6 +160,21 @@ def test_asce7_least_spread_is_assumed_where_the_tests_show_less():
     assert asce7.with_floor(Bounds(0.5897, 1.3283)) == Bounds(0.5897, 1.3283)
 
 
+def test_asce7_bounds_with_the_floor():
+    """Third cycle 78, 80, 82 kN; smallest plateau 77 (typical 0.975), largest force 84 kN (typical 1.03); no ageing.
+
+    spec 78/80 = 0.975, 82/80 = 1.025; test,min the typical 0.975 (77/78 = 0.987), test,max 1.03 (84/82 = 1.024):
+    min 0.9506, max 1.0558, both inside 0.85 and 1.2: 0.85 x 80 = 68 kN and 1.2 x 80 = 96 kN.
+    """
+    force = replace(
+        FORCE, third_low=78.0, third_high=82.0, low=77.0, high=84.0, typical=Bounds(0.975, 1.03), first_low=77.0
+    )
+    parts = Parts(80.0, "typical device", force, Environment(NONE, NONE, "not tested"))
+    found = {kind: row.value for (kind, _), row in rows("asce7", parts=parts).items()}
+    assert (found["lambda_min"], found["lambda_max"]) == pytest.approx((0.9506, 1.0558), abs=1e-4)
+    assert (found["ASCE 7 lower bound force"], found["ASCE 7 upper bound force"]) == pytest.approx((68.0, 96.0))
+
+
 def test_asce7_testing_holds_all_that_the_test_did():
     """Nominal 80 kN (third cycle).
 
@@ -158,12 +197,16 @@ def test_en15129_does_not_shrink_what_was_measured():
 
     0.90 x [1 + (0.80/0.90 - 1) x 0.70] = 0.90 x 0.92222 = 0.8300: LBDP = 51 x 0.83 = 42.33 kN.
     1 x [1 + (1.05 - 1) x 0.70] = 1.035: UBDP = 97 x 1.035 = 100.40 kN. Class III: 0.90 x (1 - 0.1) = 0.81: 41.31 kN.
+    Class I: 0.90 x (1 - 0.1111 x 0.60) = 0.84: 42.84 kN, and 1.03 x 97 = 99.91 kN.
     """
     found = rows("en15129")
     assert found["EN 15129 LBDP, importance class II", LOW].value == pytest.approx(42.33)
     assert found["EN 15129 UBDP, importance class II", HIGH].value == pytest.approx(100.395)
     third = rows("en15129", Request(importance="III"))
     assert third["EN 15129 LBDP, importance class III", LOW].value == pytest.approx(41.31)
+    first = rows("en15129", Request(importance="I"))
+    assert first["EN 15129 LBDP, importance class I", LOW].value == pytest.approx(42.84)
+    assert first["EN 15129 UBDP, importance class I", HIGH].value == pytest.approx(99.91)
     full = en15129.ageing(Environment(Bounds(0.5, 1.0), Bounds(0.5, 1.0), "exactly known"), "I")
     assert full.low == 0.5
 

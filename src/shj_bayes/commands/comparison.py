@@ -1,14 +1,23 @@
-"""Two sets of a finished campaign, or of the tables, held against each other; fits and pages are not needed for it."""
+"""Two sets of a finished campaign, or of the tables, held against each other; pages are not needed for it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from shj_bayes._util.files import need_population
-from shj_bayes.population.compare import Comparison, compare
+import pandas as pd
+
+from shj_bayes._util.files import need_population, write_text
+from shj_bayes.commands.design import MOST_DRAWN, tested_devices
+from shj_bayes.margins.curves import CurveContrast, compare_curves
+from shj_bayes.margins.specimen import Specimen
+from shj_bayes.population.compare import ROPE, Comparison, compare
+from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.results import load_population
 from shj_bayes.population.selectors import members, strata_of
+from shj_bayes.report.sets import curve_words, pairs
 
 
 def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.0) -> tuple[dict[str, Any], str]:
@@ -31,13 +40,16 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     need_population(folder)
     result = load_population(folder)
     first, second = members(result, strata_of(result, set_a, set_b)[2])
-    comparison = compare(result, set_a, set_b, rope=rope_percent / 100.0)
+    rope = rope_percent / 100.0
+    comparison = compare(result, set_a, set_b, rope=rope)
+    curves = compare_curves(result, tested_devices(folder, result)[1], set_a, set_b, rope=rope)
     table = comparison.to_table()
     who = [
         f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
         for side, name, sets in (("a", comparison.set_a, first), ("b", comparison.set_b, second))
     ]
     lines = [*who, *comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
+    lines += [f"- {curve_words(curve)}" for curve in curves]
     rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
     record = {
         "schema": "shj-bayes/comparison/1",
@@ -47,8 +59,35 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
         "strata": comparison.strata,
         "multiplicity": comparison.multiplicity,
         "contrasts": rows,
+        "curves": curve_records(curves),
     }
     return record, "\n".join([*lines, "", comparison.multiplicity])
+
+
+def curve_records(curves: Sequence[CurveContrast]) -> list[dict[str, Any]]:
+    """Comparisons of curves for machines."""
+    return [{**asdict(curve), "sentence": curve_words(curve)} for curve in curves]
+
+
+def curves_of_pairs(folder: Path, result: PopulationResult, specimens: Sequence[Specimen]) -> tuple[CurveContrast, ...]:
+    """Compare the curves of the pairs of sets that a campaign page names, and write ``comparison-curves.csv``.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    result : PopulationResult
+        Its population.
+    specimens : sequence of Specimen
+        Its devices; nothing is said of more than `MOST_DRAWN`.
+    """
+    chosen = pairs(result) if len(specimens) <= MOST_DRAWN else ()
+    found = tuple(c for pair in chosen for c in compare_curves(result, specimens, *pair, rope=ROPE))
+    path = folder / "comparison-curves.csv"
+    path.unlink(missing_ok=True)
+    if found:
+        write_text(path, pd.DataFrame([row for curve in found for row in curve.rows()]).to_csv(index=False))
+    return found
 
 
 def comparison_lines(comparison: Comparison) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +47,14 @@ class Design:
         The designer's sheet.
     request : Request
         What was asked for.
+    specimens : tuple of Specimen
+        The tested devices.
     """
 
     sheet: Sheet
     page: Path
     request: Request
+    specimens: tuple[Specimen, ...] = field(repr=False)
 
     @property
     def record(self) -> dict[str, Any]:
@@ -104,8 +107,7 @@ def design_margins(
     need_population(folder)
     result = load_population(folder) if population is None else population
     request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
-    campaign = _campaign(folder)
-    specimens, words = _specimens(folder, campaign, result)
+    campaign, specimens, words = tested_devices(folder, result)
     asked = asked_for(request, specimens) if specimens else None
     trials = try_all(specimens, asked, extrapolate=request.extrapolate)
     sheet = margins(pool(trials, result, progress=progress), trials, request, asked=asked, words=words)
@@ -116,7 +118,7 @@ def design_margins(
     name = str(campaign["name"]) if campaign else TABLES_NAME
     simulated = bool(campaign and campaign.get("simulated"))
     page = render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
-    return Design(sheet, page, request)
+    return Design(sheet, page, request, specimens)
 
 
 def export_analysis(
@@ -150,8 +152,7 @@ def export_analysis(
     """
     need_population(folder)
     result = load_population(folder)
-    campaign = _campaign(folder)
-    specimens, _ = _specimens(folder, campaign, result)
+    campaign, specimens, _ = tested_devices(folder, result)
     if not specimens:
         raise PopulationError("no device gives all of K, Fy, beta and gamma, which a material needs")
     tested = largest_ranges(specimens)["position"]
@@ -186,12 +187,30 @@ def _set_named(result: PopulationResult, name: str) -> str:
     return ANY_SET if name == ANY_SET else result.set_names[result.index(name)]
 
 
-def _specimens(
-    folder: Path, campaign: dict[str, Any] | None, result: PopulationResult
-) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
-    """Read the tested devices with the models that their diagnoses ended in, and say what these found."""
-    if campaign is None:
-        return specimens_of_table(result), ()
+def tested_devices(
+    folder: Path, result: PopulationResult
+) -> tuple[dict[str, Any] | None, tuple[Specimen, ...], tuple[str, ...]]:
+    """Read the tested devices of a folder with the models that their diagnoses ended in.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that ``campaign`` or ``tables`` wrote.
+    result : PopulationResult
+        Its population.
+
+    Returns
+    -------
+    campaign : dict or None
+        Content of ``campaign.json``; None for the published tables.
+    specimens : tuple of Specimen
+        The devices.
+    words : tuple of str
+        What the diagnoses found.
+    """
+    if not (folder / "campaign.json").exists():
+        return None, specimens_of_table(result), ()
+    campaign = read_campaign(folder)
     out, found, notes = [], {}, []
     places = _places(campaign, result)
     for place, name, of_set, with_set in places:
@@ -204,19 +223,11 @@ def _specimens(
         if with_set:
             better = folder / place / WITH_SET
         out.append(read_specimen(folder / place, name, of_set, better))
-    return tuple(out), (*statements(campaign), *words_of(found, len(places), notes))
+    return campaign, tuple(out), (*statements(campaign), *words_of(found, len(places), notes))
 
 
-def _campaign(folder: Path) -> dict[str, Any] | None:
-    """Content of ``campaign.json``; None for the published tables."""
-    return read_campaign(folder) if (folder / "campaign.json").exists() else None
-
-
-def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[tuple[str, str, str, bool]]:
-    """Folder, name and set of every device of a campaign in its population, and whether it was fitted with its set's.
-
-    None for the tables.
-    """
+def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[str, str, str, bool]]:
+    """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
     members = {group.name: group.devices for group in result.sets}
     return [
         (
@@ -225,7 +236,7 @@ def _places(campaign: dict[str, Any] | None, result: PopulationResult) -> list[t
             str(group["name"]),
             entry.get("with_set") in ("reliable", "tentative"),
         )
-        for group in (campaign["sets"] if campaign else ())
+        for group in campaign["sets"]
         for entry in group["devices"]
         if str(entry["name"]) in members.get(str(group["name"]), ())
     ]

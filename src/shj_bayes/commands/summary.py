@@ -10,7 +10,9 @@ from typing import Any
 from shj_bayes._util.files import make_writable
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.campaign import FAILED, Manifest, Outcome
+from shj_bayes.commands.comparison import curve_records, curves_of_pairs
 from shj_bayes.commands.design import design_margins
+from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
@@ -73,6 +75,7 @@ def summarise_campaign(
     record = read_campaign(folder)
     lines += [*record["warnings"], *statements(record)]
     population = None
+    curves: tuple[CurveContrast, ...] = ()
     if usable:
         places = [folder / o.device.folder for o in usable]
         devices = [
@@ -86,9 +89,11 @@ def summarise_campaign(
         )
         write_population(population, folder)
         design = design_margins(folder, population=population, progress=progress)
+        curves = curves_of_pairs(folder, population, design.specimens)
         record["population"], record["margins"] = to_json(population), design.record
+        record["curves"] = curve_records(curves)
         lines += ["", band_text(population), "", design.text]
-    page = render_campaign(folder, population)
+    page = render_campaign(folder, population, curves)
     return Summary(record, "\n".join([*lines, f"report: {page}"]), bool(usable))
 
 

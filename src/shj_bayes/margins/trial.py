@@ -45,7 +45,8 @@ class Trial:
     values : mapping of str to float
         Pooled quantities: value of this device, natural unit.
     errors : mapping of str to float
-        Standard deviation of the logarithm with which it is known.
+        Standard deviation of the logarithm with which it is known: that of whatever gave the value, a model or the
+        recording.
     model_errors : mapping of str to float
         Logarithm of measured over predicted, in its own test; empty without recordings.
     cycle_errors : array, shape (n,)
@@ -195,25 +196,32 @@ def _trial(
         n = max(cycles.size, 1)
     values, errors = {}, {}
     belief = specimen.beliefs[0]
-    for q, draws in by_law[next(iter(by_law))][0].items():
-        typical = [[float(np.median(model[q])) for model in models] for models in by_law.values()]
+    shares = {"plateau": n, "energy": n, "ratio": n / 2, "third": 2}
+    for q in by_law[next(iter(by_law))][0]:
+        typical = [[_middle_and_sd(model[q]) for model in models] for models in by_law.values()]
         best = [models[0] for models in typical]
-        brought = [value * float(np.exp(gap[q])) for value in best] if q in gap else []
+        # In its own test that is the measured value, of which no model is unsure.
+        ours = 0.0 if own_least is None else 1.0
+        brought = [(x * float(np.exp(gap[q])), ours * sd) for x, sd in best] if q in gap else []
         side = side_of(q)
         if side in (LOW, HIGH):
-            values[q] = (min if side == LOW else max)([*np.ravel(typical), *brought])
+            values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *brought])
         else:
-            values[q] = float(np.median(brought or best))
-        shares = {"plateau": n, "energy": n, "ratio": n / 2, "third": 2}
+            values[q], sd = (float(x) for x in np.median(brought or best, axis=0))
         reading = noise / np.sqrt(max(shares.get(q.partition("_")[0], 1), 1))
-        own_sd = float(np.std(np.log(np.maximum(draws, 1e-9))))
-        errors[q] = max(float(np.hypot(own_sd, reading)), LEAST_ERROR)
+        errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
     stiffness = np.log(belief.theta[:, belief.model.index("K")])
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
     shown = seen if own_least is None else []
     table = tuple(_summary(run, shown[i] if shown else {}) for i, run in enumerate(tables))
     laws, carried = tuple(found), own_least is not None
     return Trial(specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
+
+
+def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:
+    """Median, and half the width of the middle 68 % of the logarithm: one wild draw of 64 is no error of the others."""
+    low, middle, high = np.quantile(np.maximum(draws, 1e-9), (0.1587, 0.5, 0.8413))
+    return float(middle), 0.5 * float(np.log(high / low))
 
 
 def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, float]]:

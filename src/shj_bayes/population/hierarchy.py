@@ -35,8 +35,11 @@ N_CHAINS = 4
 N_WARM = 800
 N_KEEP = 2000
 THIN = 2
+_FULL = {"n_warm": N_WARM, "n_keep": N_KEEP, "thin": THIN}
 _BRIEF = {"n_warm": 200, "n_keep": 500, "thin": 2}
 _SHORT = {"n_warm": 600, "n_keep": 500, "thin": 6}  # under the other priors only a few quantiles are shown
+LONGER = 4
+"""Times as many sweeps, for as many draws, where chains have not met."""
 MAIN_PRIOR = "default"
 
 
@@ -146,6 +149,22 @@ def _stream(seed: int, *labels: str) -> np.random.SeedSequence:
     return np.random.SeedSequence([seed, *(zlib.crc32(label.encode()) for label in labels)])
 
 
+def _until_met(
+    name: str,
+    sets: Sequence[Sequence[Likelihood]],
+    prior: PopulationPrior,
+    stream: tuple[int, str, str],
+    sweeps: Mapping[str, int],
+    workers: int,
+) -> QuantityPosterior:
+    """Fit a quantity; once more, with longer chains, where they have not met."""
+    fitted = fit_quantity(name, sets, prior, _stream(*stream), workers=workers, **sweeps)
+    if fitted.converged:
+        return fitted
+    longer = {word: n * (1 if word == "n_keep" else LONGER) for word, n in sweeps.items()}
+    return fit_quantity(name, sets, prior, _stream(*stream), workers=workers, **longer)
+
+
 def fit_population(
     devices: Sequence[DeviceEstimate],
     *,
@@ -187,8 +206,8 @@ def fit_population(
     grouped = sets_of(devices)
     threads = n_threads(workers)
     names = [q for q in (*QUANTITIES, *DESIGN) if any(q in device.measurements for device in devices)]
-    main, chosen = {}, {}
-    other: dict[str, dict[str, QuantityPosterior]] = {}
+    chosen = {}
+    fits: dict[str, dict[str, QuantityPosterior]] = {}
     draws_behind: dict[str, float] = {}
     with tqdm(total=3 * len(names), desc="population", disable=None if progress else True, leave=False) as bar:
         for q in names:
@@ -198,12 +217,9 @@ def fit_population(
             ]
             draws_behind[q] = min(x.effective_draws for group in sets for x in group)
             chosen[q] = (priors or {}).get(q, population_prior(q))
-            sweeps = _BRIEF if brief else {}
-            main[q] = fit_quantity(q, sets, chosen[q], _stream(seed, q, MAIN_PRIOR), workers=threads, **sweeps)
-            bar.update()
-            for label, prior in other_priors(chosen[q]).items():
-                fitted = fit_quantity(q, sets, prior, _stream(seed, q, label), workers=threads, **(sweeps or _SHORT))
-                other.setdefault(label, {})[q] = fitted
+            for label, prior in {MAIN_PRIOR: chosen[q], **other_priors(chosen[q])}.items():
+                sweeps = _BRIEF if brief else _FULL if label == MAIN_PRIOR else _SHORT
+                fits.setdefault(label, {})[q] = _until_met(q, sets, prior, (seed, q, label), sweeps, threads)
                 bar.update()
     return PopulationResult(
         sets=tuple(
@@ -216,8 +232,8 @@ def fit_population(
             )
             for name, group in grouped.items()
         ),
-        posteriors=main,
-        other_priors=other,
+        posteriors=fits.pop(MAIN_PRIOR),
+        other_priors=fits,
         priors=chosen,
         importance_draws=draws_behind,
         seed=seed,

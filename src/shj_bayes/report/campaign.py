@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError
+from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.published import Claim, Held
 from shj_bayes.population.results import load_population
@@ -24,7 +25,9 @@ MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
 
 
-def render_campaign(folder: Path, population: PopulationResult | None = None) -> Path:
+def render_campaign(
+    folder: Path, population: PopulationResult | None = None, curves: Sequence[CurveContrast] = ()
+) -> Path:
     """Write ``report.html`` of a campaign.
 
     Parameters
@@ -34,6 +37,8 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
         devices' folders.
     population : PopulationResult, optional
         Fitted population; read from the folder when it holds one.
+    curves : sequence of CurveContrast
+        Comparisons of curves of its sets.
 
     Returns
     -------
@@ -61,7 +66,7 @@ def render_campaign(folder: Path, population: PopulationResult | None = None) ->
         "n_failed": len(devices) - len(done),
         "verdicts": {w: sum(d["verdict"] == w for d in done) for w in ("reliable", "tentative", "unusable")},
         "n_poor": sum(d["grade"] == "poor" for d in done),
-        "population": population_content(population, intervals, motion) if population else None,
+        "population": population_content(population, intervals, motion, curves) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
         "physics": _physics(folder, record),
     }

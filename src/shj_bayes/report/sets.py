@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes.margins.curves import CurveContrast
+from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.loops import LoopBand, loop_band
 from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
@@ -168,6 +170,22 @@ def pairs(result: PopulationResult) -> tuple[tuple[str, str], ...]:
 def comparisons(result: PopulationResult) -> tuple[Comparison, ...]:
     """Comparisons of `pairs`."""
     return tuple(compare(result, a, b) for a, b in pairs(result))
+
+
+def curve_words(curve: CurveContrast) -> str:
+    """Say how the force of two sets changes along a coordinate, value by value and all values together."""
+    title, unit = coordinate_named(curve.coordinate).title, "" if curve.unit == "1" else f" {curve.unit}"
+    said = "; ".join(
+        f"{middle:+.1f} % ({low:+.1f} to {high:+.1f}) at {at:.3g}{unit}"
+        for at, (low, middle, high) in zip(curve.at, curve.percent, strict=True)
+    )
+    return (
+        f"{curve.set_a} over {curve.set_b} along {title}, both as 1 at {curve.reference:.3g}{unit}: the force of a "
+        f"typical device differs by {said}. That the curves are not the same has a probability of "
+        f"{curve.probability_other:.2f} under the least favourable assumption on the spread; that they differ by less "
+        f"than {100 * curve.rope:.0f} % at all of these values one of {curve.probability_rope:.2f} ({curve.n_a} and "
+        f"{curve.n_b} devices)."
+    )
 
 
 def force_matrix(result: PopulationResult) -> list[list[Quotient | None]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.record import read_group
+from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.compare import Comparison
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.predict import dep_words, how_wide, never_tested_words, sets_suffice
@@ -22,6 +23,7 @@ def population_content(
     result: PopulationResult,
     intervals: Mapping[tuple[str, str], Mapping[str, sets.Interval]],
     motion: tuple[float, float],
+    curves: Sequence[CurveContrast] = (),
 ) -> dict[str, Any]:
     """Everything about the sets, plain values and pictures."""
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
@@ -32,7 +34,7 @@ def population_content(
     return {
         "quantities": [{"name": q, "meaning": sets.MEANING[q], "unit": rows[0].unit} for q, rows in bands.items()],
         "table": _table(bands),
-        **draw(result, bands, motion),
+        **draw(result, bands, motion, curves),
         "motion": f"{words.short(amplitude)} mm at a peak speed of {words.short(speed)} mm/s",
         "wide": [how_wide(result, row.set_name, "Fy") for row in bands.get("Fy", ())],
         "untested": "" if sets_suffice(len(result.sets)) else never_tested_words(len(result.sets)),

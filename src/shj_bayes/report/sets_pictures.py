@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
+from shj_bayes.margins.curves import CurveContrast
+from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.population.loops import LoopBand
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.predict import RUN_FORCES, SECOND_RUN
@@ -25,13 +27,17 @@ TITLES = {
 
 
 def draw(
-    result: PopulationResult, bands: Mapping[str, tuple[sets.SetBand, ...]], motion: tuple[float, float]
+    result: PopulationResult,
+    bands: Mapping[str, tuple[sets.SetBand, ...]],
+    motion: tuple[float, float],
+    curves: Sequence[CurveContrast] = (),
 ) -> dict[str, Any]:
     """All pictures of a population by place; `motion` is the amplitude, mm, and the peak speed, mm/s, of the loops."""
     return {
         "first": _bands(bands, "Fy") if "Fy" in bands else None,
         "bands": [{"quantity": q, "picture": _bands(bands, q)} for q in bands if q != "Fy"],
         "loops": _loops(sets.loop_bands(result, *motion)),
+        "curves": [_apart(curve) for curve in curves],
     }
 
 
@@ -84,6 +90,16 @@ def _loops(bands: tuple[LoopBand, ...]) -> list[Picture]:
             )
         )
     return out
+
+
+def _apart(curve: CurveContrast) -> Picture:
+    title = coordinate_named(curve.coordinate).title
+    return Picture(
+        figures.apart(curve),
+        f"Force of {curve.set_a} over that of {curve.set_b} along {title}, with its 90 % band.",
+        sets.curve_words(curve),
+        f"{curve.set_a} against {curve.set_b}: along {title}",
+    )
 
 
 def _kilojoule(energy: tuple[float, float, float]) -> str:

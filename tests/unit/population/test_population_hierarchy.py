@@ -8,6 +8,7 @@ from scipy import stats
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.inference.ranks import ess_bulk, rhat
+from shj_bayes.population import hierarchy
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.hierarchy import fit_population, fit_quantity
 from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded
@@ -225,3 +226,19 @@ def test_chain_diagnostics_on_chains_of_known_kind(rng):
     assert ess_bulk(slow) == pytest.approx(16_000 * 0.1 / 1.9, rel=0.25)
     apart = independent + np.array([0, 0, 0, 2.0])[:, None]
     assert rhat(apart) > 1.2
+
+
+def test_chains_that_have_not_met_run_longer_for_as_many_draws(monkeypatch):
+    devices = [DeviceEstimate(n, "s", {"Fy": Rounded(x, x - 5, x + 5)}) for n, x in (("a", 80), ("b", 95))]
+    asked = []
+
+    def counted(*args, **sweeps):
+        asked.append({word: sweeps[word] for word in ("n_warm", "n_keep", "thin")})
+        return fit_quantity(*args, **sweeps)
+
+    for sweeps in ("_FULL", "_SHORT"):
+        monkeypatch.setattr(hierarchy, sweeps, {"n_warm": 20, "n_keep": 30, "thin": 1})
+    monkeypatch.setattr(hierarchy, "fit_quantity", counted)
+    first, again = (fit_population(devices, seed=1).fit("Fy").mu for _ in range(2))
+    assert asked[:2] == [{"n_warm": 20, "n_keep": 30, "thin": 1}, {"n_warm": 80, "n_keep": 30, "thin": 4}]
+    assert np.array_equal(first, again)

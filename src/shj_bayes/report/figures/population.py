@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from shj_bayes.margins.curves import CurveContrast
+from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.population.loops import LoopBand
 from shj_bayes.report.figures.canvas import BLUE, GREY, INK, NARROW, SERIES, WIDE, label, legend, sheet, svg
 from shj_bayes.report.sets import SetBand
@@ -53,6 +55,20 @@ def bands(rows: Sequence[SetBand], title: str) -> str:
     axes.set_ylim(len(rows) - 0.5, -0.5)
     label(axes, title, "")
     legend(axes, 3)
+    return svg(figure)
+
+
+def apart(curve: CurveContrast) -> str:
+    """Draw how far the force of two sets differs along a coordinate, per cent, with the 90 % band at each value."""
+    figure, axes = sheet(NARROW, 2.8)
+    places = sorted([(curve.reference, (0.0, 0.0, 0.0)), *zip(curve.at, curve.percent, strict=True)])
+    at = [u for u, _ in places]
+    low, middle, high = zip(*(band for _, band in places), strict=True)
+    axes.fill_between(at, low, high, color=BLUE, alpha=0.25, linewidth=0)
+    axes.plot(at, middle, "o-", color=BLUE, markersize=4, linewidth=1.4)
+    axes.axhline(0, color=INK, linewidth=0.8)
+    unit = "" if curve.unit == "1" else f" ({curve.unit})"
+    label(axes, f"{coordinate_named(curve.coordinate).title.removeprefix('the ')}{unit}", "difference (% of the force)")
     return svg(figure)
 
 

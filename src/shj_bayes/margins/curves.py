@@ -1,0 +1,299 @@
+"""Whether the force of two sets depends alike on a coordinate: on speed, travel, time, position or amplitude.
+
+What the best model of a device says of a coordinate (effects, curves, for the speed gamma besides) is taken as a factor
+on its sliding force in the first run, relative to the place where curves over that coordinate are 0. A device whose
+model does not hold the coordinate has a factor of 1. The logarithms at a few stated values are pooled one by one like
+any other quantity, then tied together by the correlation that devices of one set show, so that all values can be spoken
+of at once.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from shj_bayes.margins.specimen import Specimen
+from shj_bayes.model.coordinates import Coordinate, coordinates
+from shj_bayes.model.curve import curve_named
+from shj_bayes.model.effects.effect import Base, Effect, combine
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.population.compare import Band
+from shj_bayes.population.compare_words import ROPE_SPEED
+from shj_bayes.population.correlation import correlation_draws
+from shj_bayes.population.hierarchy import MAIN_PRIOR, fit_quantity
+from shj_bayes.population.measurement import Likelihood
+from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
+from shj_bayes.population.selectors import members, strata_of
+
+SPEED = "speed"
+PLACES = 5
+"""Stated values over the shared range, evenly spaced, the one that the factors are relative to among them."""
+ENDS = (0.005, 0.995)
+"""Of the values of a coordinate in a run: what noise and the first samples reach is no range."""
+LEAST_ERROR = 1e-3
+"""Least standard deviation of a logarithm with which a factor is taken to be known."""
+LEAST_FACTOR = 1e-3
+SWEEPS = {"n_warm": 300, "n_keep": 1000, "thin": 2}
+
+
+@dataclass(frozen=True)
+class CurveContrast:
+    """How the force of a over that of b changes along a coordinate.
+
+    Parameters
+    ----------
+    set_a, set_b : str
+        Names.
+    coordinate, unit : str
+        What it depends on.
+    reference : float
+        Value at which both sides count as 1.
+    at : tuple of float
+        Stated values.
+    percent : tuple of (float, float, float)
+        5, 50 and 95 % of the factor of a over that of b, less 1, per cent, at each.
+    probability_other : float
+        Content of the smallest region of all values together that leaves no difference out; the least of the priors
+        of the spread.
+    probability_rope : float
+        Probability that the factors differ by less than practical equivalence at every stated value.
+    rope : float
+        Half-width of the region of practical equivalence, as a share of the force.
+    n_a, n_b : int
+        Devices.
+    """
+
+    set_a: str
+    set_b: str
+    coordinate: str
+    unit: str
+    reference: float
+    at: tuple[float, ...]
+    percent: tuple[Band, ...]
+    probability_other: float
+    probability_rope: float
+    rope: float
+    n_a: int
+    n_b: int
+
+    def rows(self) -> list[dict[str, object]]:
+        """One row per stated value."""
+        same = {k: v for k, v in asdict(self).items() if k not in ("at", "percent")}
+        return [
+            {**same, "at": u, "q05_percent": low, "q50_percent": middle, "q95_percent": high}
+            for u, (low, middle, high) in zip(self.at, self.percent, strict=True)
+        ]
+
+
+def compare_curves(
+    result: PopulationResult, specimens: Sequence[Specimen], set_a: str, set_b: str, *, rope: float
+) -> tuple[CurveContrast, ...]:
+    """Compare two sets, or two kinds of sets, over every coordinate that models of both sides hold.
+
+    Parameters
+    ----------
+    result : PopulationResult
+        Their population: tags of the sets, seed.
+    specimens : sequence of Specimen
+        Tested devices with their models.
+    set_a, set_b : str
+        As for `population.compare.compare`.
+    rope : float
+        Half-width of the region of practical equivalence, as a share of the force.
+
+    Returns
+    -------
+    tuple of CurveContrast
+        Speed first, which the published law holds.
+    """
+    sides = members(result, strata_of(result, set_a, set_b)[2])
+    held = [set().union(*(_held(s) for s in specimens if s.set_name in names)) for names in sides]
+    groups = tuple(group for group in result.sets if group.name in {*sides[0], *sides[1]})
+    both = [s for s in specimens if s.set_name in {group.name for group in groups}]
+    found = (
+        _contrast(replace(result, sets=groups), both, one, (set_a, set_b), rope)
+        for name, one in coordinates().items()
+        if name in held[0] & held[1]
+    )
+    return tuple(sorted((c for c in found if c is not None), key=lambda c: c.coordinate != SPEED))
+
+
+def _over(effect: Effect) -> str:
+    """Coordinate that an effect on the capacity depends on; empty where it is another kind of effect."""
+    curve = curve_named(effect.id)
+    action, name = (curve.action, curve.coordinate) if curve else effect.acts[0]
+    return name if action == "capacity" and name in coordinates() and not coordinates()[name].of_base else ""
+
+
+def _held(specimen: Specimen) -> set[str]:
+    model = specimen.beliefs[0].model
+    return {*filter(None, map(_over, model.effects)), *([SPEED] if model.speed else [])}
+
+
+def _along(specimen: Specimen, coordinate: Coordinate) -> FloatArray:
+    """Coordinate at the samples of the first run; those that are compared do not depend on the parameters."""
+    return coordinate.values(specimen.histories[0], Base(1.0, 1.0, 1.0, 0.0, 1.0))
+
+
+def log_factors(specimen: Specimen, coordinate: Coordinate, at: FloatArray) -> FloatArray:
+    """Logarithm of the factor that a coordinate makes in the first run, mean of push and pull, shape (m, n).
+
+    Parameters
+    ----------
+    specimen : Specimen
+        The device.
+    coordinate : Coordinate
+        On which it depends.
+    at : array, shape (n,)
+        Values of the coordinate.
+    """
+    history, belief = specimen.histories[0], specimen.beliefs[0]
+    model, theta = belief.model, belief.theta
+    effects = [e for e in model.effects if _over(e) == coordinate.id]
+    places = [(e, [(p.name, model.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in effects]
+    laws, ways = model.run_laws(theta, 1), []
+    along = _along(specimen, coordinate)
+    for sign in (1, -1):
+        own = np.flatnonzero(history.direction == sign)
+        ways.append(own[np.argsort(along[own], kind="stable")])
+    out = np.empty((theta.shape[0], at.size))
+    for j, (stiffness, force, beta, gamma) in enumerate(laws.tolist()):
+        base = Base(stiffness, force, beta, gamma, force)
+        total = combine([e.act(history, {p: float(theta[j, i]) for p, i in own}, base) for e, own in places])
+        factor = np.broadcast_to(total.clamping, along.shape)
+        if coordinate.id == SPEED:
+            factor = factor * (1.0 + (gamma + total.gamma_s_per_mm) * along)
+        logs = np.log(np.maximum(factor, LEAST_FACTOR))
+        out[j] = np.mean([np.interp(at, along[way], logs[way]) for way in ways], axis=0)
+    return out
+
+
+def _stated(specimens: Sequence[Specimen], coordinate: Coordinate) -> tuple[float, FloatArray] | None:
+    """Value that factors are relative to, and the others, over the range that all devices share; None for none."""
+    ends = [np.quantile(_along(specimen, coordinate), ENDS) for specimen in specimens]
+    low, high = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
+    if not low < high:
+        return None
+    at = np.linspace(low, high, PLACES)
+    place = round(coordinate.zero_share * (PLACES - 1))
+    return float(at[place]), np.delete(at, place)
+
+
+def _contrast(
+    result: PopulationResult, specimens: Sequence[Specimen], coordinate: Coordinate, sides: tuple[str, str], rope: float
+) -> CurveContrast | None:
+    stated = _stated(specimens, coordinate)
+    if stated is None:
+        return None
+    reference, at = stated
+    logs = {(s.set_name, s.name): log_factors(s, coordinate, np.append(reference, at)) for s in specimens}
+    pooled = pool({key: own[:, 1:] - own[:, :1] for key, own in logs.items()}, result, coordinate.id)
+    a, b, strata = strata_of(pooled, *sides)
+    n_a, n_b = (sum(len(pooled.sets[i].devices) for s in strata for i in s[side]) for side in (0, 1))
+    drawn = {label: shifts(pooled, strata, label) for label in (MAIN_PRIOR, *pooled.other_priors)}
+    change = np.expm1(drawn[MAIN_PRIOR])
+    bands = [tuple(float(x) for x in band) for band in 100.0 * np.quantile(change, (0.05, 0.5, 0.95), axis=0).T]
+    same = np.all((change > -rope / (1.0 + rope)) & (change < rope), axis=1)
+    return CurveContrast(
+        a,
+        b,
+        coordinate.id,
+        coordinate.unit,
+        reference,
+        tuple(at.tolist()),
+        tuple((low, middle, high) for low, middle, high in bands),
+        min(map(content, drawn.values())),
+        float(np.mean(same)),
+        rope,
+        n_a,
+        n_b,
+    )
+
+
+def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, word: str) -> PopulationResult:
+    """Pool the logarithms of devices, value by value.
+
+    Parameters
+    ----------
+    logs : mapping of (set, device) to array, shape (m, n)
+        Draws of each device.
+    result : PopulationResult
+        Sets that are compared, seed.
+    word : str
+        What they are over.
+
+    Returns
+    -------
+    PopulationResult
+        Quantities are numbered.
+    """
+    groups = {group.name: [n for n in group.devices if (group.name, n) in logs] for group in result.sets}
+    names = [str(k) for k in range(next(iter(logs.values())).shape[1])]
+    middle = {key: own.mean(axis=0) for key, own in logs.items()}
+    error = {key: np.maximum(own.std(axis=0), LEAST_ERROR) for key, own in logs.items()}
+    gamma = population_prior("gamma")
+    # What is believed of gamma, of the force at the speed at which practical equivalence is meant.
+    scale = ("centre", "centre_sd", "between_scale", "spread_median")
+    prior = replace(gamma, **{name: ROPE_SPEED * getattr(gamma, name) for name in scale})
+
+    def fits(label: str, own: PopulationPrior) -> dict[str, QuantityPosterior]:
+        out = {}
+        for k, name in enumerate(names):
+            data = [
+                [
+                    Likelihood(False, middle[group.name, n][[k]], error[group.name, n][[k]], np.ones(1))
+                    for n in groups[group.name]
+                ]
+                for group in result.sets
+            ]
+            labels = [zlib.crc32(text.encode()) for text in ("curve", word, name, label)]
+            out[name] = fit_quantity(name, data, own, np.random.SeedSequence([result.seed, *labels]), **SWEEPS)
+        return out
+
+    return PopulationResult(
+        tuple(
+            DeviceSet(
+                group.name,
+                tuple(groups[group.name]),
+                group.tags,
+                {
+                    name: tuple(float(middle[group.name, n][k]) for n in groups[group.name])
+                    for k, name in enumerate(names)
+                },
+            )
+            for group in result.sets
+        ),
+        fits(MAIN_PRIOR, prior),
+        {label: fits(label, own) for label, own in other_priors(prior).items()},
+        dict.fromkeys(names, prior),
+        {},
+        result.seed,
+    )
+
+
+def shifts(pooled: PopulationResult, strata: Sequence[tuple[Sequence[int], Sequence[int]]], prior: str) -> FloatArray:
+    """Draws of the difference of both sides at all values together, shape (m, n).
+
+    The values of one draw go together as those of one device do: a normal copula.
+    """
+    apart = []
+    for name in pooled.posteriors:
+        mu = pooled.fit(name, prior).mu
+        apart.append(np.mean([mu[:, list(a)].mean(axis=1) - mu[:, list(b)].mean(axis=1) for a, b in strata], axis=0))
+    each = np.array(apart).T
+    rng = np.random.default_rng([pooled.seed, zlib.crc32(prior.encode())])
+    ties = np.linalg.cholesky(correlation_draws(pooled, each.shape[0], prior))
+    together = np.einsum("mij,mj->mi", ties, rng.standard_normal(each.shape))
+    order = np.argsort(np.argsort(together, axis=0), axis=0)
+    return np.asarray(np.take_along_axis(np.sort(each, axis=0), order, axis=0))
+
+
+def content(drawn: FloatArray) -> float:
+    """Content of the smallest region, so many times the 90 % band at every value, that leaves 0 out."""
+    low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95), axis=0)
+    away = np.max(np.abs(drawn - middle) / (high - low), axis=1)
+    return float(np.mean(away < np.max(np.abs(middle) / (high - low))))
