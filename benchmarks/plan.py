@@ -4,7 +4,8 @@
 probability below 95 % among the rivals of its group) and gives each a planned second test, Table 1 again and an
 expert's fixed second test, in the same minutes: the name that is then the most probable, the probability of the truth,
 and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
-deviation of gamma with the one after the test. Rivals are fitted to both tests together, as the plan fits them;
+deviation of gamma with the one after the test, ``least`` that of the smallest plateau force. Rivals are fitted to both
+tests together, as the plan fits them;
 ``--diagnose`` runs the whole diagnosis (first look) instead. Every trial is a line of ``build/plan/*.jsonl``;
 ``--first`` goes on behind trials that are done, ``--table`` prints what is there. ``python benchmarks/plan.py paper``
 takes the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
@@ -61,13 +62,14 @@ GROUPS = {
     ),
     "start of stroke": (("slack", "two_stage"), ("motion over slack", "motion over second surface")),
 }
-SHARE = (0.03, 0.25)  # of the largest size that the proof conceals: what one run may leave undecided
+# Of the largest size that the proof conceals: what one run may leave undecided.
+SHARE, SMALL = (0.03, 0.25), {"speed or place": (0.005, 0.05)}
 
 
 def main() -> None:
     """Run the trials of one question."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("question", choices=("which", "gamma", "paper"))
+    parser.add_argument("question", choices=("which", "gamma", "least", "paper"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-n", "--n", type=int, default=8, help="trials that count")
     parser.add_argument("--first", type=int, default=1, help="number of the first device that is drawn")
@@ -106,7 +108,7 @@ def key_of(seed: int, number: int) -> tuple[Key, str]:
     key = development_keys(7000 + seed, number, "one", effect=name, rate_Hz=RATE_HZ)[-1]
     effect = key.effects[0]
     largest = simulators_by_id()[effect.id].sizes[1]
-    size = float(np.sign(effect.size) * largest * np.exp(rng.uniform(*np.log(SHARE))))
+    size = float(np.sign(effect.size) * largest * np.exp(rng.uniform(*np.log(SMALL.get(group, SHARE)))))
     return replace(key, protocol="paper", effects=(replace(effect, size=size),)), group
 
 
@@ -140,7 +142,7 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
     before = {"before": max(now.values()), "truth_before": sum(p for k, p in now.items() if k & truth)}
     if question == "which" and max(now.values()) >= 0.95:
         return before | {"outcome": "decided"}
-    quantity = None if question == "which" else quantity_named(known, "gamma")
+    quantity = None if question == "which" else quantity_named(known, question)
     quantities = () if quantity is None else (quantity,)
     plan = make_plan(
         [known], rig, protocols, given=[expert], question=question, quantities=quantities, seed=number, rehearsals=0
@@ -243,7 +245,7 @@ def table(rows: Sequence[dict[str, Any]], question: str) -> str:
             f"{name:12} {right:4} of {len(own):3} {100 * mean['truth']:7.1f}% {100 * mean['foreseen']:8.1f}% "
             f"{100 * mean['right_foreseen']:14.1f}% {mean['minutes']:8.1f}"
         )
-        if question == "gamma":
+        if question != "which":
             ratio = np.array([t["sd"] / t["sd_foreseen"] for t in own])
             near = int(np.sum((ratio > 0.8) & (ratio < 1.25)))
             narrower = float(np.median([t["sd"] / t["sd_before"] for t in own]))
