@@ -7,6 +7,7 @@ and a posterior without sampling (expected information of a design: Lindley 1956
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -51,8 +52,7 @@ class Quantity:
         """Mean and standard deviation before the planned test, over all rivals."""
         own = [float(g @ np.linalg.solve(b.precision, g)) for g, b in zip(self.slopes, beliefs, strict=True)]
         shares = np.array([b.share for b in beliefs])
-        mean = float(shares @ self.values)
-        return mean, float(np.sqrt(shares @ (np.array(own) + (self.values - mean) ** 2)))
+        return float(shares @ self.values), math.sqrt(spread_of(shares, self.values, np.array(own)))
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,12 @@ def entropy_of(probabilities: FloatArray) -> FloatArray:
     """Entropy of each row of probabilities, nats."""
     p = np.asarray(probabilities)
     return np.asarray(-np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1))
+
+
+def spread_of(shares: FloatArray, means: FloatArray, variances: FloatArray) -> FloatArray:
+    """Variance of a quantity over all rivals, along the last axis."""
+    away = means - np.sum(shares * means, axis=-1, keepdims=True)
+    return np.asarray(np.sum(shares * (variances + away**2), axis=-1))
 
 
 def foresee(
@@ -153,9 +159,7 @@ def foresee(
     own = by_key[np.arange(truth.size), truth]
     sd = None
     if quantity is not None:
-        v = np.array(values).T
-        mean = np.sum(p * v, axis=1)
-        sd = float(np.sqrt(chance @ np.sum(p * (np.array(variances) + (v - mean[:, None]) ** 2), axis=1)))
+        sd = math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
     return Foreseen(
         float(chance @ entropy_of(by_key)),
         float(chance @ own),

@@ -8,7 +8,7 @@ carried over. Coordinates have the scales of old tests and planned one together,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -121,9 +121,13 @@ class Known:
     @property
     def probabilities(self) -> dict[Key, float]:
         """Probability of each set of classes."""
+        return self.by_set([b.share for b in self.beliefs])
+
+    def by_set(self, shares: Iterable[float]) -> dict[Key, float]:
+        """Sum the shares of the beliefs over each set of classes."""
         out: dict[Key, float] = {}
-        for b in self.beliefs:
-            out[b.key] = out.get(b.key, 0.0) + b.share
+        for b, share in zip(self.beliefs, shares, strict=True):
+            out[b.key] = out.get(b.key, 0.0) + float(share)
         return out
 
     def scene(
@@ -267,14 +271,11 @@ def know(
     shares = _shares(fits, even=even)
     further = replace(device, n_runs=len(runs) + 1)
     last = old[-1].history
-    made = Known(
-        name, tuple(runs), further, _joint(device, further, scene.z)[0], old, scales, setting, (),
-        float(last.motion.displacement_mm[0] - last.position_mm[0]), peak,
-    )  # fmt: skip
     kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_BELIEFS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())
     beliefs = [_belief(scene, out.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
-    return replace(made, beliefs=tuple(beliefs))
+    z, middle = _joint(device, further, scene.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
+    return Known(name, tuple(runs), further, z, old, scales, setting, tuple(beliefs), middle, peak)
 
 
 def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str = "a new device") -> Known:

@@ -14,7 +14,7 @@ from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate
-from shj_bayes.planning.foresight import Quantity, entropy_of
+from shj_bayes.planning.foresight import Quantity, entropy_of, spread_of
 from shj_bayes.planning.known import Belief, Key, Known
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.recording.kinematics import motion_of
@@ -141,10 +141,4 @@ def weighed(
             values.append(quantity.value(b.model, state.z))
             variances.append(float(g @ state.covariance @ g))
     p = np.exp(np.array(logs) - logsumexp(logs))
-    out: dict[Key, float] = {}
-    for b, share in zip(known.beliefs, p, strict=True):
-        out[b.key] = out.get(b.key, 0.0) + float(share)
-    if quantity is None:
-        return out, 0.0
-    mean = float(p @ np.array(values))
-    return out, float(p @ (np.array(variances) + (np.array(values) - mean) ** 2))
+    return known.by_set(p), 0.0 if quantity is None else float(spread_of(p, np.array(values), np.array(variances)))
