@@ -5,11 +5,10 @@ probability below 95 % among the rivals of its group) and gives each a planned s
 expert's fixed second test, in the same minutes: the name that is then the most probable, the probability of the truth,
 and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
 deviation of gamma with the one after the test, ``least`` that of the smallest plateau force. Rivals are fitted to both
-tests together, as the plan fits them;
-``--diagnose`` runs the whole diagnosis (first look) instead. Every trial is a line of ``build/plan/*.jsonl``;
-``--first`` goes on behind trials that are done, ``--table`` prints what is there, or the trials of a file that is named,
-and draws what was foreseen against what came (``reports/plan.png``). ``python benchmarks/plan.py paper``
-takes the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
+tests together, as the plan fits them; ``--diagnose`` runs the whole diagnosis (first look) instead. Every trial is a
+line of ``build/plan/*.jsonl``; ``--first`` goes on behind trials that are done, ``--table`` prints what is there, or the
+trials of a file, and draws what was foreseen against what came (``reports/plan.png``). The question
+``paper`` takes the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
 """
 
 from __future__ import annotations
@@ -248,7 +247,8 @@ def table(rows: Sequence[dict[str, Any]], question: str) -> str:
     others = {o: sum(r["outcome"] == o for r in rows) for o in ("decided", "failed")}
     lines = [
         f"n = {len(counted)}; {others['decided']} more were decided by the first test, {others['failed']} failed",
-        f"{'second test':12} {'right':>11} {'95 % interval':>16} {'truth':>8} {'foreseen':>9} {'right foreseen':>15} {'minutes':>8}",
+        f"{'second test':12} {'right':>11} {'95 % interval':>16} {'truth':>8} {'foreseen':>9} {'right foreseen':>15} "
+        f"{'minutes':>8}",
     ]
     for name in TESTS:
         own = [r["tests"][name] for r in counted]
@@ -257,7 +257,8 @@ def table(rows: Sequence[dict[str, Any]], question: str) -> str:
         mean = {k: float(np.mean([t[k] for t in own])) for k in ("truth", "foreseen", "right_foreseen", "minutes")}
         right = sum(t["right"] for t in own)
         lines.append(
-            f"{name:12} {right:4} of {len(own):3} {share(right, len(own))} {100 * mean['truth']:7.1f}% {100 * mean['foreseen']:8.1f}% "
+            f"{name:12} {right:4} of {len(own):3} {share(right, len(own))} "
+            f"{100 * mean['truth']:7.1f}% {100 * mean['foreseen']:8.1f}% "
             f"{100 * mean['right_foreseen']:14.1f}% {mean['minutes']:8.1f}"
         )
         if question != "which":
