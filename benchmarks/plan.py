@@ -2,13 +2,13 @@
 
 ``python benchmarks/plan.py which -n 12`` draws devices whose effect one run of Table 1 leaves undecided (largest
 probability below 95 % among the rivals of its group) and gives each a planned second test, Table 1 again and an
-expert's fixed second test, in the same minutes: the name that is then the most probable, the probability of the truth,
-and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
-deviation of gamma with the one after the test, ``least`` that of the smallest plateau force. Rivals are fitted to both
-tests together, as the plan fits them; ``--diagnose`` runs the whole diagnosis (first look) instead. Every trial is a
-line of ``build/plan/*.jsonl``; ``--first`` goes on behind trials that are done, ``--table`` prints what is there, or the
-trials of a file, and draws what was foreseen against what came (``reports/plan.png``). The question
-``paper`` takes the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
+expert's fixed second test, in the same minutes: the name that is then the most probable, the probability of the
+truth, and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
+deviation of gamma with the one after the test, ``least`` that of the smallest plateau force. Rivals are fitted to
+both tests together, as the plan fits them; ``--diagnose`` runs the whole diagnosis (first look) instead. Every trial
+is a line of ``build/plan/*.jsonl``; ``--first`` goes on behind trials that are done, ``--table`` prints what is
+there, or the trials of a file, and draws what was foreseen against what came (``reports/plan.png``). ``paper`` takes
+the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
 """
 
 from __future__ import annotations
