@@ -2,12 +2,13 @@
 
 ``python benchmarks/plan.py which -n 12`` draws devices whose effect one run of Table 1 leaves undecided (largest
 probability below 95 % among the rivals of its group) and gives each a planned second test, Table 1 again and an
-expert's fixed second test, in the same minutes: the name that is then the most probable, the probability of the truth,
-and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
-deviation of gamma with the one after the test. Rivals are fitted to both tests together, as the plan fits them;
-``--diagnose`` runs the whole diagnosis (first look) instead. Every trial is a line of ``build/plan/*.jsonl``;
-``--first`` goes on behind trials that are done, ``--table`` prints what is there. ``python benchmarks/plan.py paper``
-takes the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
+expert's fixed second test, in the same minutes: the name that is then the most probable, the probability of the
+truth, and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
+deviation of gamma with the one after the test, ``least`` that of the smallest plateau force. Rivals are fitted to
+both tests together, as the plan fits them; ``--diagnose`` runs the whole diagnosis (first look) instead. Every trial
+is a line of ``build/plan/*.jsonl``; ``--first`` goes on behind trials that are done, ``--table`` prints what is
+there, or the trials of a file, and draws what was foreseen against what came (``reports/plan.png``). ``paper`` takes
+the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+from scipy.stats import binomtest
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
@@ -42,7 +45,9 @@ from shj_validation.proof.make import make
 from shj_validation.proof.protocols import IMPROVED, Course
 from shj_validation.proof.simulators.simulator import simulators_by_id
 
-BUILD = Path(__file__).resolve().parents[1] / "build" / "plan"
+ROOT = Path(__file__).resolve().parents[1]
+BUILD, PICTURE = ROOT / "build" / "plan", ROOT / "reports" / "plan.png"
+TESTS = {"planned": "#0b5394", "table 1": "#b45f06", "expert": "#666666"}
 RATE_HZ, FINE = 10.0, 10
 SPEED_MM_S = 40.0
 # What one run of Table 1 hides, by groups of rivals; the simulator's own class is the right answer.
@@ -61,26 +66,28 @@ GROUPS = {
     ),
     "start of stroke": (("slack", "two_stage"), ("motion over slack", "motion over second surface")),
 }
-SHARE = (0.03, 0.25)  # of the largest size that the proof conceals: what one run may leave undecided
+BINS, LEAST = (0.9, 0.95, 0.98, 0.995), 1e-3  # of the chance foreseen; smallest probability that is drawn
+# Of the largest size that the proof conceals: what one run may leave undecided.
+SHARE, SMALL = (0.03, 0.25), {"speed or place": (0.005, 0.05)}
 
 
 def main() -> None:
     """Run the trials of one question."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("question", choices=("which", "gamma", "paper"))
+    parser.add_argument("question", choices=("which", "gamma", "least", "paper"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-n", "--n", type=int, default=8, help="trials that count")
     parser.add_argument("--first", type=int, default=1, help="number of the first device that is drawn")
     parser.add_argument("--group", choices=tuple(GROUPS), help="devices of one group only")
     parser.add_argument("--diagnose", action="store_true", help="the whole diagnosis after each second test")
-    parser.add_argument("--table", action="store_true", help="print what is there and run nothing")
+    parser.add_argument("--table", nargs="?", const="", metavar="FILE", help="print what is there and run nothing")
     asked = parser.parse_args()
     if asked.question == "paper":
         paper()
         return
     BUILD.mkdir(parents=True, exist_ok=True)
     path = BUILD / f"{asked.question}-seed{asked.seed}{'-diagnosed' if asked.diagnose else ''}.jsonl"
-    if not asked.table:
+    if asked.table is None:
         with path.open("a", encoding="utf-8") as file:
             counted = 0
             for number in range(asked.first, asked.first + 20 * asked.n):
@@ -93,8 +100,11 @@ def main() -> None:
                 print(line(row), flush=True)
                 if counted >= asked.n:
                     break
-    rows = [json.loads(text) for text in path.read_text(encoding="utf-8").splitlines()]
+    rows = [json.loads(text) for text in Path(asked.table or path).read_text(encoding="utf-8").splitlines()]
+    rows = [r for r in rows if r.get("question", asked.question) == asked.question]
     print(table(rows, asked.question))
+    if asked.table is not None and asked.question == "which":
+        draw(rows, PICTURE)
 
 
 def key_of(seed: int, number: int) -> tuple[Key, str]:
@@ -106,7 +116,7 @@ def key_of(seed: int, number: int) -> tuple[Key, str]:
     key = development_keys(7000 + seed, number, "one", effect=name, rate_Hz=RATE_HZ)[-1]
     effect = key.effects[0]
     largest = simulators_by_id()[effect.id].sizes[1]
-    size = float(np.sign(effect.size) * largest * np.exp(rng.uniform(*np.log(SHARE))))
+    size = float(np.sign(effect.size) * largest * np.exp(rng.uniform(*np.log(SMALL.get(group, SHARE)))))
     return replace(key, protocol="paper", effects=(replace(effect, size=size),)), group
 
 
@@ -114,7 +124,13 @@ def trial(seed: int, number: int, question: str, *, whole: bool) -> dict[str, An
     """Make a device, plan its second test, run the three second tests and judge them."""
     key, group = key_of(seed, number)
     effect = key.effects[0]
-    row: dict[str, Any] = {"number": number, "group": group, "effect": effect.id, "size": effect.size}
+    row: dict[str, Any] = {
+        "question": question,
+        "number": number,
+        "group": group,
+        "effect": effect.id,
+        "size": effect.size,
+    }
     begin = time.process_time()
     try:
         row |= _trial(key, group, seed, number, question, whole=whole)
@@ -140,7 +156,7 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
     before = {"before": max(now.values()), "truth_before": sum(p for k, p in now.items() if k & truth)}
     if question == "which" and max(now.values()) >= 0.95:
         return before | {"outcome": "decided"}
-    quantity = None if question == "which" else quantity_named(known, "gamma")
+    quantity = None if question == "which" else quantity_named(known, question)
     quantities = () if quantity is None else (quantity,)
     plan = make_plan(
         [known], rig, protocols, given=[expert], question=question, quantities=quantities, seed=number, rehearsals=0
@@ -211,9 +227,7 @@ def _classes(key: Key) -> tuple[tuple[str, str], ...]:
 def _second(key: Key, protocol: Protocol) -> Recording:
     """Record the second test of a device, with its own noise."""
     time_s, motion = protocol.sampled(RATE_HZ * FINE)
-    return make(replace(key, entropy=key.entropy + 1), then=[Course(time_s, motion.displacement_mm, FINE)])[
-        -1
-    ].recording
+    return make(key, then=[Course(time_s, motion.displacement_mm, FINE)])[1].recording
 
 
 def line(row: dict[str, Any]) -> str:
@@ -233,19 +247,21 @@ def table(rows: Sequence[dict[str, Any]], question: str) -> str:
     others = {o: sum(r["outcome"] == o for r in rows) for o in ("decided", "failed")}
     lines = [
         f"n = {len(counted)}; {others['decided']} more were decided by the first test, {others['failed']} failed",
-        f"{'second test':12} {'right':>10} {'truth':>8} {'foreseen':>9} {'right foreseen':>15} {'minutes':>8}",
+        f"{'second test':12} {'right':>11} {'95 % interval':>16} {'truth':>8} {'foreseen':>9} {'right foreseen':>15} "
+        f"{'minutes':>8}",
     ]
-    for name in ("planned", "table 1", "expert"):
+    for name in TESTS:
         own = [r["tests"][name] for r in counted]
         if not own:
             continue
         mean = {k: float(np.mean([t[k] for t in own])) for k in ("truth", "foreseen", "right_foreseen", "minutes")}
         right = sum(t["right"] for t in own)
         lines.append(
-            f"{name:12} {right:4} of {len(own):3} {100 * mean['truth']:7.1f}% {100 * mean['foreseen']:8.1f}% "
+            f"{name:12} {right:4} of {len(own):3} {share(right, len(own))} "
+            f"{100 * mean['truth']:7.1f}% {100 * mean['foreseen']:8.1f}% "
             f"{100 * mean['right_foreseen']:14.1f}% {mean['minutes']:8.1f}"
         )
-        if question == "gamma":
+        if question != "which":
             ratio = np.array([t["sd"] / t["sd_foreseen"] for t in own])
             near = int(np.sum((ratio > 0.8) & (ratio < 1.25)))
             narrower = float(np.median([t["sd"] / t["sd_before"] for t in own]))
@@ -256,12 +272,45 @@ def table(rows: Sequence[dict[str, Any]], question: str) -> str:
             )
     for group in GROUPS:
         own = [r for r in counted if r["group"] == group]
-        if own:
-            hits = ", ".join(
-                f"{k} {sum(r['tests'][k]['right'] for r in own)}" for k in ("planned", "table 1", "expert")
-            )
-            lines.append(f"  {group}: right of {len(own)}: {hits}")
+        if any(r["group"] == group for r in rows):
+            hits = ", ".join(f"{k} {sum(r['tests'][k]['right'] for r in own)}" for k in TESTS)
+            wrong = sum(r["outcome"] == "decided" and r["truth_before"] < 0.5 for r in rows if r["group"] == group)
+            decided = sum(r["outcome"] == "decided" for r in rows if r["group"] == group)
+            lines.append(f"  {group}: right of {len(own)}: {hits}; decided before {decided}, {wrong} of them wrongly")
     return "\n".join(lines)
+
+
+def share(k: int, n: int) -> str:
+    """Wilson 95 % interval of a share, in per cent."""
+    low, high = binomtest(k, n).proportion_ci(method="wilson")
+    return f"{100 * low:6.1f} to {100 * high:5.1f}"
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Draw the share that was right over the chance foreseen, and the gain in log probability of the truth."""
+    counted = [r for r in rows if r["outcome"] == "counted"]
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
+    for i, (name, colour) in enumerate(TESTS.items()):
+        own = [r["tests"][name] for r in counted]
+        chance, hit = np.array([[t["right_foreseen"], t["right"]] for t in own]).T
+        of = np.digitize(chance, BINS)
+        for k in np.unique(of):
+            n, hits = int(np.sum(of == k)), int(hit[of == k].sum())
+            low, high = binomtest(hits, n).proportion_ci(method="wilson")
+            at = 100 * float(chance[of == k].mean()) + 0.12 * (i - 1)
+            left.plot([at, at], [100 * low, 100 * high], color=colour, lw=1)
+            left.plot(at, 100 * hits / n, "o", color=colour, ms=3 + n**0.5, label=name if k == of.max() else None)
+        before = np.array([max(r["truth_before"], LEAST) for r in counted])
+        foreseen, came = (np.log([max(t[k], LEAST) for t in own] / before) for k in ("foreseen", "truth"))
+        right.plot(foreseen, came, "o", color=colour, ms=4, alpha=0.7, label=f"{name}, mean {came.mean():+.2f}")
+    for axis, what in ((left, "right [%]"), (right, "gain in log probability of the truth [nats]")):
+        low, high = axis.get_xlim()
+        axis.plot([low, high], [low, high], color="black", lw=0.8, zorder=0)
+        axis.set(xlabel=f"foreseen: {what}", ylabel="what came")
+        axis.legend(frameon=False, fontsize=8)
+    left.set_ylim(0, 102)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -308,13 +308,15 @@ def alias_rows(aliases: list[Alias]) -> list[dict[str, Any]]:
     return [{"pair": list(a.pair), "correlation": a.correlation} for a in aliases]
 
 
-def next_test(out: Search, answer: Answer) -> str | None:
-    """Give the cheapest change of the test that would tell the leading rivals apart."""
+def next_test(out: Search, answer: Answer, *, quick: bool) -> str | None:
+    """Give the cheapest change of the test that would tell the leading rivals apart, and the command that plans one."""
     if answer.verdict is not Verdict.FAMILY:
         return None
     known = catalogue()
     members = [member["id"] for member in family(out, answer)]
-    return " ".join(dict.fromkeys(known[name].next_test for name in members[:2])) or None
+    said = dict.fromkeys(known[name].next_test for name in members[:2])
+    first = "diagnose without --quick, then " if quick else ""
+    return " ".join([*said, f"Computed for this device and rig: {first}shj-bayes plan RESULTS -o next."])
 
 
 def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:

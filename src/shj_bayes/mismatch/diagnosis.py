@@ -142,7 +142,7 @@ def diagnose(
         "heldout": content.heldout(*held),
         "shift": content.shift(before, draws),
         "aliases": content.alias_rows(aliases_of(scene)),
-        "next_test": content.next_test(out, answer),
+        "next_test": content.next_test(out, answer, quick=quick),
         "candidates": content.candidates(out, answer),
         "energy": content.energy(fine, *drawn),
         "fy_kN": scene.scale_kN,

@@ -44,10 +44,13 @@ class Scene:
         Its base model, held against blocks that follow the bends of the force.
     z : array, shape (n_law,)
         Least squares of the base model, where the search begins.
+    peak_mm_s : float or None
+        Peak speed that low speeds are a share of; that of the first run unless given.
     """
 
     posterior: Posterior
     z: FloatArray
+    peak_mm_s: float | None = None
 
     @property
     def device(self) -> DeviceModel:
@@ -84,7 +87,7 @@ class Scene:
         """Give the same recordings in blocks as fine as those of a fit of a model, which has bends of its own."""
         theta = model.natural(np.append(z, np.zeros(len(model.names) - z.size))[None])[0]
         averages = replace(self.posterior, model=model).refined(theta).averages
-        return Scene(replace(self.posterior, averages=averages), self.z)
+        return replace(self, posterior=replace(self.posterior, averages=averages))
 
     def force(self, model: DeviceModel, z: FloatArray) -> FloatArray:
         """Modelled force of all blocks, shape (m, n_law) to (m, n), kN; 0 where there is no evidence."""
@@ -133,7 +136,8 @@ class Scene:
     @cached_property
     def slow(self) -> FloatArray:
         """How far each block is one of low speed, 1 at rest to 0 at the peak, shape (n,)."""
-        share = self.channel("speed_mm_s") / (LOW_SPEED * self.posterior.averages[0].history.peak_speed_mm_s)
+        peak = self.peak_mm_s or self.posterior.averages[0].history.peak_speed_mm_s
+        share = self.channel("speed_mm_s") / (LOW_SPEED * peak)
         return np.asarray(np.exp(-(share**2)))
 
     @cached_property

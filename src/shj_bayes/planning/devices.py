@@ -71,8 +71,7 @@ def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Furt
             "of how much devices differ"
         )
     logs = np.log(np.asarray(forces_kN, dtype=np.float64))
-    spread = math.hypot(float(logs.std(ddof=1)), 0.0)
-    spread = max(spread, float(np.sqrt(np.mean(np.square(errors)))), 1e-4)
+    spread = max(float(logs.std(ddof=1)), float(np.sqrt(np.mean(np.square(errors)))), 1e-4)
     likely = [spread * math.sqrt((n - 1) / float(chi2.ppf(q, n - 1))) for q in (0.5, 1.0 - ASSURANCE)]
     rows, needed = [], None
     for more in range(MOST + 1):

@@ -8,7 +8,7 @@ carried over. Coordinates have the scales of old tests and planned one together,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,12 +16,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
-from shj_bayes.mismatch.scene import DISCREPANCY, MODEL_ERROR, Metric, NoiseSetting, Scene, scene_of
+from shj_bayes.mismatch.scene import COARSER, DISCREPANCY, MODEL_ERROR, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import ODDS, Hypothesis, Search, noise_beside
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
@@ -35,7 +36,6 @@ from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording, Source
 
 MOST_RUNS = 9
-COARSER = 4.0  # blocks of a planned run than those of a fit: dozens of protocols are compared
 KINDS = 3  # ways to write a class, by smoothness or as an effect, that are fitted
 NEAR = 7.0  # nats behind the best way, beyond which a way is left out
 MOST_BELIEFS, LEAST_SHARE = 12, 1e-4  # of the most probable
@@ -98,6 +98,8 @@ class Known:
         What the device may be, most probable first; the shares add up to 1.
     middle_mm : float
         Displacement of the middle of the stroke, mm.
+    peak_mm_s : float or None
+        Peak speed of the old tests, which low speeds are a share of.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Known:
     setting: NoiseSetting
     beliefs: tuple[Belief, ...]
     middle_mm: float
+    peak_mm_s: float | None = None
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -118,12 +121,18 @@ class Known:
     @property
     def probabilities(self) -> dict[Key, float]:
         """Probability of each set of classes."""
+        return self.by_set([b.share for b in self.beliefs])
+
+    def by_set(self, shares: Iterable[float]) -> dict[Key, float]:
+        """Sum the shares of the beliefs over each set of classes."""
         out: dict[Key, float] = {}
-        for b in self.beliefs:
-            out[b.key] = out.get(b.key, 0.0) + b.share
+        for b, share in zip(self.beliefs, shares, strict=True):
+            out[b.key] = out.get(b.key, 0.0) + float(share)
         return out
 
-    def scene(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray | None = None) -> Scene:
+    def scene(
+        self, time_s: FloatArray, motion: Motion, force_kN: FloatArray | None = None, coarser: float = COARSER
+    ) -> Scene:
         """Hold the model against one further run.
 
         Parameters
@@ -134,6 +143,8 @@ class Known:
             Displacement from the middle of the stroke.
         force_kN : array, shape (n,), optional
             Measured force; that of the base law where there is none yet.
+        coarser : float
+            Blocks than those of a fit.
         """
         alone = replace(self.device, n_runs=1, effects=())
         values = self.device.law_values(self.z)
@@ -147,10 +158,10 @@ class Known:
             still[3:4] *= 0.0 if self.device.speed else 1.0  # gamma: its share of the force is straight
             return np.asarray(alone.force(still[None], history, start_force_kN)[0])
 
-        part = reduce_runs((run,), bends, coarser=COARSER)[0]
+        part = reduce_runs((run,), bends, coarser=coarser)[0]
         runs = (*self.runs, run)
         posterior = Posterior(runs, self.device, (replace(part, history=self.placed(part.history)),))
-        return Scene(posterior, self.z)
+        return Scene(posterior, self.z, self.peak_mm_s)
 
     def placed(self, history: History) -> History:
         """History of a first run as one that follows the old ones."""
@@ -194,6 +205,7 @@ def common_scales(runs: Sequence[Run], rig: Rig, protocols: Sequence[Protocol]) 
     return out
 
 
+@one_blas_thread
 def know(
     runs: Sequence[Run],
     device: DeviceModel,
@@ -235,7 +247,8 @@ def know(
         raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
     own = scene_of(runs, device)
     old = tuple(replace(part, history=replace(part.history, **scales)) for part in own.posterior.averages)
-    scene = Scene(Posterior(tuple(runs), device, old), own.z)
+    peak = own.posterior.averages[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
+    scene = Scene(Posterior(tuple(runs), device, old), own.z, peak)
     known = {c.id: c for c in classes(hidden)}
     missing = sorted({c for key, _ in sets for c in key} - set(known))
     if missing:
@@ -258,14 +271,11 @@ def know(
     shares = _shares(fits, even=even)
     further = replace(device, n_runs=len(runs) + 1)
     last = old[-1].history
-    made = Known(
-        name, tuple(runs), further, _joint(device, further, scene.z)[0], old, scales, setting, (),
-        float(last.motion.displacement_mm[0] - last.position_mm[0]),
-    )  # fmt: skip
     kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_BELIEFS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())
     beliefs = [_belief(scene, out.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
-    return replace(made, beliefs=tuple(beliefs))
+    z, middle = _joint(device, further, scene.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
+    return Known(name, tuple(runs), further, z, old, scales, setting, tuple(beliefs), middle, peak)
 
 
 def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str = "a new device") -> Known:

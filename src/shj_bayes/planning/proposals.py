@@ -14,7 +14,7 @@ AMPLITUDES = (0.08, 0.15, 0.25, 0.5, 0.75, 1.0)  # of the largest displacement
 SPEEDS = (0.03, 0.1, 0.25, 0.5, 1.0)  # of the largest speed
 RESTS_S = (10.0, 30.0, 60.0, 180.0)
 MOST_BLOCKS = 10
-SAMPLES = 12.0  # of a cycle, at least
+SAMPLES = 36.0  # of a cycle, at least: reversals between few samples are not found again
 TRIANGLES, RESTING = 0.3, 0.2  # shares of drawn blocks
 SINE, TRIANGLE = Waveform.SINE, Waveform.TRIANGLE
 # Share of the stroke, share of the speed, cycles, waveform, rest in s: one coordinate changes while others stand still.

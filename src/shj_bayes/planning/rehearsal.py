@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts
 from shj_bayes.mismatch.scene import Metric, Scene
-from shj_bayes.mismatch.state import settle
+from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate
-from shj_bayes.planning.foresight import Quantity, entropy_of
+from shj_bayes.planning.foresight import Quantity, entropy_of, spread_of
 from shj_bayes.planning.known import Belief, Key, Known
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.recording.kinematics import motion_of
@@ -70,7 +71,7 @@ def rehearse(
     for k, stream in enumerate(np.random.SeedSequence(seed, spawn_key=(5,)).spawn(n)):
         true = known.beliefs[min(int(np.searchsorted(shares, (k + 0.5) / n)), len(known.beliefs) - 1)]
         recording = recorded(known, true, protocol, rate_Hz, np.random.default_rng(stream))
-        after, variance = weighed(known, recording, quantity)
+        after, variance = weighed(known, recording, quantity, noise_known=True)
         variances.append(variance)
         of_truth.append(after[true.key])
         right += max(after, key=lambda key: after[key]) == true.key
@@ -92,8 +93,22 @@ def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng
     return Recording(time, motion.displacement_mm + wobble, force, source=Source("rehearsal"))
 
 
-def weighed(known: Known, recording: Recording, quantity: Quantity | None = None) -> tuple[dict[Key, float], float]:
+@one_blas_thread
+def weighed(
+    known: Known, recording: Recording, quantity: Quantity | None = None, *, noise_known: bool = False
+) -> tuple[dict[Key, float], float]:
     """Weigh the rivals on one further recording, each fitted to old and new together.
+
+    Parameters
+    ----------
+    known : Known
+        The device before it.
+    recording : Recording
+        The further test.
+    quantity : Quantity, optional
+        What should have become narrow.
+    noise_known : bool
+        Whether the noise is that of the old tests, not to be found anew on all of them.
 
     Returns
     -------
@@ -101,18 +116,22 @@ def weighed(known: Known, recording: Recording, quantity: Quantity | None = None
         Probability of each set; variance of the quantity over all rivals, 0 where none is asked for.
     """
     motion = motion_of(recording)
-    alone = known.scene(recording.time_s, motion, recording.force_kN)
+    alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
     if not known.runs:  # the first test of a device says where its law is
         z = law_starts(alone.posterior)[0]
         at = [replace(b, z=np.concatenate([z, b.z[z.size :]])) for b in known.beliefs]
         known = replace(known, z=z, beliefs=tuple(at))
-        alone = known.scene(recording.time_s, motion, recording.force_kN)
+        alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
     parts = (*known.old, *alone.posterior.averages)
     runs = (*known.runs, Run(recording, motion))
-    scene = Scene(replace(alone.posterior, runs=runs, averages=parts), known.z)
+    scene = Scene(replace(alone.posterior, runs=runs, averages=parts), known.z, known.peak_mm_s)
     first = known.beliefs[0]
     slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
     metric = Metric(scene, known.setting, slope)
+    if not noise_known:
+        best = max((settle(scene, metric, b.model, b.z) for b in known.beliefs), key=lambda s: s.evidence)
+        setting = find_noise(scene, best, np.zeros((best.residual.size, 0)), known.setting)
+        metric = Metric(scene, setting, best.slope)
     logs, values, variances = [], [], []
     for i, b in enumerate(known.beliefs):
         state = settle(scene, metric, b.model, b.z)
@@ -122,10 +141,4 @@ def weighed(known: Known, recording: Recording, quantity: Quantity | None = None
             values.append(quantity.value(b.model, state.z))
             variances.append(float(g @ state.covariance @ g))
     p = np.exp(np.array(logs) - logsumexp(logs))
-    out: dict[Key, float] = {}
-    for b, share in zip(known.beliefs, p, strict=True):
-        out[b.key] = out.get(b.key, 0.0) + float(share)
-    if quantity is None:
-        return out, 0.0
-    mean = float(p @ np.array(values))
-    return out, float(p @ (np.array(variances) + (np.array(values) - mean) ** 2))
+    return known.by_set(p), 0.0 if quantity is None else float(spread_of(p, np.array(values), np.array(variances)))

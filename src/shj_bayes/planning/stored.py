@@ -13,9 +13,8 @@ from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.inference.run import Run
-from shj_bayes.margins.specimen import read_specimen
+from shj_bayes.margins.specimen import model_of, read_specimen
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.planning.known import Key
 from shj_bayes.recording.recording import Recording, Source
@@ -84,19 +83,12 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
             )
             runs.append(Run(recording, motion))
         logs = np.log(draws["Fy"].ravel())
-    model = record["model"]
+    model = model_of(record)
     said = {} if diagnosis is None else diagnosis.get("model") or {}
-    given = tuple(said.get("given", model.get("effects", ()) if diagnosis is None else ()))
+    effects = model.effects if diagnosis is None else effects_named([str(word) for word in said.get("given", ())])
     without = tuple(said.get("without", ()))
-    device = DeviceModel(
-        len(runs),
-        _priors(record),
-        effects=effects_named([str(word) for word in given]),
-        noise=noise_model(str(model.get("noise", DEFAULT))),
-        free=tuple(model.get("free_between_runs", ())),
-        variant=str(model.get("variant", "published")),
-        speed="velocity" not in without and bool(model.get("speed", True)),
-    )
+    speed = model.speed and "velocity" not in without
+    device = replace(model, priors=_priors(record), effects=effects, speed=speed)
     hidden = {*(w for w in without if w != "velocity"), *(e.mechanism for e in device.effects)}
     hidden |= {"velocity"} if device.speed else set()
     sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)

@@ -12,11 +12,10 @@ import numpy as np
 from shj_bayes.model.history import histories
 from shj_bayes.planning.devices import ASSURANCE, WITHIN
 from shj_bayes.planning.known import Belief, Known, mechanisms_of
-from shj_bayes.planning.plan import FORCE, WHICH, Plan, Worth
+from shj_bayes.planning.plan import ALIKE, FORCE, WHICH, Plan, Worth
 from shj_bayes.report.page import Picture, write_page
 
 PLAN_PAGE = "plan.html"
-ALIKE = 0.95  # of the gain of the best: Table 1 again is then as good
 
 
 def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> Path:

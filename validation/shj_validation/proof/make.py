@@ -59,7 +59,7 @@ def make(
     effects : sequence of Concealed, optional
         In place of the key's own: none gives the same rig without what is concealed.
     then : sequence of Course
-        Further runs that follow the two, at the second one's sliding force.
+        Runs that follow the first in the place of the second one, at its sliding force.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def make(
     stepped = FAST_HZ if any(known[one.id].fast for one in key.effects) else FINE_HZ
     fine = max(1, round(stepped / key.rate_Hz))
     noise, shake = (np.random.SeedSequence(key.entropy, spawn_key=(i,)) for i in range(2))
-    courses = [course(key.protocol, key.rate_Hz, fine)] * N_RUNS
+    courses = [course(key.protocol, key.rate_Hz, fine)] * (1 if then else N_RUNS)
     if heldout:
         speed = EARTHQUAKE_SPEED * PEAK_SPEED_MM_S[key.protocol]
         courses.append(course("earthquake", key.rate_Hz, fine, np.random.default_rng(shake), speed))
