@@ -307,8 +307,9 @@ def _warnings(result: PopulationResult, request: Request, asked: Asked | None, l
             )
     few = sum(n < 3 for n in fit.n_devices)
     if few:
+        which = f"{few} of {len(fit.n_devices)} sets rest" if len(fit.n_devices) > 1 else "The set rests"
         yield (
-            f"{few} of {len(fit.n_devices)} sets rest on one or two devices. The smallest and largest of two hold 90 % "
+            f"{which} on one or two devices. The smallest and largest of two hold 90 % "
             "of all devices with a confidence of only 1 %: two devices are not a band."
         )
     if f"{MOST}_2" not in result.posteriors:

@@ -16,7 +16,7 @@ from shj_bayes.model.parameters import FloatArray
 
 
 class Verdict(StrEnum):
-    """What a diagnosis found; words as in INTERFACE."""
+    """What a diagnosis found."""
 
     ADEQUATE = "adequate"
     NAMED = "named"

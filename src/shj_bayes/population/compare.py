@@ -64,7 +64,7 @@ class Contrast:
         Chance that a sample of this size finds a true difference at the edge of practical equivalence, averaged over
         what is known of the spread.
     n_to_decide : int
-        Devices a side that would find a difference at that edge four times in five, averaged likewise.
+        Devices a side that would find a difference at that edge with a power of 0.80, averaged likewise.
     other_priors : mapping of str to tuple of float
         5 and 95 % under each other prior of the spread.
     sentence : str

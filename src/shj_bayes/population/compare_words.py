@@ -60,17 +60,15 @@ def sentence(
     else:
         verdict = "the direction is settled at 90 %, whatever is assumed of the spread"
     text = f"{sides[0]}: {name} of a typical device {size}; with {n[0]} and {n[1]} devices {verdict}."
-    share, probability = equivalence
-    if probability > TRUSTED:
-        return f"{text} They differ by less than {100 * share:.0f} % with a probability of {probability:.2f}."
+    if equivalence[1] > TRUSTED:
+        return f"{text} They differ by less than {edge} with a probability of {equivalence[1]:.2f}."
     if all(settled.values()):
         return text
     chance, needed = decide
     count = f"about {needed}" if needed < MOST else f"more than {MOST}"
     return (
         f"{text} A sample of this size finds a true difference of {edge}, the smallest that matters here, with a "
-        f"power of {chance:.2f}; {count} devices a side would find it four times in five (if sets spread nearly "
-        "alike)."
+        f"power of {chance:.2f}; a power of 0.80 takes {count} devices a side (if sets spread nearly alike)."
     )
 
 
