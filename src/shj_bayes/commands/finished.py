@@ -14,8 +14,7 @@ import shj_bayes
 from shj_bayes._util.files import file_digest, plain_name
 from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference.record import check_files, read_record
-from shj_bayes.inference.remarks import Remark
+from shj_bayes.inference.record import Remark, check_files, read_record
 from shj_bayes.model.parameters import BASE
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit

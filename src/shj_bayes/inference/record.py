@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,14 @@ KINDS: dict[str, type] = {
     **{"device": str, "verdict": str, "reasons": list, "versions": dict, "model": dict},
     **{"prior_laws": list, "inputs": list, "sampling": dict, "parameters": list},
 }
+
+
+class Remark(StrEnum):
+    """What the data do not say of a parameter."""
+
+    UNDETERMINED = "undetermined"
+    AGAINST_PRIOR = "against-prior"
+    AGAINST_EARLIER = "against-earlier"
 
 
 def read_record(folder: Path) -> dict[str, Any]:

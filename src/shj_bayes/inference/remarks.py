@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from shj_bayes.inference.record import Remark
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 
 UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away
 AGAINST = 2.6  # standard deviations of the prior: 1 in 100 beyond it
-
-
-class Remark(StrEnum):
-    """What the data do not say of a parameter."""
-
-    UNDETERMINED = "undetermined"
-    AGAINST_PRIOR = "against-prior"
-    AGAINST_EARLIER = "against-earlier"
 
 
 def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:

@@ -196,6 +196,11 @@ class Metric:
         Noise and discrepancy.
     slope : array, shape (n,)
         Slope of the modelled force in each block, through which the error of the displacement acts, kN/mm.
+
+    Attributes
+    ----------
+    other : array, shape (n_evidence, p + n_runs)
+        Whitened functions of the discrepancy, then the zeros of the load cell, each at its size before the test.
     """
 
     def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
@@ -206,8 +211,8 @@ class Metric:
         zero = [part.timing.zero_noise_kN for part in scene.posterior.averages]
         sizes = np.append(np.full(scene.discrepancy.shape[1], setting.model_error_kN), zero)
         white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.zeros]))
-        self._other = white * sizes
-        inner = np.eye(white.shape[1]) + self._other.T @ self._other
+        self.other = white * sizes
+        inner = np.eye(white.shape[1]) + self.other.T @ self.other
         self._root = cho_factor(inner, lower=True)
         self.n = white.shape[0]
         relative = setting.model_error_kN / (MODEL_ERROR * scene.scale_kN)
@@ -285,12 +290,12 @@ class Metric:
         two arrays, shape (n, p)
         """
         white, _ = self.whitened(columns)
-        return white, np.asarray(white - self._other @ cho_solve(self._root, self._other.T @ white))
+        return white, np.asarray(white - self.other @ cho_solve(self._root, self.other.T @ white))
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""
         white, _ = self.whitened(residual[:, None])
-        mean = cho_solve(self._root, self._other.T @ white[:, 0])[: self.scene.discrepancy.shape[1]]
+        mean = cho_solve(self._root, self.other.T @ white[:, 0])[: self.scene.discrepancy.shape[1]]
         return np.asarray(self.scene.discrepancy @ mean * self.setting.model_error_kN)
 
 

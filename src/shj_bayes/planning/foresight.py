@@ -124,7 +124,6 @@ def foresee(
     first = beliefs[0]
     slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
     metric = Metric(scene, known.setting, slope)
-    other = metric.whitened(scene.discrepancy)[0] * known.setting.model_error_kN
     means, designs, forces = [], [], []
     for b in beliefs:
         force, jacobian = _linear(scene, b)
@@ -133,7 +132,8 @@ def foresee(
         sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian * told, own, jacobian * told))
         forces.append(float(np.max(np.abs(force) + SURE * sd)))
         white = metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian]))[0]
-        design = np.concatenate([white[:, 1:], other], axis=1)
+        old_zeros = np.zeros((white.shape[0], b.mean.size - b.z.size - metric.other.shape[1]))
+        design = np.concatenate([white[:, 1:], metric.other, old_zeros], axis=1)
         designs.append(design)
         means.append(white[:, 0] + design @ b.mean)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))

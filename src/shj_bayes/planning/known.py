@@ -57,9 +57,10 @@ class Belief:
         Model of the old runs and the planned one.
     z : array, shape (n_law,)
         Where it is linearised, unbounded.
-    mean : array, shape (n_law + p,)
-        Mean of the law parameters and the coefficients of the discrepancy after the old tests.
-    precision : array, shape (n_law + p, n_law + p)
+    mean : array, shape (n_law + p + 1 + n_runs,)
+        Mean of the law parameters, the coefficients of the discrepancy and the load cell's zeros in the planned run and
+        in the old ones, after the old tests.
+    precision : array, shape (n_law + p + 1 + n_runs,) twice
         Inverse of their covariance.
     evidence : float
         Log density of the old tests; 0 where there are none.
@@ -303,7 +304,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
     total = sum(p for _, p, _ in rows)
     beliefs = []
     for key, p, model in rows:
-        n = model.n_law + N_DISCREPANCY
+        n = model.n_law + N_DISCREPANCY + 1
         mean = np.zeros(n)
         beliefs.append(Belief(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
     return Known(name, (), device, z, (), scales, setting, tuple(beliefs), 0.0)
@@ -405,10 +406,10 @@ def _belief(scene: Scene, metric: Metric, key: Key, share: float, h: Hypothesis)
     z, places = _joint(h.state.model, further, h.state.z)
     columns = np.column_stack([h.state.residual + h.state.jacobian @ h.state.z, h.state.jacobian])
     white = metric.whitened(columns)[0]
-    other = metric.whitened(scene.discrepancy)[0] * metric.setting.model_error_kN
-    design = np.zeros((white.shape[0], z.size + other.shape[1]))
+    disturbed, zeros = np.split(metric.other, [N_DISCREPANCY], axis=1)
+    unknown = np.zeros((white.shape[0], 1))  # the zero of the run to come
+    design = np.concatenate([np.zeros((white.shape[0], z.size)), disturbed, unknown, zeros], axis=1)
     design[:, places] = white[:, 1:]
-    design[:, z.size :] = other
     prior = np.zeros(design.shape[1])
     new = np.setdiff1d(np.arange(z.size), places)
     prior[new] = z[new]

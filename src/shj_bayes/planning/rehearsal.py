@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes._util.one_thread import one_blas_thread
+from shj_bayes.inference.reduction import ZERO
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts
 from shj_bayes.mismatch.scene import Metric, Scene
@@ -81,7 +82,7 @@ def rehearse(
 
 
 def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> Recording:
-    """Simulate the recording of a planned test on a device drawn from a rival, with the noise of its old tests."""
+    """Simulate the recording of a planned test on a device drawn from a rival, with noise and an error of the zero."""
     root = np.linalg.cholesky(true.precision)
     z = (true.mean + np.linalg.solve(root.T, rng.standard_normal(true.mean.size)))[: true.z.size]
     time, motion = protocol.sampled(rate_Hz)
@@ -89,6 +90,7 @@ def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng
     force = true.model.force(theta, known.placed(histories([time], [motion])[0]), 0.0)[0]
     noise = {name: float(v[0]) for name, v in true.model.noise_values(theta).items()}
     force = force + simulate(true.model.noise, noise, time, np.arange(time.size) == 0, rng)
+    force += ZERO * float(np.percentile(np.abs(force), 99)) * rng.standard_normal()
     wobble = max((run.motion.noise_mm for run in known.runs), default=0.0) * rng.standard_normal(time.size)
     return Recording(time, motion.displacement_mm + wobble, force, source=Source("rehearsal"))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import ReportError
-from shj_bayes.inference.remarks import Remark
+from shj_bayes.inference.record import Remark
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.report import words

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from shj_bayes.inference.remarks import Remark
+from shj_bayes.inference.record import Remark
 from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
