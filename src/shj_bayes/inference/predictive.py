@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages
 from shj_bayes.inference.run import Run
-from shj_bayes.model.noise.filter import Timing, _coefficients, log_density, zero_error
+from shj_bayes.model.noise.filter import Timing, _coefficients, density_and_zero
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
@@ -70,8 +70,8 @@ def force_at_points(
 def zero_of_run(posterior: Posterior, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the error of the load cell's zero in a run, for each parameter set, kN."""
     residual, slope = posterior.residual_and_slope(theta, run)
-    timing = posterior.averages[run - 1].timing
-    return zero_error(posterior.model.noise, posterior.model.noise_values(theta), residual, slope, timing)
+    timing, model = posterior.averages[run - 1].timing, posterior.model
+    return density_and_zero(model.noise, model.noise_values(theta), residual, slope, timing)[1:]
 
 
 def half_cycles(
@@ -105,11 +105,11 @@ def half_cycles(
         for some in pieces:
             values = posterior.model.noise_values(some)
             residual, slope = posterior.residual_and_slope(some, run)
-            log_likelihood.append(log_density(noise, values, residual, slope, part.timing))
-            drawn = draw_noise(noise, values, slope, part.timing, rng)
-            nothing = np.zeros(some.shape[0]), np.full(some.shape[0], part.timing.zero_noise_kN)
-            mean, sd = zero_of_run(posterior, some, run) if tested else nothing
-            drawn += rng.normal(mean, sd)[:, None]
+            density, mean, sd = density_and_zero(noise, values, residual, slope, part.timing)
+            if not tested:
+                mean, sd = np.zeros_like(mean), np.full_like(sd, part.timing.zero_noise_kN)
+            log_likelihood.append(density)
+            drawn = draw_noise(noise, values, slope, part.timing, rng) + rng.normal(mean, sd)[:, None]
             force.append(_means(part.force_kN - residual + drawn, part))
         likely.append(np.concatenate(log_likelihood))
         predicted.append(np.concatenate(force))

@@ -121,8 +121,13 @@ def reduce_runs(
     whole = histories_of(runs)
     bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)
     parts = zip(runs, whole, bends, strict=True)
-    zero_kN = ZERO * float(np.percentile(np.abs(runs[0].recording.force_kN[runs[0].used]), 99))
+    zero_kN = zero_noise_kN(runs[0].recording.force_kN[runs[0].used])
     return tuple(_reduce(run, history, bend, longest_s, coarser, zero_kN) for run, history, bend in parts)
+
+
+def zero_noise_kN(force_kN: FloatArray) -> float:
+    """Give the standard deviation of the load cell's zero before a test with given forces, kN."""
+    return ZERO * float(np.percentile(np.abs(force_kN), 99))
 
 
 def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> list[FloatArray]:

@@ -162,7 +162,7 @@ class Scene:
     @cached_property
     def zeros(self) -> FloatArray:
         """Error of the load cell's zero in each run, kN for a size of 1 kN, shape (n, n_runs)."""
-        sizes = [part.count.size for part in self.posterior.averages]
+        sizes = [part.n for part in self.posterior.averages]
         return np.repeat(np.eye(len(sizes)), sizes, axis=0) * self.used[:, None]
 
 

@@ -31,6 +31,7 @@ DEPTH = 4
 LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
 LARGEST = 70  # parameters of a model that is grown further
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
+FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 CONSTANT = ("added", "constant")
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
@@ -375,7 +376,7 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
             continue
         seen.add(kind)
         columns.append(WIDE * c.columns)
-    columns.append(1e3 * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise, however large
+    columns.append(FLAT * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return Metric(scene, find_noise(scene, state, wide, start), state.slope)
 

@@ -60,8 +60,8 @@ class Belief:
     mean : array, shape (n_law + p + 1 + n_runs,)
         Mean of the law parameters, the coefficients of the discrepancy and the load cell's zeros in the planned run and
         in the old ones, after the old tests.
-    precision : array, shape (n_law + p + 1 + n_runs,) twice
-        Inverse of their covariance.
+    precision : array, shape (d, d)
+        Inverse of their covariance; d is the length of `mean`.
     evidence : float
         Log density of the old tests; 0 where there are none.
     """

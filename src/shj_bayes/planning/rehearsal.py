@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.inference.reduction import ZERO
+from shj_bayes.inference.reduction import zero_noise_kN
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts
 from shj_bayes.mismatch.scene import Metric, Scene
@@ -90,7 +90,7 @@ def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng
     force = true.model.force(theta, known.placed(histories([time], [motion])[0]), 0.0)[0]
     noise = {name: float(v[0]) for name, v in true.model.noise_values(theta).items()}
     force = force + simulate(true.model.noise, noise, time, np.arange(time.size) == 0, rng)
-    force += ZERO * float(np.percentile(np.abs(force), 99)) * rng.standard_normal()
+    force += zero_noise_kN(force) * rng.standard_normal()
     wobble = max((run.motion.noise_mm for run in known.runs), default=0.0) * rng.standard_normal(time.size)
     return Recording(time, motion.displacement_mm + wobble, force, source=Source("rehearsal"))
 

@@ -9,7 +9,7 @@ from scipy import stats
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model, noise_models
-from shj_bayes.model.noise.filter import Timing, log_density, simulate, whiten, zero_error
+from shj_bayes.model.noise.filter import Timing, density_and_zero, log_density, simulate, whiten
 from shj_bayes.model.noise.noise import Noise, gaussian
 
 STEP = 0.05
@@ -265,7 +265,7 @@ def test_the_zero_of_the_load_cell_is_integrated_out(case: str) -> None:
     flat = np.zeros_like(residual)
     expected = normal(residual, matrix + zero**2 * np.outer(ones, ones))
     assert total(word, values, residual, flat, timing(zero_kN=zero)) == pytest.approx(expected, rel=1e-8)
-    mean, sd = zero_error(noise_model(word), sets(values), residual[None], flat[None], timing(zero_kN=zero))
+    _, mean, sd = density_and_zero(noise_model(word), sets(values), residual[None], flat[None], timing(zero_kN=zero))
     precision = 1 / zero**2 + ones @ np.linalg.solve(matrix, ones)
     assert mean[0] == pytest.approx(ones @ np.linalg.solve(matrix, residual) / precision, rel=1e-7)
     assert sd[0] == pytest.approx(precision**-0.5, rel=1e-7)

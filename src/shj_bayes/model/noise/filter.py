@@ -42,8 +42,10 @@ N_ROWS = 17
 # would make of it, the white and slow variances, sums of squares, and the products of variances; what an error of the
 # zero would make of the slow part, its products with what is new, with the turning point's error and with itself, and
 # the first and the last of these over the half-cycles so far.
-STATE, VARIANCE, TURN, WHITE, SLOW, ACROSS, ALONG, OWN, PRODUCT, TOTAL, LAST, *_ = range(0, N_ROWS * LANES, LANES)
-ZERO, WITH_NEW, WITH_TURN, WITH_SELF, KNOWN, KNOWN_SELF = range(11 * LANES, N_ROWS * LANES, LANES)
+(
+    STATE, VARIANCE, TURN, WHITE, SLOW, ACROSS, ALONG, OWN, PRODUCT, TOTAL, LAST,
+    ZERO, WITH_NEW, WITH_TURN, WITH_SELF, KNOWN, KNOWN_SELF,
+) = range(0, N_ROWS * LANES, LANES)  # fmt: skip
 LARGE_NU = 1e300  # beyond it Student's t is the normal law
 TOGETHER = 16  # variances that are multiplied before their logarithm is taken: within doubles from 1e-9 to 1e9 kN
 SHORT = 1e-4  # of the memory: a block for which the series is the more exact
@@ -109,28 +111,34 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
         Natural-log density of each half-cycle given those before it; they add up to the log likelihood. Under heavy
         tails the zero of the load cell counts as known.
     """
-    return _run(noise, values, residual, slope, timing)[0]
+    return _run(noise, values, residual, slope, timing)[:, :-2]
 
 
-def zero_error(
+def density_and_zero(
     noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing
-) -> tuple[FloatArray, FloatArray]:
-    """Mean and standard deviation of the error of the load cell's zero, given the residuals, shape (m,), kN.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log density of averaged residuals, and what they say of the error of the load cell's zero.
 
     Parameters
     ----------
     noise, values, residual, slope, timing
         As for `log_density`.
+
+    Returns
+    -------
+    array, shape (m, n_half)
+        As from `log_density`.
+    mean, sd : array, shape (m,)
+        Mean and standard deviation of the error of the zero given the residuals, kN.
     """
-    along, own = _run(noise, values, residual, slope, timing)[1].T
+    found = _run(noise, values, residual, slope, timing)
+    along, own = found[:, -2:].T
     variance = timing.zero_noise_kN**2 / (1.0 + timing.zero_noise_kN**2 * own)
-    return variance * along, np.sqrt(variance)
+    return found[:, :-2], variance * along, np.sqrt(variance)
 
 
-def _run(
-    noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing
-) -> tuple[FloatArray, FloatArray]:
-    """Run the recursion: log densities, and products of an error of the zero with the residual and with itself."""
+def _run(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing) -> FloatArray:
+    """Run the recursion: what `_filter` fills its first argument with."""
     parts = noise.parts(values)
     out = np.empty((residual.shape[0], timing.half.size + 1))
     _filter(
@@ -145,7 +153,7 @@ def _run(
         np.array([timing.displacement_noise_mm**2, timing.zero_noise_kN**2]),
         timing.turning_noise_mm**2,
     )
-    return out[:, :-2], out[:, -2:]
+    return out
 
 
 def whiten(
@@ -281,7 +289,7 @@ def _filter(out, residual, slope, kind, share, table, half, scales, known, noise
     """Fill `out` with the log density of each half-cycle; arrays as in `log_density`, variances in place of sds.
 
     `known` has the variances of one sample's displacement and of the zero; the last two columns of `out` get the
-    products of an error of the zero with the residual and with itself.
+    products of a zero that is off by 1 kN with the residual and with itself.
 
     `LANES` parameter sets go through the recursion side by side, as one vector instruction does them all: its chain of
     a division and a few products takes as long for one.
