@@ -284,3 +284,16 @@ def test_protocols_move_as_they_say():
     assert np.abs(shake.x_mm).max() <= 90.0
     resting = np.abs(improved.v_mm_s) < 1e-9
     assert resting.sum() * improved.dt_s > 200.0
+
+
+def test_a_capacity_that_rises_behind_a_reversal_does_not_raise_the_force_before_it():
+    """Junctions hold anew behind a reversal: the force there is still that of the stroke before."""
+    time, motion = exact_motion((Block(30.0, 0.02, 2),), 100.0)
+    path = Course(time, motion.displacement_mm, 1)
+    bare = drives([path], DEVICE, 30.0, float(time[-1]), 1e6, "published")[0]
+    acts = forms._torn([bare], 0.3, {"length_mm": 5.0}, DEVICE)[0]
+    own = rate_free(bare, DEVICE, acts, 1e6, "published")
+    for first in motion.start[1:-1]:
+        before, behind = own[first - 50 : first - 3], own[first - 3 : first + 4]
+        assert np.abs(behind).max() < 1.01 * np.abs(before).max()
+    assert np.abs(own).max() > 1.1 * DEVICE.Fy  # but sliding begins with a peak

@@ -14,30 +14,42 @@ STILL_MM = 1e-6  # rounding while the grip rests is no reversal
 
 @njit(cache=True, error_model="numpy")
 def branches(out, x, clamping, stiffness, capacity, beta, lever, clearance):  # type: ignore[no-untyped-def]
-    """Force (kN) along displacements `x` (mm) of a grip with clearance (mm, from side to side)."""
+    """Force (kN) along displacements `x` (mm) of a grip with clearance (mm, from side to side).
+
+    A contact that grows stronger while it slides sticks until its spring has loaded it: the capacity that counts rises
+    by no more than the spring can, within a branch.
+    """
     half = 0.5 * clearance
-    u, e, sense = x[0], 0.0, 0.0
+    u, e, sense, force, limit = x[0], 0.0, 0.0, 0.0, 0.0
     for i in range(x.size):
         cap = clamping[i] * capacity
-        pulled, pulled_sense = _stepped(e, sense, stiffness, x[i] - half - u, cap, beta, lever)
-        pushed, pushed_sense = _stepped(e, sense, stiffness, x[i] + half - u, cap, beta, lever)
+        pulled, pulled_sense = _stepped(e, sense, force, stiffness * (x[i] - half - u))
+        pushed, pushed_sense = _stepped(e, sense, force, stiffness * (x[i] + half - u))
+        moved, turned = 0.0, False
         if pulled > 0.0:
             if abs(x[i] - half - u) > STILL_MM:
+                moved, turned = abs(x[i] - half - u), pulled_sense != sense
                 u, e, sense = x[i] - half, pulled, pulled_sense
         elif pushed < 0.0:
             if abs(x[i] + half - u) > STILL_MM:
+                moved, turned = abs(x[i] + half - u), pushed_sense != sense
                 u, e, sense = x[i] + half, pushed, pushed_sense
         else:  # in the gap the contact rests where it holds no force
-            u, e = u - e / stiffness, 0.0
-        out[i] = _saturated(e, sense, cap, beta, lever)
+            u, e, turned = u - e / stiffness, 0.0, True
+        limit = cap if turned or i == 0 else min(cap, limit + stiffness * moved)
+        force = _saturated(e, sense, limit, beta, lever)
+        out[i] = force
 
 
 @njit(cache=True, error_model="numpy")
-def _stepped(e, sense, stiffness, step, cap, beta, lever):  # type: ignore[no-untyped-def]
-    """Elastic force and sense of motion after a step; one against the sense starts from the force."""
+def _stepped(e, sense, force, step):  # type: ignore[no-untyped-def]
+    """Elastic force and sense of motion after a step (kN); one against the sense starts from the force that there is.
+
+    That is the force before the step: behind a reversal the capacity may be another one at once.
+    """
     if step * sense < 0.0:
-        e = _saturated(e, sense, cap, beta, lever)
-    return e + stiffness * step, np.sign(step) if step != 0.0 else sense
+        e = force
+    return e + step, np.sign(step) if step != 0.0 else sense
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,7 +13,7 @@ from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_validation.proof.device import Device
 from shj_validation.proof.protocols import Course
-from shj_validation.proof.simulators.branch import branches
+from shj_validation.proof.simulators.branch import STILL_MM, branches
 from shj_validation.proof.simulators.iwan import elements, in_series, move, try_move
 
 RULES = ("published", "continuous")  # at a reversal: jump as Eq. (1) does, or unload from the force there is
@@ -120,8 +120,9 @@ class Drive:
 
     @property
     def sense(self) -> FloatArray:
-        """+1 or -1 with the motion; while resting, that of the motion before."""
-        sign = np.sign(np.where(np.abs(self.course.v_mm_s) > 1e-6, self.course.v_mm_s, 0.0))
+        """+1 or -1 with the step from the sample before, in which a contact turns; while resting, that before."""
+        step = np.diff(self.course.x_mm, prepend=self.course.x_mm[0])
+        sign = np.where(np.abs(step) > STILL_MM, np.sign(step), 0.0)
         last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
         return np.asarray(np.where(sign[last] == 0, 1.0, sign[last]))
 
