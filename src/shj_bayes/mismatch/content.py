@@ -50,7 +50,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
                 "cause": effect.cause,
                 "shows": effect.shows,
                 "partial": answer.verdict is Verdict.UNKNOWN,
-                "probability": finding.probability,
+                "probability": finding.probability * finding.names[0][1],
                 "rivals": [name for name in rivals(out, answer, finding) if name != effect.mechanism],
                 "size_kN": finding.size * out.scene.scale_kN,
                 "parameters": {p.name: {**spread(own[p.name]), "unit": p.unit} for p in effect.parameters},
@@ -66,25 +66,25 @@ def modelled(answer: Answer, draws: Draws) -> dict[str, dict[str, float]]:
 
 
 def rivals(out: Search, answer: Answer, finding: Finding) -> list[str]:
-    """Mechanisms that may stand in the place of one: of the classes that other likely sets hold in its place."""
+    """Mechanisms that may stand in the place of one: by another formula, or by a class that another set holds there."""
     others = {
         name
         for key, _ in rivals_of(answer)
         if finding.member.of.id not in key
         for name in key - frozenset(f.member.of.id for f in answer.findings)
     }
-    return [effect for name in sorted(others) for effect in mechanisms(out, answer, name)]
+    return [name for name, _ in finding.names] + [e for name in sorted(others) for e in mechanisms(out, answer, name)]
 
 
 def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
     """Mechanisms of a class; of one that was fitted with a formula, that of the formula."""
+    for finding in answer.findings:
+        if finding.member.of.id == name and finding.named:
+            return [mechanism for mechanism, _ in finding.names]
     for h in answer.alternatives.values():
         for member in h.members:
             if member.of.id == name and member.variant.curve is None:
                 return [member.variant.effect.mechanism]
-    for finding in answer.findings:
-        if finding.member.of.id == name and finding.named:
-            return [finding.member.variant.effect.mechanism]
     of = out.classes[name]
     known = [e for e in catalogue().values() if (of.action, of.coordinate) in e.acts and not e.form]
     return [e.id for e in known if e.id not in out.hidden]
@@ -100,6 +100,9 @@ def family(out: Search, answer: Answer) -> list[dict[str, Any]]:
         for name in key - sure:
             for effect in mechanisms(out, answer, name):
                 listed[effect] = listed.get(effect, 0.0) + probability
+    for finding in answer.findings:
+        if finding.member.of.id in sure and len(finding.names) > 1:
+            listed |= {name: finding.probability * p for name, p in finding.names}
     return [{"id": k, "probability": v} for k, v in sorted(listed.items(), key=lambda item: -item[1])]
 
 

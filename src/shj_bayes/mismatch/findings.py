@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import Candidate
-from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, Hypothesis, Search
+from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, Hypothesis, Search, replaced
 from shj_bayes.mismatch.state import State, visible
+from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
+
+T = TypeVar("T")
 
 
 class Verdict(StrEnum):
@@ -30,6 +34,7 @@ class Reason(StrEnum):
     NOTHING = "nothing of a size that matters"
     SURE = "one set of coordinates holds all but 5 % of the probability"
     SEVERAL = "no set of coordinates holds 95 % of the probability"
+    NAMES = "several mechanisms have the curve that was found"
     NO_FORM = "no known mechanism has the curve that was found"
     LEFT_OVER = "beside what was found more is left than a model may miss"
     FLUCTUATES = "the force fluctuates within a stroke by more than noise can"
@@ -56,6 +61,9 @@ class Finding:
         The model with that curve.
     place : int
         Its place among the effects of that model.
+    names : tuple of (str, float)
+        Mechanisms of the catalogue that may have the curve, with their probabilities within the class, most probable
+        first and as many as hold 95 %; none where no formula follows it.
     """
 
     member: Candidate
@@ -65,6 +73,7 @@ class Finding:
     curve: Candidate | None
     curve_state: State | None
     place: int
+    names: tuple[tuple[str, float], ...]
 
     @property
     def named(self) -> bool:
@@ -132,9 +141,7 @@ def answer_of(out: Search) -> Answer:
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
     for h, p in zip(ranked, probability, strict=True):
-        key = frozenset(
-            h.members[i].of.id for i in range(len(h.members)) if p < 1e-6 or size_of(out, h, i) >= out.matters
-        )
+        key = h.key if p < 1e-6 else that_matter(out, h)
         reduced[key] = reduced.get(key, 0.0) + float(p)
         best.setdefault(key, h)
     sets = tuple(sorted(reduced.items(), key=lambda item: -item[1]))
@@ -158,6 +165,8 @@ def answer_of(out: Search) -> Answer:
         verdict, reason = Verdict.UNKNOWN, Reason.NO_FORM
     elif dict(sets)[top] < 1.0 - DOUBT:
         verdict, reason = Verdict.FAMILY, Reason.SEVERAL
+    elif any(len(f.names) > 1 for f in findings):
+        verdict, reason = Verdict.FAMILY, Reason.NAMES
     else:
         verdict, reason = Verdict.NAMED, Reason.SURE
     if left > out.matters and left > largest / 3.0:
@@ -167,23 +176,45 @@ def answer_of(out: Search) -> Answer:
     return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
 
 
+def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
+    """Classes of a hypothesis of a size that matters: the smallest are left out one after another.
+
+    What is left is taken at its size in a fit without them: two classes that stand in for each other are both small.
+    """
+    sizes = [size_of(out, h, i) for i in range(len(h.members))]
+    if min(sizes, default=math.inf) >= out.matters:
+        return h.key
+    rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
+    if rest in out.found:
+        return that_matter(out, out.found[rest])
+    return frozenset(m.of.id for m, size in zip(h.members, sizes, strict=True) if size >= out.matters)
+
+
 def size_of(out: Search, h: Hypothesis, place: int) -> float:
-    """Size of a member: its force where nothing else could make it, as a share of Fy."""
-    own = out.columns_of(h.state, place)
+    """Size of a member: its force where nothing else could make it, as a share of Fy.
+
+    What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long.
+    """
+    state, scene = h.state, out.scene
+    residual, jacobian = state.residual, state.jacobian
+    if h.members[place].of.action == "motion":
+        scene = scene.finer_at(state.model, state.z)
+        residual = scene.residual(state.model, state.z[None])[0]
+        jacobian = scene.jacobian(state.model, state.z, residual)
     effect = h.members[place].variant.effect
-    rest = tuple(e for e in h.state.model.effects if e.id != effect.id)
-    others = np.setdiff1d(np.arange(h.state.z.size), own)
-    without = out.scene.residual(h.state.model.with_effects(rest), h.state.z[others][None])[0]
-    return visible(out.scene, h.state.jacobian[:, others], without - h.state.residual)
+    rest = tuple(e for e in state.model.effects if e.id != effect.id)
+    others = np.setdiff1d(np.arange(state.z.size), out.columns_of(state, place))
+    without = scene.residual(state.model.with_effects(rest), state.z[others][None])[0]
+    return visible(scene, jacobian[:, others], without - residual)
 
 
 def _is_error_of_others(out: Search, h: Hypothesis, f: Finding) -> bool:
     """Whether a curve may be what a formula over another coordinate misses, by its size beside that of the formula.
 
-    The others are taken at their size without the curve, which may stand for a part of them.
+    The others are taken at their largest in any hypothesis: what stands beside them may stand for a part of them.
     """
-    rest = out.found.get(h.key - {f.member.of.id})
-    sizes = [size_of(out, rest, i) for i in range(len(rest.members))] if rest is not None else []
+    others = h.key - {f.member.of.id}
+    sizes = [size_of(out, one, i) for one in out.found.values() for i, m in enumerate(one.members) if m.of.id in others]
     return f.size < (1.0 - EXPLAINED) * max(sizes, default=0.0)
 
 
@@ -216,6 +247,7 @@ def _findings(
                 curve,
                 curves.state if curve is not None else None,
                 at if curve is not None and at is not None else place,
+                () if member.variant.curve is not None else _names(out, h, place),
             )
         )
     return tuple(sorted(found, key=lambda f: -f.size)), h
@@ -240,6 +272,33 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
     return best
 
 
+def _names(out: Search, h: Hypothesis, place: int) -> tuple[tuple[str, float], ...]:
+    """Mechanisms of a class whose formulas fit in a place, by their evidence: as many as hold all but `DOUBT`."""
+    own = h.members[place]
+    acting = {e.mechanism for e in catalogue().values() if (own.of.action, own.of.coordinate) in e.acts}
+    if len(acting - out.hidden) < 2:
+        return ((own.variant.effect.mechanism, 1.0),)
+    forms = {own.variant.effect.id: (own.variant.effect.mechanism, h.log_weight)}
+    for form in out.forms(h, place):
+        new = out.fitted(replaced(h, place, form), form.start)
+        effect = form.variant.effect
+        if new is None or new.log_weight <= forms.get(effect.id, ("", -math.inf))[1]:
+            continue
+        if effect.id in forms or size_of(out, new, place) >= MATTERS:
+            forms[effect.id] = (effect.mechanism, new.log_weight)
+    whole = float(logsumexp([weight for _, weight in forms.values()]))
+    shares: dict[str, float] = {}
+    for name, weight in forms.values():
+        shares[name] = shares.get(name, 0.0) + math.exp(weight - whole)
+    return _most(tuple(sorted(shares.items(), key=lambda item: -item[1])))
+
+
+def _most(ranked: tuple[tuple[T, float], ...]) -> tuple[tuple[T, float], ...]:
+    """First of a ranked list that hold all but `DOUBT` of the probability."""
+    before = np.cumsum([0.0, *(p for _, p in ranked)])[:-1]
+    return tuple(item for item, sum_before in zip(ranked, before, strict=True) if sum_before < 1.0 - DOUBT)
+
+
 def _p_value(out: Search) -> float:
     """Bound on the chance of such evidence: under the null a Bayes factor of k has a chance of at most 1/k (Ville)."""
     base = out.found[frozenset()].log_weight
@@ -248,15 +307,9 @@ def _p_value(out: Search) -> float:
     return float(min(1.0, math.exp(-factor))) if factor > 0 else 1.0
 
 
-def rivals_of(answer: Answer) -> list[tuple[frozenset[str], float]]:
+def rivals_of(answer: Answer) -> tuple[tuple[frozenset[str], float], ...]:
     """Find the smallest list of sets that holds all but `DOUBT` of the probability, most probable first."""
-    total, out = 0.0, []
-    for key, p in answer.sets:
-        out.append((key, p))
-        total += p
-        if total >= 1.0 - DOUBT:
-            break
-    return out
+    return _most(answer.sets)
 
 
 def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | None:

@@ -1,8 +1,9 @@
 """The recordings of a device as all models of a search see them: blocks, their noise, and what any model may miss.
 
-Everything is held against one metric: white and slow noise, the error of the load cell's zero in each run, and a
-generic discrepancy, smooth functions of position, slip and speed in each direction and of time whose size is inferred
-(Kennedy and O'Hagan 2001, J. R. Statist. Soc. B 63, 425). All are linear, so they are integrated out in closed form.
+Everything is held against one metric: white and slow noise, the error of the load cell's zero in each run, Masing's
+rule in the place of the base law's in cycles that turn before the device slides, and a generic discrepancy, smooth
+functions of position, slip and speed in each direction and of time whose size is inferred (Kennedy and O'Hagan 2001,
+J. R. Statist. Soc. B 63, 425). All are linear, so they are integrated out in closed form.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from shj_bayes.inference.start import law_starts
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.law import force_of_laws
+from shj_bayes.model.masing import masing_force
 from shj_bayes.model.noise.filter import Timing, whiten
 from shj_bayes.model.parameters import FloatArray
 
@@ -32,6 +35,7 @@ LOW_SPEED = 0.4  # of the peak speed, below which the noise may be another one
 ROUGHER = 0.7  # sd before the test of the logarithm of its ratio: a factor of two either way
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
+N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `Metric.other`: the same in every run
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +164,22 @@ class Scene:
         return rows
 
     @cached_property
+    def memory(self) -> FloatArray:
+        """Force under Masing's rule less that of the base law, kN, shape (n, 1).
+
+        Both rules are in use for cycles that turn before the device slides; a device may follow either, or lie between.
+        """
+        rest = np.zeros(len(self.device.names) - self.z.size)
+        theta = self.device.natural(np.append(self.z, rest)[None])
+        columns = []
+        for part in self.posterior.averages:
+            motion, start = part.history.motion, part.start_force_kN
+            laws = self.device.run_laws(theta, part.history.run)
+            own = force_of_laws(motion, laws, variant=self.device.variant, start_force_kN=start)[0]
+            columns.append((masing_force(motion, laws[0], start) - own)[:, None])
+        return self.blocks(columns)
+
+    @cached_property
     def zeros(self) -> FloatArray:
         """Error of the load cell's zero in each run, kN for a size of 1 kN, shape (n, n_runs)."""
         sizes = [part.n for part in self.posterior.averages]
@@ -199,8 +219,9 @@ class Metric:
 
     Attributes
     ----------
-    other : array, shape (n_evidence, p + n_runs)
-        Whitened functions of the discrepancy, then the zeros of the load cell, each at its size before the test.
+    other : array, shape (n_evidence, p + 1 + n_runs)
+        Whitened functions of the discrepancy, then Masing's rule, then the zeros of the load cell, each at its size
+        before the test.
     """
 
     def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
@@ -209,8 +230,8 @@ class Metric:
         self.noise = {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, setting.z, strict=True)}
         self.rougher = 1.0 + math.expm1(setting.at_rest) * scene.slow
         zero = [part.timing.zero_noise_kN for part in scene.posterior.averages]
-        sizes = np.append(np.full(scene.discrepancy.shape[1], setting.model_error_kN), zero)
-        white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.zeros]))
+        sizes = np.concatenate([np.full(scene.discrepancy.shape[1], setting.model_error_kN), [1.0], zero])
+        white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.memory, scene.zeros]))
         self.other = white * sizes
         inner = np.eye(white.shape[1]) + self.other.T @ self.other
         self._root = cho_factor(inner, lower=True)

@@ -214,7 +214,7 @@ class Search:
             h = self.found[h.key]
             if h.members[place].variant.curve is not None:
                 for form in self.forms(h, place):
-                    self.add(_with(h, place, form), form.start)
+                    self.add(replaced(h, place, form), form.start)
 
     def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
         """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
@@ -226,7 +226,7 @@ class Search:
         for effect in known:
             variant = Variant(None, effect, FORMS / max(len(known), 1))
             form = replace(member, variant=variant)
-            model = self.model_of(_with(h, place, form))
+            model = self.model_of(replaced(h, place, form))
             values = start_values(effect)
             if effect.parameters[0].either_sign:  # a size of either sign
                 values[0] = sorted({*values[0], *(-value for value in values[0])})
@@ -386,8 +386,8 @@ def _joined(h: Hypothesis, c: Candidate) -> FloatArray:
     return np.concatenate([h.state.z, c.start[-len(c.variant.effect.parameters) :]])
 
 
-def _with(h: Hypothesis, place: int, member: Candidate) -> tuple[Candidate, ...]:
-    """Members of a hypothesis with another one in a place."""
+def replaced(h: Hypothesis, place: int, member: Candidate) -> tuple[Candidate, ...]:
+    """Give the members of a hypothesis with another one in a place."""
     return (*h.members[:place], member, *h.members[place + 1 :])
 
 

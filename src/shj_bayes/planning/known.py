@@ -22,7 +22,7 @@ from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
-from shj_bayes.mismatch.scene import COARSER, DISCREPANCY, MODEL_ERROR, Metric, NoiseSetting, Scene, scene_of
+from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import ODDS, Hypothesis, Search, noise_beside
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
@@ -304,7 +304,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
     total = sum(p for _, p, _ in rows)
     beliefs = []
     for key, p, model in rows:
-        n = model.n_law + N_DISCREPANCY + 1
+        n = model.n_law + N_OF_DEVICE + 1
         mean = np.zeros(n)
         beliefs.append(Belief(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
     return Known(name, (), device, z, (), scales, setting, tuple(beliefs), 0.0)
@@ -331,9 +331,6 @@ def class_of(mechanism: str) -> Key:
     if mechanism not in known:
         raise PlanError(f"'{mechanism}' is no mechanism; known are {', '.join(known)}{did_you_mean(mechanism, known)}")
     return frozenset({" over ".join(known[mechanism].acts[0])})
-
-
-N_DISCREPANCY = sum(curve.n for curve in DISCREPANCY)
 
 
 def _rough_noise(device: DeviceModel, size_kN: float) -> NoiseSetting:
@@ -406,7 +403,7 @@ def _belief(scene: Scene, metric: Metric, key: Key, share: float, h: Hypothesis)
     z, places = _joint(h.state.model, further, h.state.z)
     columns = np.column_stack([h.state.residual + h.state.jacobian @ h.state.z, h.state.jacobian])
     white = metric.whitened(columns)[0]
-    disturbed, zeros = np.split(metric.other, [N_DISCREPANCY], axis=1)
+    disturbed, zeros = np.split(metric.other, [N_OF_DEVICE], axis=1)
     unknown = np.zeros((white.shape[0], 1))  # the zero of the run to come
     design = np.concatenate([np.zeros((white.shape[0], z.size)), disturbed, unknown, zeros], axis=1)
     design[:, places] = white[:, 1:]

@@ -36,7 +36,7 @@ def metric(scene: Scene) -> Metric:
 
 @pytest.fixture(scope="module")
 def covariance(scene: Scene, metric: Metric) -> np.ndarray:
-    """Of noise, zeros and discrepancy, of the blocks that are evidence; `whiten` itself is tested with the noise."""
+    """Of noise, zeros, Masing's rule and discrepancy, of the blocks that are evidence; `whiten` has its own tests."""
     root, _ = metric.whitened(np.eye(scene.used.size))
     used = scene.used > 0
     noise = np.linalg.inv(root[:, used].T @ root[:, used])
@@ -44,7 +44,9 @@ def covariance(scene: Scene, metric: Metric) -> np.ndarray:
     zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
     run = np.concatenate([np.full(part.n, i) for i, part in enumerate(scene.posterior.averages)])[used]
     zeros = np.where(run[:, None] == run, zero_kN[run] ** 2, 0.0)
-    return np.asarray(noise + functions @ functions.T + zeros)
+    memory = scene.memory[used]
+    assert np.abs(memory).max() > 1.0
+    return np.asarray(noise + functions @ functions.T + memory @ memory.T + zeros)
 
 
 @pytest.fixture(scope="module")

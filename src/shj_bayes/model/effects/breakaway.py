@@ -16,6 +16,12 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 + peak * np.exp(-slid_mm(history, base) / values["decay"]))
 
 
+def _linear(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + a max(0, 1 - slid/D)."""
+    share = slid_mm(history, base) / values["length"]
+    return Contribution(clamping=1.0 + values["size"] * np.maximum(1.0 - share, 0.0))
+
+
 EFFECT = Effect(
     id="breakaway",
     family="start_of_stroke",
@@ -35,4 +41,15 @@ EFFECT = Effect(
     acts=(("capacity", "slip"),),
     source="Ageing of contacts with the logarithm of rest (Hulikal, Bhattacharya and Lapusta, arXiv 1405.3643).",
     start={"size": (0.1,), "decay": (0.5, 2.0, 6.0), "growth": (0.2,)},
+).with_form(
+    "linear",
+    statement="Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding.",
+    equation="Fy -> Fy (1 + a max(0, 1 - d/D)), d = slip - 2 Fy/K",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound)."),
+        Prior("length", "mm", "loguniform", 0.3, 50.0, "Three times the decay length of the exponential form."),
+    ),
+    act=_linear,
+    source="Linear slip weakening (Ida 1972, J. Geophys. Res. 77, 3796; Andrews 1976, J. Geophys. Res. 81, 3575).",
+    start={"size": (0.1,), "length": (2.0, 6.0, 18.0)},
 )

@@ -1,0 +1,43 @@
+"""What of a hypothesis matters: sizes are those of a fit without what does not."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from shj_bayes.mismatch import findings
+
+
+def _hypothesis(*names):
+    members = tuple(SimpleNamespace(of=SimpleNamespace(id=name)) for name in names)
+    return SimpleNamespace(members=members, key=frozenset(names))
+
+
+@pytest.fixture
+def search(monkeypatch):
+    """Hypotheses with the sizes of their classes; a pair that stands in for each other is small together."""
+    sizes = {
+        ("delay", "speed"): (0.004, 0.006),
+        ("speed",): (0.019,),
+        ("delay",): (0.014,),
+        ("wear",): (0.003,),
+        ("delay", "wear"): (0.02, 0.002),
+    }
+    found = {frozenset(names): _hypothesis(*names) for names in sizes}
+    monkeypatch.setattr(findings, "size_of", lambda out, h, place: sizes[tuple(m.of.id for m in h.members)][place])
+    return SimpleNamespace(found=found | {frozenset(): _hypothesis()}, matters=0.01)
+
+
+def test_of_two_classes_that_stand_in_for_each_other_one_stays(search):
+    assert findings.that_matter(search, search.found[frozenset({"delay", "speed"})]) == {"speed"}
+
+
+def test_a_small_class_is_left_out(search):
+    assert findings.that_matter(search, search.found[frozenset({"delay", "wear"})]) == {"delay"}
+    assert findings.that_matter(search, search.found[frozenset({"wear"})]) == frozenset()
+
+
+def test_sizes_are_those_there_are_where_the_smaller_set_was_not_fitted(search):
+    del search.found[frozenset({"delay"})]
+    assert findings.that_matter(search, search.found[frozenset({"delay", "wear"})]) == {"delay"}
