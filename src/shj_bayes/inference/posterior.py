@@ -152,7 +152,8 @@ class Posterior:
         for run in self.runs:
             r, m = run.recording, run.motion
             channels = (r.time_s, r.force_kN, r.used, m.displacement_mm, m.speed_mm_s, m.start, m.turning_mm)
-            for array in (*channels, m.direction, m.unsure, m.noise_mm):
+            further = (extra.values for extra in r.extras)
+            for array in (*channels, m.direction, m.unsure, m.noise_mm, *further):
                 digest.update(np.ascontiguousarray(array).tobytes())
         laws = [[p.name, p.law, p.a, p.b] for p in self.model.laws_of_parameters]
         return {

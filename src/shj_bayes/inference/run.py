@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.history import History, histories
+from shj_bayes.model.measured import Measured, measured_in
+from shj_bayes.recording.further import Channel, Refusal, channel_of
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
@@ -64,6 +66,12 @@ class Run:
         noise = 1.4826 * float(np.median(np.abs(np.diff(force))))
         return first if abs(first) > max(0.1 * float(np.abs(force).max()), 6 * noise) else 0.0
 
+    @cached_property
+    def further(self) -> tuple[Channel, ...]:
+        """Further channels without their noise."""
+        r = self.recording
+        return tuple(channel_of(extra, r.time_s, r.force_kN) for extra in r.extras)
+
 
 def runs_of(recordings: Sequence[Recording]) -> tuple[Run, ...]:
     """Consecutive runs of a device, with their motion."""
@@ -72,4 +80,28 @@ def runs_of(recordings: Sequence[Recording]) -> tuple[Run, ...]:
 
 def histories_of(runs: Sequence[Run]) -> tuple[History, ...]:
     """Histories of the runs of one device, at all samples."""
-    return histories([run.recording.time_s for run in runs], [run.motion for run in runs])
+    times = [run.recording.time_s for run in runs]
+    return histories(times, [run.motion for run in runs], measured_of(runs))
+
+
+def measured_of(runs: Sequence[Run]) -> tuple[Mapping[str, Measured], ...]:
+    """Further channels of each run that a force may depend on, by their coordinates."""
+    serves = {one.name for one in further_of(runs) if one.refused is None}
+    return measured_in([[one for one in run.further if one.name in serves] for run in runs])
+
+
+def further_of(runs: Sequence[Run]) -> tuple[Channel, ...]:
+    """Give every further channel once, with what keeps it from serving in any of the runs.
+
+    That it is constant in some of them does not: it may differ from run to run.
+    """
+    out = []
+    for name in dict.fromkeys(one.name for run in runs for one in run.further):
+        own = [one for run in runs for one in run.further if one.name == name]
+        refused = [one for one in own if one.refused not in (None, Refusal.CONSTANT)]
+        steady = all(one.refused is Refusal.CONSTANT for one in own)
+        if len(own) < len(runs):
+            out.append(replace(own[0], refused=Refusal.MISSING, share=1.0 - len(own) / len(runs)))
+        else:
+            out.append(refused[0] if refused else own[0] if steady else replace(own[0], refused=None, share=0.0))
+    return tuple(out)

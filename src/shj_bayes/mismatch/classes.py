@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.measured import Measured
 from shj_bayes.model.parameters import FloatArray
 
 PRESENT = 0.05  # probability of each class before the test: about one in a device
@@ -106,13 +109,17 @@ class Candidate:
     change: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
-def classes(hidden: frozenset[str] = frozenset()) -> tuple[Class, ...]:
+def classes(
+    hidden: frozenset[str] = frozenset(), measured: Mapping[str, Measured] = MappingProxyType({})
+) -> tuple[Class, ...]:
     """All classes; effects of the catalogue that are not to be tried are left out.
 
     Parameters
     ----------
     hidden : frozenset of str
         Ids of effects. A curve is left out when all effects of its class are.
+    measured : mapping of str to Measured
+        Further channels of the recordings by coordinate: clamping may follow each.
     """
     known = catalogue()
     by_class: dict[tuple[str, str], list[Effect]] = {}
@@ -141,7 +148,13 @@ def classes(hidden: frozenset[str] = frozenset()) -> tuple[Class, ...]:
             shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)
             out.append(Class(action, name, "1", variants))
-    return tuple(out)
+    return (*out, *(_following(name, one.unit) for name, one in measured.items() if name not in hidden))
+
+
+def _following(name: str, unit: str) -> Class:
+    """Class of a sliding force that follows a further channel: no formula beyond its curve is known."""
+    curves = [(Curve("capacity", name, length), weight) for length, weight in coordinate_named(name).lengths.items()]
+    return Class("capacity", name, unit, tuple(Variant(curve, curve.effect(), weight) for curve, weight in curves))
 
 
 def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candidate]:

@@ -17,8 +17,10 @@ from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State
+from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.measured import Measured
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
 
 Draws = Mapping[str, FloatArray]
@@ -38,6 +40,10 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
         if not finding.named:
             continue
         own = {p.name: draws[f"{effect.id}.{p.name}"] for p in effect.parameters}
+        units = {p.name: p.unit for p in effect.parameters}
+        told: dict[str, Any] = {}
+        if finding.member.variant.curve is not None:
+            own, told = _following(finding.member.variant.curve, own, out.scene.measured)
         means = {key: float(values.mean()) for key, values in own.items()}
         found.append(
             {
@@ -45,7 +51,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
                 "form": effect.form,
                 "family": effect.family,
                 "title": effect.title,
-                "statement": effect.statement.format(**means),
+                "statement": effect.statement.format(**means, **told),
                 "equation": effect.equation,
                 "cause": effect.cause,
                 "shows": effect.shows,
@@ -53,10 +59,20 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
                 "probability": finding.probability * finding.names[0][1],
                 "rivals": [name for name in rivals(out, answer, finding) if name != effect.mechanism],
                 "size_kN": finding.size * out.scene.scale_kN,
-                "parameters": {p.name: {**spread(own[p.name]), "unit": p.unit} for p in effect.parameters},
+                "parameters": {name: {**spread(own[name]), "unit": units.get(name, "1")} for name in own},
             }
         )
     return found
+
+
+def _following(
+    curve: Curve, drawn: Draws, measured: Mapping[str, Measured]
+) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """Change of the force over the range of a further channel, a share of Fy, and that range: for its sentence."""
+    over = measured[curve.coordinate]
+    ends = curve.rows(np.array([0.0, 1.0]), np.ones(2))
+    change = (ends[1] - ends[0]) @ np.stack([drawn[f"c{i}"] for i in range(1, curve.n + 1)])
+    return {"change": change}, {"low": over.low, "high": over.high, "unit": f" {over.unit}" if over.unit else ""}
 
 
 def modelled(answer: Answer, draws: Draws) -> dict[str, dict[str, float]]:
@@ -86,6 +102,8 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
             if member.of.id == name and member.variant.curve is None:
                 return [member.variant.effect.mechanism]
     of = out.classes[name]
+    if of.coordinate in out.scene.measured:
+        return [of.coordinate]
     known = [e for e in catalogue().values() if (of.action, of.coordinate) in e.acts and not e.form]
     return [e.id for e in known if e.id not in out.hidden]
 
@@ -315,7 +333,9 @@ def next_test(out: Search, answer: Answer, *, quick: bool) -> str | None:
     """Give the cheapest change of the test that would tell the leading rivals apart, and the command that plans one."""
     if answer.verdict is not Verdict.FAMILY:
         return None
-    known = catalogue()
+    known = catalogue() | {
+        c.of.coordinate: c.variant.effect for c in out.looked if c.of.coordinate in out.scene.measured
+    }
     members = [member["id"] for member in family(out, answer)]
     said = dict.fromkeys(known[name].next_test for name in members[:2])
     first = "diagnose without --quick, then " if quick else ""

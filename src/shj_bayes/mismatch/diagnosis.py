@@ -101,7 +101,8 @@ def diagnose(
     hidden = frozenset({*(n for n in without if n != "velocity"), *(e.mechanism for e in device.effects)})
     if "velocity" not in without:
         hidden |= {"velocity"}
-    out = search(scene_of(runs, device), classes(hidden), hidden, tell)
+    scene = scene_of(runs, device)
+    out = search(scene, classes(hidden, scene.measured), hidden, tell)
     scene = out.scene
     tell("weighing what was found")
     answer = answer_of(out)

@@ -77,8 +77,9 @@ class Finding:
 
     @property
     def named(self) -> bool:
-        """Whether a mechanism of the catalogue has it."""
-        return self.member.variant.curve is None
+        """Whether it has a name: that of a mechanism of the catalogue, or of what was measured beside the force."""
+        curve = self.member.variant.curve
+        return curve is None or curve.over.measured
 
     @property
     def period(self) -> float | None:
@@ -155,7 +156,7 @@ def answer_of(out: Search) -> Answer:
         top = next(key for key, _ in sets if key)
     shown = best[top]
     findings, shown = _findings(out, shown, top, inclusion)
-    findings = tuple(f for f in findings if f.named or not _is_error_of_others(out, shown, f))
+    findings = tuple(f for f in findings if f.member.variant.curve is None or not _is_error_of_others(out, shown, f))
     largest = max((f.size for f in findings), default=0.0)
     inclusion = {k: p for k, p in inclusion.items() if k not in top or k in {f.member.of.id for f in findings}}
     left = discrepancy_size(out, shown.state)

@@ -9,7 +9,7 @@ J. R. Statist. Soc. B 63, 425). All are linear, so they are integrated out in cl
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +24,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.masing import masing_force
+from shj_bayes.model.measured import Measured
 from shj_bayes.model.noise.filter import Timing, whiten
 from shj_bayes.model.parameters import FloatArray
 
@@ -76,6 +77,11 @@ class Scene:
         """Base parameters for coordinates that need some."""
         law = self.device.law_values(self.z)
         return Base(law["K"], law["Fy"], law["beta"], law.get("gamma", 0.0), law["Fy"])
+
+    @property
+    def measured(self) -> Mapping[str, Measured]:
+        """Further channels that the force may follow, by coordinate; as of the first run."""
+        return self.posterior.averages[0].history.measured
 
     @cached_property
     def used(self) -> FloatArray:

@@ -15,6 +15,7 @@ from shj_bayes.errors import ModelError
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm
 from shj_bayes.model.history import History
+from shj_bayes.model.measured import PREFIX, Measured
 from shj_bayes.model.parameters import FloatArray
 
 LOW_SPEED = 0.02  # of the peak speed, below which the logarithmic scale of the speed is linear
@@ -53,6 +54,8 @@ class Coordinate:
         Letter in formulas.
     of_base : bool
         Whether it depends on the base parameters: sliding begins where the elastic branch ends.
+    measured : bool
+        Whether it is a further channel of the recordings: its unit is that of `History.measured`.
     """
 
     id: str
@@ -67,6 +70,7 @@ class Coordinate:
     family: str = "slow_change"
     symbol: str = "u"
     of_base: bool = False
+    measured: bool = False
 
     def share(self, history: History, base: Base) -> FloatArray:
         """Coordinate as a share of its range on its scale, 0 to 1, shape (n,)."""
@@ -234,7 +238,7 @@ def coordinates() -> dict[str, Coordinate]:
 
 
 def coordinate_named(word: str) -> Coordinate:
-    """Coordinate of a word.
+    """Coordinate of a word: of the table, or a further channel, whose unit and range the history knows.
 
     Raises
     ------
@@ -242,6 +246,33 @@ def coordinate_named(word: str) -> Coordinate:
         If there is none of that name.
     """
     known = coordinates()
+    if word.startswith(PREFIX) and len(word) > len(PREFIX):
+        return Coordinate(
+            word,
+            "",
+            f"the measured {word.removeprefix(PREFIX).replace('_', ' ')}",
+            lambda h, b: _measured(h, word).at(h.time_s),
+            lambda h: (_measured(h, word).low, _measured(h, word).high),
+            zero="middle",
+            measured=True,
+        )
     if word not in known:
         raise ModelError(f"'{word}' is not a coordinate; known are {', '.join(known)}{did_you_mean(word, known)}")
     return known[word]
+
+
+def _measured(history: History, word: str) -> Measured:
+    """Further channel of a history.
+
+    Raises
+    ------
+    ModelError
+        If the recording has none of that name.
+    """
+    if word not in history.measured:
+        name = word.removeprefix(PREFIX)
+        raise ModelError(
+            f"the force is said to follow the channel '{name}', but run {history.run} has no such channel, or one that "
+            f"cannot serve; name its column with --columns {name}=... (shj-bayes check says what it is like)"
+        )
+    return history.measured[word]

@@ -10,7 +10,7 @@ is one over the share of its period; its components are then the sine waves of t
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from shj_bayes.model.coordinates import Coordinate, coordinate_named, coordinates
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.history import History
+from shj_bayes.model.measured import PREFIX
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
@@ -27,6 +28,8 @@ SIZES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)  # of Fy: standard deviations that a c
 KEPT = 1e-4  # of the variance: smaller components are left out
 RECALLED_NUMBERS = 2_000_000  # components at the points of a longer history are worked out anew each time
 PERIODS_PER_UNIT = 1000  # to which a period is rounded, so that a word can hold it
+# What is measured beside the force is no riddle: it is said with the change over its range, which the tests know.
+FOLLOWS = "{what} follows {title}: it changes by {{change:+.1%}} of Fy from {{low:.4g}} to {{high:.4g}}{{unit}}."
 
 
 @lru_cache(maxsize=256)
@@ -75,10 +78,13 @@ def harmonics(length: float) -> FloatArray:
 IDS = re.compile(
     rf"({'|'.join(ACTIONS)})_over_([a-z]+[0-9]?)(_by_direction)?(?:_every_([0-9]{{1,9}}))?_([0-9]{{2}})_([0-9]{{2}})"
 )
+MEASURED_IDS = re.compile(rf"({'|'.join(ACTIONS)})_over_({PREFIX}\w+)_([0-9]{{2}})_([0-9]{{2}})")
 
 
 def curve_named(word: str) -> Curve | None:
     """Curve of an effect's id; None where it is no curve's."""
+    if own := MEASURED_IDS.fullmatch(word):
+        return Curve(own[1], own[2], int(own[3]) / 100.0, size=int(own[4]) / 100.0)
     found = IDS.fullmatch(word)
     if found is None or found[2] not in coordinates() or (found[4] and int(found[4]) == 0):
         return None
@@ -188,7 +194,7 @@ class Curve:
         """Give the curve as an effect of the device model."""
         what = "Sliding force" if self.action == "capacity" else "A force that is added"
         again = "" if self.period is None else f" and comes again every {self.period:.3g} {self.over.unit}"
-        return Effect(
+        effect = Effect(
             id=self.id,
             family=self.over.family,
             title=f"{what} over {self.over.title.removeprefix('the ')}",
@@ -204,4 +210,13 @@ class Curve:
             neutral={f"c{i}": 0.0 for i in range(1, self.n + 1)},
             act=self.act,
             source="Gaussian process in its principal components.",
+        )
+        if not self.over.measured:
+            return effect
+        return replace(
+            effect,
+            title=f"{what} follows {self.over.title}",
+            statement=FOLLOWS.format(what=what, title=self.over.title),
+            cause="Friction is a coefficient times the clamping force; what changes either changes the force.",
+            mechanism=self.coordinate,
         )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.errors import ModelError
 from shj_bayes.model.course import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
+from shj_bayes.model.measured import Measured
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
 
@@ -60,6 +61,8 @@ class History:
     near_turns : tuple of arrays, or None
         Samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and
         where those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
+    measured : mapping of str to Measured
+        Further channels by coordinate: functions of `time_s`, which fewer or other samples leave as they are.
     """
 
     run: int
@@ -79,6 +82,7 @@ class History:
     tested_s: float
     tested_m: float
     near_turns: Way | None = None
+    measured: Mapping[str, Measured] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -102,9 +106,15 @@ class History:
         Returns
         -------
         History
+            Its further channels, of which the motion says nothing, stand at their references.
         """
         scales = {name: getattr(tested, name) for name in SCALES}
-        return replace(self, position_mm=position_mm, **scales)
+        return replace(self, position_mm=position_mm, measured=tested.references, **scales)
+
+    @property
+    def references(self) -> dict[str, Measured]:
+        """Further channels, each held at its reference."""
+        return {name: one.held(one.reference) for name, one in self.measured.items()}
 
     @property
     def speed_mm_s(self) -> FloatArray:
@@ -226,7 +236,9 @@ ARRAYS = ("time_s", "position_mm", *ROWS[3:])
 SCALES = ("half_stroke_mm", "peak_speed_mm_s", "n_runs", "tested_s", "tested_m")
 
 
-def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple[History, ...]:
+def histories(
+    times_s: Sequence[FloatArray], motions: Sequence[Motion], measured: Sequence[Mapping[str, Measured]] = ()
+) -> tuple[History, ...]:
     """Histories of the consecutive runs of one device.
 
     Parameters
@@ -235,11 +247,14 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
         Sampling times of each run, s.
     motions : sequence of Motion
         Motion of each run.
+    measured : sequence of mapping of str to Measured
+        Further channels of each run; none where not given.
 
     Returns
     -------
     tuple of History
     """
+    further = measured or ({},) * len(motions)
     low = min(float(m.displacement_mm.min()) for m in motions)
     high = max(float(m.displacement_mm.max()) for m in motions)
     middle, half_stroke = (low + high) / 2, (high - low) / 2
@@ -251,7 +266,7 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
     travelled = float(sum(m.travel_mm[-1] for m in motions)) / 1000
     out = []
     before, begun = 0.0, 0.0
-    for run, (time, motion) in enumerate(zip(times_s, motions, strict=True), start=1):
+    for run, (time, motion, own) in enumerate(zip(times_s, motions, further, strict=True), start=1):
         index = motion.half_cycle
         sign = motion.direction[index].astype(np.float64)
         ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
@@ -277,6 +292,7 @@ def histories(times_s: Sequence[FloatArray], motions: Sequence[Motion]) -> tuple
                 begun_s=begun,
                 tested_s=tested,
                 tested_m=travelled,
+                measured=own,
             )
         )
         begun += float(time[-1] - time[0])

@@ -100,3 +100,7 @@ PROTOCOL_HALF_CYCLES = 8  # a sequence of amplitudes shorter than this is a patt
 PROTOCOL_VARIES = 1.5  # largest over smallest amplitude of a protocol that can be seen to begin again
 MAX_EXTRAS = 12  # further channels that a page has room for
 MAX_EXTRA_NAME = 40  # characters of the name of one
+CHANNEL_GAP = 0.05  # of a run, without a number: a line across is a guess where a stroke or more lies in it
+CHANNEL_CELLS = 4_000  # averages of a further channel at most: tens to a half-cycle of a long test
+CHANNEL_NOISE = 0.1  # of the variance of a smoothed channel: a curve over it is flatter by as much
+CHANNEL_FOLLOWS = 0.5  # of the variance of a channel that the force explains: beyond it is a reaction, not a cause

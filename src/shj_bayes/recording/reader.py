@@ -9,6 +9,7 @@ import numpy as np
 
 from shj_bayes.recording.clock import follow_on, restarts
 from shj_bayes.recording.columns import Channels, choose
+from shj_bayes.recording.further import at_samples
 from shj_bayes.recording.plausible import plausibility_findings
 from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.recording import Extra, Finding, FloatArray, Recording, RunStart, Source
@@ -78,10 +79,8 @@ def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: 
 def _at_samples(extra: Extra, clock_s: FloatArray, time_s: FloatArray) -> Extra:
     """Further channel at the samples that were kept, of which some may have been filled in."""
     known = np.flatnonzero(np.isfinite(clock_s) & np.isfinite(extra.values))
-    if known.size == 0:
-        return replace(extra, values=np.full(time_s.size, np.nan))
     order = known[np.argsort(clock_s[known], kind="stable")]
-    return replace(extra, values=np.interp(time_s, clock_s[order], extra.values[order]))
+    return replace(extra, values=at_samples(clock_s[order], extra.values[order], time_s))
 
 
 def _placed_runs(channels: Channels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
