@@ -1,4 +1,4 @@
-"""Further channels as coordinates: values over time at any samples, shares of the range of all runs, words of curves."""
+"""Further channels as coordinates: values at any samples, shares of the range of all runs, words of curves."""
 
 from dataclasses import replace
 
@@ -86,7 +86,7 @@ def test_a_recording_without_further_channels_has_none() -> None:
     runs = runs_of([Recording(time, motion.displacement_mm, 60.0 * np.tanh(motion.displacement_mm))])
     assert [dict(one) for one in measured_of(runs)] == [{}]
     history = histories_of(runs)[0]
-    with pytest.raises(ModelError, match="run 1 has no such channel.*--columns tension="):
+    with pytest.raises(ModelError, match=r"run 1 has no such channel.*--columns tension="):
         coordinate_named(TENSION).values(history, BASE)
 
 
