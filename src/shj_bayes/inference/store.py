@@ -23,6 +23,7 @@ from shj_bayes._util.files import file_digest, replacing, reserve, sealed, write
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
 from shj_bayes.inference.record import FILES, SCHEMA, whole
+from shj_bayes.inference.run import measured_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 
@@ -123,6 +124,8 @@ def inference_data(
     words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
     extras = extra_names(posterior)
     words |= {f"{EXTRA}{name}": (unit or "1", "further channel, as named") for name, unit in extras.items()}
+    further = measured_of(posterior.runs)[0]
+    words |= {name: (one.unit or "1", "further channel without its noise") for name, one in further.items()}
     loops = {"force": noisy, "force_model": clean}
     loops = {name: force.reshape(n_ensembles, few.size, -1) for name, force in loops.items()}
     likely = np.round(likely * 2.0**20) / 2.0**20  # a millionth; the file is smaller
@@ -209,6 +212,10 @@ def fit_record(
             "priors": posterior.model.priors.family,
             "priors_statement": posterior.model.priors.statement,
             "priors_sha256": posterior.model.priors.sha256,
+        },
+        "channels": {
+            coordinate: {"unit": one.unit, "low": one.low, "high": one.high, "reference": one.reference}
+            for coordinate, one in measured_of(posterior.runs)[0].items()
         },
         "prior_laws": [
             {"name": n, "unit": p.unit, "law": p.law, "a": p.a, "b": p.b, "source": p.source}
@@ -316,6 +323,9 @@ def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict
         for channels, run, missing in zip(of_runs, posterior.runs, nowhere, strict=True):
             own = {extra.name: extra.values for extra in run.recording.extras}
             channels[f"{EXTRA}{name}"] = own.get(name, missing)
+    for channels, measured in zip(of_runs, measured_of(posterior.runs), strict=True):
+        since = channels["time_s"] - channels["time_s"][0]
+        channels |= {name: one.at(since) for name, one in measured.items()}
     pairs = list(zip(of_runs, points, strict=True))
     return {name: np.concatenate([channels[name][keep] for channels, keep in pairs]) for name in of_runs[0]}
 

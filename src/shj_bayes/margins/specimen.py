@@ -20,6 +20,7 @@ from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.law import BETA_RANGE
+from shj_bayes.model.measured import Measured
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
@@ -140,9 +141,13 @@ def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = N
             _motion(data["displacement_mm"][p], data["speed_mm_s"][p], data["half_cycle_of_sample"][p]) for p in parts
         ]
         times = [np.asarray(data["time_s"][p], dtype=np.float64) for p in parts]
+        further = [
+            {name: _measured(said, time, data[name][p]) for name, said in record.get("channels", {}).items()}
+            for time, p in zip(times, parts, strict=True)
+        ]
         starts = tuple(float(entry["start_force_kN"]) for entry in record["inputs"])
         measured = tuple(np.asarray(force[p], dtype=np.float64) for p in parts)
-    return Specimen(name, set_name, tuple(beliefs), histories(times, motions), starts, measured)
+    return Specimen(name, set_name, tuple(beliefs), histories(times, motions, further), starts, measured)
 
 
 def model_of(record: Mapping[str, Any]) -> DeviceModel:
@@ -172,6 +177,12 @@ def _belief(folder: Path, record: Mapping[str, Any], label: str) -> Belief:
         places = zip(stored["run"].tolist(), stored["number"].tolist(), strict=True)
         likely = {(int(run), int(number)): values[:, i] for i, (run, number) in enumerate(places)}
     return Belief(label, model, np.stack(columns, axis=1).astype(np.float64), likely)
+
+
+def _measured(said: Mapping[str, Any], time_s: FloatArray, values: FloatArray) -> Measured:
+    """Further channel of a run as a fit stored it, on the scale that its curves are stated on."""
+    low, high, reference = (float(said[key]) for key in ("low", "high", "reference"))
+    return Measured(str(said["unit"]), time_s - time_s[0], values, low, high, reference)
 
 
 def _motion(x: FloatArray, speed: FloatArray, half: FloatArray) -> Motion:

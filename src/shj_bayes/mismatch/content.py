@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.alias import Alias
 from shj_bayes.mismatch.findings import Answer, Finding, Reason, Verdict, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import HeldOut, cycles_of
@@ -20,7 +21,7 @@ from shj_bayes.mismatch.state import State
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.measured import Measured
+from shj_bayes.model.measured import Measured, coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
 
 Draws = Mapping[str, FloatArray]
@@ -154,6 +155,26 @@ def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
         rows.append(row)
     if answer.reason is Reason.FLUCTUATES:
         rows.insert(0, fluctuation(out))
+    return rows
+
+
+def further(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """List the further channels: the range of those that the force was held against, why the others were not."""
+    measured = measured_of(runs)[0]
+    rows = []
+    for channel in further_of(runs):
+        own = measured.get(coordinate_of(channel.name)) if channel.refused is None else None
+        rows.append(
+            {
+                "name": channel.name,
+                "coordinate": coordinate_of(channel.name),
+                "unit": channel.unit,
+                "range": [own.low, own.high] if own else None,
+                "reference": own.reference if own else None,
+                "refused": channel.refused.value if channel.refused else None,
+                "share": channel.share,
+            }
+        )
     return rows
 
 

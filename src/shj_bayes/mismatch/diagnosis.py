@@ -130,6 +130,7 @@ def diagnose(
         "reason": answer.reason.value,
         "p_value": answer.p_value,
         "coordinates": content.coordinates(out, answer),
+        "channels": content.further(runs),
         "sets": content.hypotheses(answer),
         "evidence": evidence_of(out, answer),
         "effects": content.effects(out, answer, draws),

@@ -23,10 +23,10 @@ SHORTEST, WIDER, PARABOLA = 5, 1.5, 2
 class Refusal(StrEnum):
     """Why nothing can be said over a channel."""
 
-    MISSING = "it is not in every run"
-    GAPS = "it has gaps"
-    CONSTANT = "it is constant within its noise"
-    FOLLOWS_FORCE = "it follows the measured force"
+    MISSING = "missing"  # not in every run
+    GAPS = "gaps"
+    CONSTANT = "constant"  # within its noise
+    FOLLOWS_FORCE = "follows_force"
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.curve import curve_named
 from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
-from shj_bayes.report.diagnosis_words import COORDINATES
+from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.figures import campaign as figures
 from shj_bayes.report.figures.campaign import DeviceCurve
 from shj_bayes.report.page import Picture
@@ -49,7 +49,7 @@ def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, 
 
 def _picture(parts: Sequence[tuple[Row, list[DeviceCurve]]]) -> Picture:
     first = parts[0][0]
-    name = COORDINATES.get(first.coordinate, first.coordinate).removeprefix("the ")
+    name = over_words(first.coordinate).removeprefix("the ")
     unit = "" if first.unit == "1" else f" ({first.unit})"
     what = class_words(first.id)
     return Picture(

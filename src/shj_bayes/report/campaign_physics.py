@@ -10,7 +10,7 @@ from shj_bayes.errors import ReportError, shown
 from shj_bayes.mismatch.search import DOUBT, MATTERS
 from shj_bayes.mismatch.sets import LIKELY
 from shj_bayes.report.campaign_file import safe_folder
-from shj_bayes.report.diagnosis_words import COORDINATES, percent
+from shj_bayes.report.diagnosis_words import over_words, percent
 
 ALL = "all devices of the campaign"
 # Where a coordinate is no quantity that varies.
@@ -155,7 +155,7 @@ def statement(row: Row) -> str:
     one_way = one_way and all(abs(c) >= s for c, s in zip(known, sizes, strict=True))
     of = f"devices of set {row.set_name}" if row.set_name else "devices of the campaign"
     who = f"{_count(len(has))} of {_count(n).lower()} {of}"
-    where = COORDINATES.get(row.coordinate, row.coordinate)
+    where = over_words(row.coordinate)
     if row.action == "capacity" and one_way:
         verb = "gain" if known[0] > 0 else "lose"
         text = f"{who} {verb} sliding force with {where}: {_span(map(abs, known))} of Fy over what was tested"
@@ -182,7 +182,7 @@ def class_words(word: str) -> str:
         return PLAIN[word]
     action, _, coordinate = word.partition(" over ")
     what = {"capacity": "sliding force over ", "added": "added force over ", "motion": ""}.get(action, "")
-    return f"{what}{COORDINATES.get(coordinate, coordinate)}"
+    return f"{what}{over_words(coordinate)}"
 
 
 def set_words(row: Row) -> str:

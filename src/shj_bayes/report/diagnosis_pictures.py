@@ -60,8 +60,8 @@ def _curves(data: DiagnosisData) -> list[Picture]:
         if not table:
             continue
         at, mean, low, high = (np.array([number(v) for v in table[key]]) for key in ("at", "mean", "q05", "q95"))
-        name = say.COORDINATES.get(str(c["coordinate"]), str(c["coordinate"])).removeprefix("the ")
-        unit = "" if c.get("unit") in (None, "1") else f" ({c['unit']})"
+        name = say.over_words(c["coordinate"]).removeprefix("the ")
+        unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})"
         again = ", one period" if c.get("period") else ""
         what = "sliding force" if c.get("action") == "capacity" else "added force"
         names = "; ".join(say.title_of(n) for n in c.get("matches") or ())

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ModelError
+from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.measured import PREFIX
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
 from shj_bayes.report.residual_file import FEWEST_CYCLES
@@ -61,7 +64,45 @@ SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a norm
 def title_of(name: Any) -> str:
     """Plain name of an effect, the id itself where the catalogue does not know it."""
     effect = catalogue().get(str(name))
+    if effect is None and str(name).startswith(PREFIX):
+        return f"Sliding force follows {over_words(name)}"
     return effect.title if effect else str(name)
+
+
+def over_words(name: Any) -> str:
+    """Say on what the force depends: a coordinate, or a further channel; the word itself where neither is known."""
+    word = str(name)
+    return coordinate_named(word).title if word.startswith(PREFIX) else COORDINATES.get(word, word)
+
+
+def channel_words(record: Mapping[str, Any]) -> list[str]:
+    """Say of each further channel that the force was held against it without a dependence, or why it was not.
+
+    Parameters
+    ----------
+    record : mapping
+        Content of ``diagnosis.json``.
+    """
+    found = {c.get("coordinate") for c in record.get("coordinates") or () if number(c.get("probability")) >= LIKELY}
+    out = []
+    for c in record.get("channels") or ():
+        share = percent(c.get("share"))
+        why = {
+            "missing": f"{share} of the runs are without it; name its column for every run",
+            "gaps": f"a gap in it is {share} of a run, and only {percent(CHANNEL_GAP)} are bridged; fill it in, or cut "
+            "the recording there",
+            "constant": f"it is constant within its noise, which is {share} of the variance of its smoothed values",
+            "follows_force": f"the measured force explains {share} of its variance, so it is a reaction to the force, "
+            "such as a second load cell, and no cause of it",
+        }.get(str(c.get("refused")))
+        if why is not None:
+            out.append(f"The force was not held against the measured {c.get('name')}: {why}.")
+        elif c.get("range") and c.get("coordinate") not in found:
+            low, high = (words.short(number(v)) for v in c["range"])
+            unit = f" {c['unit']}" if c.get("unit") else ""
+            span = f"{low} to {high}{unit}"
+            out.append(f"The force was held against the measured {c.get('name')} ({span}): it does not follow it.")
+    return out
 
 
 def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -109,6 +150,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
         if not c.get("matches") and number(c.get("probability")) >= LIKELY:
             out.append(f"{curve_words(c)} No known mechanism has this curve.")
     out += fluctuation_words(record)
+    out += channel_words(record)
     if verdict == "unknown":
         left = number(record.get("left_over_percent"))
         if math.isfinite(left) and left >= 1.0:
@@ -131,7 +173,7 @@ def curve_words(c: Mapping[str, Any]) -> str:
     period = number(c.get("period"))
     over = f"every {period:.3g} {c.get('unit')}, again and again" if math.isfinite(period) else "over what was tested"
     much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if math.isfinite(size) else ""
-    return f"{what} depends on {COORDINATES.get(str(c.get('coordinate')), c.get('coordinate'))}{much}."
+    return f"{what} depends on {over_words(c.get('coordinate'))}{much}."
 
 
 def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
@@ -168,7 +210,7 @@ def limits_words(data: DiagnosisData) -> str:
     open_ = [c for c in data.record.get("coordinates") or () if number(c.get("probability")) >= LIMIT]
     if data.record["verdict"] != "adequate" or not open_:
         return ""
-    named = (f"{COORDINATES.get(str(c['coordinate']), c['coordinate'])} ({percent(c['probability'])})" for c in open_)
+    named = (f"{over_words(c['coordinate'])} ({percent(c['probability'])})" for c in open_)
     return f"Not excluded: a dependence on {', '.join(named)}."
 
 

@@ -120,7 +120,7 @@ def curve(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, a
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.fill_between(at, low, high, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
     axes.plot(at, mean, color=BLUE, linewidth=1.8, label="curve found")
-    label(axes, axis, "change (% of Fy)")
+    label(axes, _plain(axis), "change (% of Fy)")
     legend(axes, 2)
     return svg(figure)
 
