@@ -14,6 +14,7 @@ from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.diagnosed import find_diagnosis, words_of
 from shj_bayes.margins.files import design_table, to_json, write_margins
+from shj_bayes.margins.following import left_out_words
 from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.monte_carlo import draw_devices, draws_csv, draws_script
@@ -168,13 +169,14 @@ def export_analysis(
     place = folder / "opensees" if out is None else out
     place.mkdir(parents=True, exist_ok=True)
     cycle = f"{amplitude:.3g} mm"
+    left_out = left_out_words([trial.following for trial in trials])
     files = {
-        "connection_materials.py": python_script(drawn, amplitude, source),
-        "connection_materials.tcl": tcl_script(drawn, source),
-        "link-elements.csv": link_csv(drawn, cycle),
+        "connection_materials.py": python_script(drawn, amplitude, source, left_out),
+        "connection_materials.tcl": tcl_script(drawn, source, left_out),
+        "link-elements.csv": link_csv(drawn, cycle, left_out),
     }
     if devices:
-        files["connection_draws.py"] = draws_script(devices, amplitude, speed, source)
+        files["connection_draws.py"] = draws_script(devices, amplitude, speed, source, left_out)
         files["connection_draws.csv"] = draws_csv(devices, speed)
     for name, text in files.items():
         write_text(place / name, text)

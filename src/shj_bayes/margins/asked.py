@@ -18,6 +18,7 @@ import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.margins.following import values_to_try
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.specimen import Belief, Specimen, largest_ranges
 from shj_bayes.margins.virtual_test import drive
@@ -62,6 +63,22 @@ class Asked:
     time_s: FloatArray
     motion: Motion
     words: str
+
+
+@dataclass(frozen=True)
+class Course:
+    """One way in which a device is driven through a history.
+
+    Parameters
+    ----------
+    law : str
+        "tested", or one of `LAWS` for what was not.
+    channels : tuple of (str, float)
+        Further channels, by coordinate, and the values that they stand at; none where they are those of the test.
+    """
+
+    law: str
+    channels: tuple[tuple[str, float], ...] = ()
 
 
 def asked_for(request: Request, specimens: Sequence[Specimen]) -> Asked | None:
@@ -123,8 +140,8 @@ def from_file(path: Path) -> Asked:
     return Asked(fine - fine[0], motion, f"the history of {path.name}")
 
 
-def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> dict[str, tuple[History, ...]]:
-    """Histories to drive a device through, by law of what was not tested; one where all of it was.
+def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> dict[Course, tuple[History, ...]]:
+    """Histories to drive a device through, for each law of what was not tested and each value of what is not known.
 
     Parameters
     ----------
@@ -137,8 +154,8 @@ def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> di
 
     Returns
     -------
-    dict of str to tuple of History
-        "tested", or the names of ``LAWS``.
+    dict of Course to tuple of History
+        The typical one first.
 
     Raises
     ------
@@ -146,7 +163,7 @@ def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> di
         If the history leaves what was tested and extrapolation was not asked for.
     """
     if asked is None:
-        return {"tested": specimen.histories}
+        return {Course("tested"): specimen.histories}
     runs = specimen.driven_through(asked.time_s, asked.motion)
     beyond = _beyond(runs, specimen)
     name = f"{specimen.set_name}, {specimen.name}"
@@ -156,8 +173,9 @@ def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> di
             f"up to {specimen.ranges['position']:.4g} mm. Nothing is said outside: the bolt may meet the slot"
         )
     beyond = {k: v for k, v in beyond.items() if any(depends(b, specimen.histories[-1], k) for b in specimen.beliefs)}
+    values = values_to_try(specimen)
     if not beyond:
-        return {"tested": runs}
+        return {Course("tested", tuple(at.items())): tuple(run.held(at) for run in runs) for at in values}
     if not extrapolate:
         coordinate, reached = next(iter(beyond.items()))
         unit, tested = coordinate_named(coordinate).unit, specimen.ranges[coordinate]
@@ -167,7 +185,11 @@ def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> di
             f"to {tested:.4g} {unit}, and its force depends on it.{extra} With --extrapolate the spread of bounded "
             "laws is given instead"
         )
-    return {law: tuple(_stretched(run, specimen, beyond, shape) for run in runs) for law, shape in LAWS.items()}
+    return {
+        Course(law, tuple(at.items())): tuple(_stretched(run.held(at), specimen, beyond, shape) for run in runs)
+        for law, shape in LAWS.items()
+        for at in values
+    }
 
 
 def _beyond(runs: Sequence[History], specimen: Specimen) -> dict[str, float]:

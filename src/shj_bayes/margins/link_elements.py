@@ -9,7 +9,7 @@ from scipy import optimize
 from scipy.special import hyp2f1
 
 from shj_bayes.margins.bounds import Bound
-from shj_bayes.margins.opensees import HARDENING
+from shj_bayes.margins.opensees import HARDENING, plain
 from shj_bayes.population.results import safe_cell
 
 LARGEST_EXPONENT = 20.0
@@ -65,8 +65,9 @@ def link_table(bounds: Sequence[Bound]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(HELP))
 
 
-def link_csv(bounds: Sequence[Bound], cycle: str) -> str:
+def link_csv(bounds: Sequence[Bound], cycle: str, left_out: Sequence[str] = ()) -> str:
     """Table as CSV under its help lines, which start with # (as comments do)."""
     head = [f"# {column}: {words}" for column, words in HELP.items()]
     head.append(f"# cycle of the last two columns: {cycle}. Not carried: speed, loss of force with travel, slot end.")
+    head += [f"# {plain(note)}" for note in left_out]
     return "\n".join(head) + "\n" + link_table(bounds).to_csv(index=False, lineterminator="\n")

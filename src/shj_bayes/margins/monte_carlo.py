@@ -133,7 +133,9 @@ def draws_csv(drawn: Sequence[Drawn], speed_mm_s: float) -> str:
     return pd.DataFrame(rows, columns=list(HEADS)).to_csv(index=False, lineterminator="\n", float_format="%.6g")
 
 
-def draws_script(drawn: Sequence[Drawn], amplitude_mm: float, speed_mm_s: float, source: str) -> str:
+def draws_script(
+    drawn: Sequence[Drawn], amplitude_mm: float, speed_mm_s: float, source: str, left_out: Sequence[str] = ()
+) -> str:
     """Script for OpenSeesPy: a table of devices, functions that define one, and a check that runs each.
 
     Parameters
@@ -146,6 +148,8 @@ def draws_script(drawn: Sequence[Drawn], amplitude_mm: float, speed_mm_s: float,
         Peak speed of the tests.
     source : str
         Where they come from.
+    left_out : sequence of str
+        What these devices do not carry besides, one sentence each.
 
     Returns
     -------
@@ -156,7 +160,7 @@ def draws_script(drawn: Sequence[Drawn], amplitude_mm: float, speed_mm_s: float,
         f"{exponent_of_steel02(d.beta):.6g}, {d.share_at_rest:.6g}),"
         for d in drawn
     )
-    notes = "\n".join(f"# - {note}" for note in (NOTES[0], *NOTES[2:4]))
+    notes = "\n".join(f"# - {note}" for note in (NOTES[0], *NOTES[2:4], *map(plain, left_out)))
     return f'''# New sliding friction connections for Monte Carlo, written by shj-bayes. Source: {plain(source)}.
 {notes}
 # - Each line is one device that might be delivered next: how devices differ and how little is known of that together.

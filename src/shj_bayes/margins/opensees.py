@@ -46,7 +46,7 @@ def plain(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9 .,_%()+-]", "_", name).strip() or "set"
 
 
-def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str) -> str:
+def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str, left_out: Sequence[str] = ()) -> str:
     """Script for OpenSeesPy: a table of materials, a function that defines one, and a check that runs each.
 
     Parameters
@@ -57,6 +57,8 @@ def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str) -> 
         Of the cycle that the check runs.
     source : str
         Where they come from.
+    left_out : sequence of str
+        What these materials do not carry besides, one sentence each.
 
     Returns
     -------
@@ -67,7 +69,7 @@ def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str) -> 
         f"({b.force_kN:.6g}, {b.K_kN_mm:.6g}, {exponent_of_steel02(b.beta):.6g}),"
         for b in bounds
     )
-    notes = "\n".join(f"# - {note}" for note in NOTES)
+    notes = "\n".join(f"# - {note}" for note in (*NOTES, *map(plain, left_out)))
     return f'''# Sliding friction connections as OpenSees materials, written by shj-bayes. Source: {plain(source)}.
 {notes}
 import math
@@ -116,11 +118,11 @@ if __name__ == "__main__":
 '''
 
 
-def tcl_script(bounds: Sequence[Bound], source: str) -> str:
+def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = ()) -> str:
     """Script for OpenSees (Tcl): the same materials by number of set and bound."""
     names = list(dict.fromkeys(b.set_name for b in bounds))
     lines = [f"# Sliding friction connections as OpenSees materials, written by shj-bayes. Source: {plain(source)}."]
-    lines += [f"# - {note}" for note in NOTES]
+    lines += [f"# - {note}" for note in (*NOTES, *map(plain, left_out))]
     lines += ["# Sets:", *(f"#   {i}: {plain(name)}" for i, name in enumerate(names, start=1))]
     lines.append("# frictionMaterial(<number of set>,<bound>): sliding force kN, stiffness kN/mm, R of Steel02")
     for b in bounds:

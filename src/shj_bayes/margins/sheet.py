@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins import bands
+from shj_bayes.margins import bands, following
 from shj_bayes.margins.agreement import agreement
 from shj_bayes.margins.asked import Asked, published_factors
 from shj_bayes.margins.codes.catalogue import catalogue
@@ -149,7 +149,8 @@ def margins(
     spoken = (*design.set_names, ANY_SET) if sets_suffice(len(design.sets)) else design.set_names
     compared = agreement([row for row in rows if row.set_name in spoken])
     laws = next((trial.laws for trial in trials if len(trial.laws) > 1), ())
-    warnings = (*compared.contradictions, *_warnings(design, request, asked, laws), compared.words)
+    followed = following.words_of([trial.following for trial in trials], own_test=asked is None)
+    warnings = (*compared.contradictions, *_warnings(design, request, asked, laws), *followed, compared.words)
     history = OWN_TEST if asked is None else asked.words
     return Sheet(rows, history, design.tested, bool(laws), warnings, tuple(words), tuple(trials))
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import Asked, courses
+from shj_bayes.margins.asked import Asked, Course, courses
+from shj_bayes.margins.following import Following, following_of
 from shj_bayes.margins.quantities import TABLE, counted_from, of_readings, pooled, side_of
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
@@ -57,6 +58,8 @@ class Trial:
         Laws of what was not tested; "tested" alone where all was.
     carried : bool
         Whether the history is another one than that of its own test, so that the error of the model is carried over.
+    following : tuple of Following
+        Further channels that its force follows.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Trial:
     loops: tuple[Loop, ...] = field(repr=False, default=())
     laws: tuple[str, ...] = ("tested",)
     carried: bool = False
+    following: tuple[Following, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a value without a logarithm."""
@@ -125,17 +129,17 @@ def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: 
 
 
 def _driven(
-    specimen: Specimen, histories: Mapping[str, tuple[History, ...]]
-) -> tuple[dict[str, list[Runs]], tuple[Loop, ...]]:
-    """Drive a device: readings by law and model, and the widest cycle of the best model."""
-    found: dict[str, list[Runs]] = {}
+    specimen: Specimen, histories: Mapping[Course, tuple[History, ...]]
+) -> tuple[dict[Course, list[Runs]], tuple[Loop, ...]]:
+    """Drive a device: readings by course and model, and the widest cycle of the best model."""
+    found: dict[Course, list[Runs]] = {}
     loops: tuple[Loop, ...] = ()
-    for law, runs in histories.items():
-        found[law] = []
+    for course, runs in histories.items():
+        found[course] = []
         starts = specimen.start_force_kN if runs is specimen.histories else ()
         for belief in specimen.beliefs:
             forces = drive(belief.model, belief.theta, runs, starts)
-            found[law].append(tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)))
+            found[course].append(tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)))
             loops = loops or tuple(_widest(h, f) for h, f in zip(runs, forces, strict=True))
     return found, loops
 
@@ -161,7 +165,7 @@ def readings_of(specimen: Specimen, histories: Sequence[History], which: int = 0
     return tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, histories, strict=True))
 
 
-def _from(found: Mapping[str, list[Runs]], common: float) -> float:
+def _from(found: Mapping[Course, list[Runs]], common: float) -> float:
     """Amplitude from which half-cycles count: common to all devices, unless this one has none as wide."""
     first = next(iter(found.values()))[0]
     widest = max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for r in first)
@@ -170,12 +174,12 @@ def _from(found: Mapping[str, list[Runs]], common: float) -> float:
 
 def _trial(
     specimen: Specimen,
-    found: Mapping[str, list[Runs]],
+    found: Mapping[Course, list[Runs]],
     loops: tuple[Loop, ...],
     least: float,
     own_least: float | None,
 ) -> Trial:
-    by_law = {law: [dict(pooled(_quantities(runs, least))) for runs in models] for law, models in found.items()}
+    by_course = {one: [dict(pooled(_quantities(runs, least))) for runs in models] for one, models in found.items()}
     first = next(iter(found.values()))[0]
     tables = _quantities(first, least)
     seen: list[Values] = []
@@ -197,8 +201,8 @@ def _trial(
     values, errors = {}, {}
     belief = specimen.beliefs[0]
     shares = {"plateau": n, "energy": n, "ratio": n / 2, "third": 2}
-    for q in by_law[next(iter(by_law))][0]:
-        typical = [[_middle_and_sd(model[q]) for model in models] for models in by_law.values()]
+    for q in by_course[next(iter(by_course))][0]:
+        typical = [[_middle_and_sd(model[q]) for model in models] for models in by_course.values()]
         best = [models[0] for models in typical]
         # In its own test that is the measured value, of which no model is unsure.
         ours = 0.0 if own_least is None else 1.0
@@ -214,8 +218,9 @@ def _trial(
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
     shown = seen if own_least is None else []
     table = tuple(_summary(run, shown[i] if shown else {}) for i, run in enumerate(tables))
-    laws, carried = tuple(found), own_least is not None
-    return Trial(specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
+    laws, carried = tuple(dict.fromkeys(course.law for course in found)), own_least is not None
+    told = (specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
+    return Trial(*told, following_of(specimen))
 
 
 def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:

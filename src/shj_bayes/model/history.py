@@ -109,12 +109,12 @@ class History:
             Its further channels, of which the motion says nothing, stand at their references.
         """
         scales = {name: getattr(tested, name) for name in SCALES}
-        return replace(self, position_mm=position_mm, measured=tested.references, **scales)
+        return replace(self, position_mm=position_mm, measured=tested.held({}).measured, **scales)
 
-    @property
-    def references(self) -> dict[str, Measured]:
-        """Further channels, each held at its reference."""
-        return {name: one.held(one.reference) for name, one in self.measured.items()}
+    def held(self, values: Mapping[str, float]) -> History:
+        """Give the same motion with its further channels at given values, by coordinate; others at their references."""
+        measured = {name: one.held(values.get(name, one.reference)) for name, one in self.measured.items()}
+        return replace(self, measured=measured)
 
     @property
     def speed_mm_s(self) -> FloatArray:

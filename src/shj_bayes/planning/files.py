@@ -111,7 +111,13 @@ def _device(known: Known) -> dict[str, Any]:
     rows = [
         {"classes": sorted(key), "mechanisms": list(mechanisms_of(key)), "probability": p[key]} for key in known.keys
     ]
-    return {"name": known.name, "n_runs": len(known.runs), "sets": rows}
+    measured = known.old[-1].history.measured if known.old else {}
+    held = [
+        {"coordinate": name, "unit": one.unit, "value": one.reference}
+        for name, one in measured.items()
+        if any(f"capacity over {name}" in key for key in known.keys)
+    ]
+    return {"name": known.name, "n_runs": len(known.runs), "sets": rows, "channels": held}
 
 
 def _row(row: Row, file: str | None) -> dict[str, Any]:

@@ -165,7 +165,7 @@ class Known:
         return Scene(posterior, self.z, self.peak_mm_s)
 
     def placed(self, history: History) -> History:
-        """History of a first run as one that follows the old ones."""
+        """History of a first run as one that follows the old ones, with their further channels at the references."""
         last = self.old[-1].history if self.old else None
         moved = 0.0 if last is None else float(last.travel_m[-1])
         begun = 0.0 if last is None else last.begun_s + self.runs[-1].recording.duration_s
@@ -181,6 +181,7 @@ class Known:
             travel_m=history.travel_m + moved,
             begun_s=begun,
             near_turns=turns,
+            measured={} if last is None else last.held({}).measured,
             **self.scales,
         )
 
@@ -250,7 +251,7 @@ def know(
     old = tuple(replace(part, history=replace(part.history, **scales)) for part in own.posterior.averages)
     peak = own.posterior.averages[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
     scene = Scene(Posterior(tuple(runs), device, old), own.z, peak)
-    known = {c.id: c for c in classes(hidden)}
+    known = {c.id: c for c in classes(hidden, own.measured)}
     missing = sorted({c for key, _ in sets for c in key} - set(known))
     if missing:
         raise PlanError(f"'{missing[0]}' is no class of dependence; known are {', '.join(known)}")

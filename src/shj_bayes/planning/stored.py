@@ -15,9 +15,10 @@ from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.inference.run import Run
 from shj_bayes.margins.specimen import model_of, read_specimen
 from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.planning.known import Key
-from shj_bayes.recording.recording import Recording, Source
+from shj_bayes.recording.recording import Extra, Recording, Source
 
 ODDS_IN_FILES = 1e-6  # probabilities below it are left out
 
@@ -78,8 +79,14 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
             entry, own = record["inputs"][i], data["run"] == i + 1
             motion = replace(history.motion, noise_mm=float(entry["displacement_noise_mm"]))
             source = Source(str(entry["name"]), str(entry["sha256"]), str(entry["format"]))
+            named = {coordinate_of(name): name for name in entry.get("extras", {})}
             recording = Recording(
-                data["time_s"][own], motion.displacement_mm, specimen.measured_kN[i], data["used"][own] > 0, source
+                data["time_s"][own],
+                motion.displacement_mm,
+                specimen.measured_kN[i],
+                data["used"][own] > 0,
+                source,
+                extras=tuple(Extra(named.get(k, k), one.unit, data[k][own]) for k, one in history.measured.items()),
             )
             runs.append(Run(recording, motion))
         logs = np.log(draws["Fy"].ravel())

@@ -13,6 +13,7 @@ from shj_bayes.model.history import histories
 from shj_bayes.planning.devices import ASSURANCE, WITHIN
 from shj_bayes.planning.known import Belief, Known, mechanisms_of
 from shj_bayes.planning.plan import ALIKE, FORCE, WHICH, Plan, Worth
+from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.page import Picture, write_page
 
 PLAN_PAGE = "plan.html"
@@ -95,6 +96,13 @@ def lines(record: Mapping[str, Any]) -> list[str]:
         for d in record["devices"]:
             listed = "; ".join(f"{set_words(s)} {100 * s['probability']:.3g} %" for s in d["sets"][:4])
             out.append(f"{d['name']}: {listed}.")
+    for d in record["devices"]:
+        for c in d.get("channels") or ():
+            value = f"{c['value']:.4g} {c['unit']}".strip()
+            out.append(
+                f"{d['name']}: {over_words(c['coordinate'])} is taken to stay at {value}, its median so far, in the "
+                "planned test. Record it again: a test in which it changes on its own tells most of it."
+            )
     if record["worth"] == Worth.YES and record["candidates"]:
         best, table = record["candidates"][0], record["compared"][0]
         if record["question"] == WHICH:
