@@ -7,6 +7,7 @@ and test code; they prove nothing (`shj_validation.proof` does).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from scipy.signal import lfilter
 
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base, Effect
+from shj_bayes.model.effects.effect import Base, Contribution, Effect
 from shj_bayes.model.history import History, histories
 from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.recording import Recording
@@ -59,17 +60,42 @@ OUTSIDE: dict[str, Shape] = {
 
 
 def simulate(
-    values: Values, seed: int, *, noise: str = "ar1 0.8", shape: Shape | None = None, gamma: float | None = None
+    values: Values,
+    seed: int,
+    *,
+    noise: str = "ar1 0.8",
+    shape: Shape | None = None,
+    gamma: float | None = None,
+    clamping: Shape | None = None,
 ) -> list[Recording]:
-    """Two runs of Table 1 of a device drawn from the range of the published tables; gamma may be given."""
+    """Two runs of Table 1 of a device drawn from the range of the published tables; gamma may be given.
+
+    Parameters
+    ----------
+    values : mapping
+        Effects of the catalogue with some of their parameters.
+    seed : int
+        Of the device and its noise.
+    noise : str
+        One of `NOISES`.
+    shape : callable, optional
+        Force that is added, of the first run's sliding force.
+    gamma : float, optional
+        s/mm.
+    clamping : callable, optional
+        Factor on the sliding force.
+    """
     rng = np.random.default_rng(seed)
     stiffness, capacity = rng.uniform(8, 22), rng.uniform(50, 95)
     beta, ratio = float(rng.choice([10.0, 100.0])), rng.uniform(0.6, 0.95)
     drawn = float(rng.choice([-1.0, 0.0, 1.0])) / rng.uniform(30, 150)
     gamma = drawn if gamma is None else gamma
     time, motion = exact_motion(table_1(), RATE_HZ)
-    known = catalogue()
+    known = dict(catalogue())
     values = {name: _whole(known[name], given) for name, given in values.items()}
+    if clamping is not None:
+        known["clamping"] = replace(known["wear"], id="clamping", act=lambda h, v, b: Contribution(clamping(h)))
+        values["clamping"] = {}
     out = []
     for history in histories([time, time], [motion, motion]):
         base = Base(stiffness, capacity * (ratio if history.run == 2 else 1.0), beta, gamma, capacity)
