@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +29,15 @@ class Diagnosed:
         Effects of the model that its diagnosis ended in.
     sampled : bool
         That model was fitted: the diagnosis was no first look.
+    units : mapping of str to str
+        Units of its further channels by coordinate.
     """
 
     folder: str
     evidence: DeviceEvidence
     modelled: tuple[str, ...]
     sampled: bool
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +84,11 @@ class Together:
     def _class(self, one: Shared) -> dict[str, Any]:
         action, _, coordinate = one.id.partition(" over ")
         known = coordinates().get("heat1" if coordinate == "heat" else coordinate)
+        measured = next((d.units[coordinate] for d in self.devices if coordinate in d.units), "1")
         return {
             "action": action,
             "coordinate": coordinate,
-            "unit": known.unit if known else "1",
+            "unit": known.unit if known else measured,
             "probability": round(one.probability, DIGITS),
             "enters": one.enters,
             "rivals": list(one.rivals),
@@ -141,7 +145,8 @@ def read_diagnosed(place: Path, folder: str) -> Diagnosed:
     try:
         evidence = device_evidence(record["evidence"])
         modelled = tuple(str(word) for word in record["modelled"])
-        return Diagnosed(folder, evidence, modelled, not record["quick"])
+        units = {str(one["coordinate"]): str(one["unit"]) or "1" for one in record.get("channels", ())}
+        return Diagnosed(folder, evidence, modelled, not record["quick"], units)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InferenceError(
             f"the evidence in its diagnosis.json cannot be read ({error}); delete that file and run again"

@@ -273,6 +273,6 @@ def _measured(history: History, word: str) -> Measured:
         name = word.removeprefix(PREFIX)
         raise ModelError(
             f"the force is said to follow the channel '{name}', but run {history.run} has no such channel, or one that "
-            f"cannot serve; name its column with --columns {name}=... (shj-bayes check says what it is like)"
+            f"cannot serve (diagnose says why); name its column with --columns {name}=..."
         )
     return history.measured[word]
