@@ -124,5 +124,11 @@ def test_badge_sentence_and_table_say_the_same(n_cycles: int, percent: float, wi
     assert sentence.startswith("The model follows the force") == (found.grade == "good")
     assert words.fit_words(found) in cell
     if n_cycles >= 3:
-        assert words.DIAGNOSED_WORDS[diagnosed] in sentence
+        assert words.missing_words(found) in sentence
         assert ("scatter more" in sentence) == (found.grade == "fair" and widening > 1)
+
+
+def test_a_fit_with_given_effects_names_the_diagnosis_that_keeps_them() -> None:
+    sentence = words.left_words(LeftOver(4.0, 8), ["slack", "wear"])
+    assert sentence.endswith("shj-bayes diagnose --effects slack,wear says.")
+    assert "--effects" not in words.left_words(LeftOver(4.0, 8, 1.0, "named"), ["slack"])

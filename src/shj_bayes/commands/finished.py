@@ -53,7 +53,8 @@ class DeviceResult:
         fit = f"; {words.FIT[left.grade][0]}: {words.fit_words(left)}" if left else ""
         lines = [f"{record['device']}: {record['verdict']}{fit}"]
         lines += [f"  {reason}" for reason in record["reasons"]]
-        lines += [f"  {extra}" for extra in (words.left_words(left) if left else "", self.note) if extra]
+        said = words.left_words(left, record["model"].get("effects", ())) if left else ""
+        lines += [f"  {extra}" for extra in (said, self.note) if extra]
         remarks = record.get("remarks", [])
         units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
         family = record["model"]["priors"]

@@ -142,9 +142,10 @@ def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
     word = str(record.get("convergence", record["verdict"]))
     name, colour, sentence = words.CONVERGENCE.get(word, (word, "unusable", ""))
     (grade, shade), said = words.FIT[left.grade], words.fit_words(left)
+    model = words.left_words(left, record["model"].get("effects", ()))
     return [
         {"what": "Convergence", "name": name, "colour": colour, "words": sentence},
-        {"what": "Model", "name": f"{grade}: {said}", "colour": shade, "words": words.left_words(left)},
+        {"what": "Model", "name": f"{grade}: {said}", "colour": shade, "words": model},
     ]
 
 

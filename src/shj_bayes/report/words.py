@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from shj_bayes.inference.record import Remark
@@ -23,7 +23,6 @@ FIT = {
     "undecided": ("fit undecided", "tentative"),
 }
 DIAGNOSED_WORDS = {
-    "": "Whether anything is missing, shj-bayes diagnose says.",
     "adequate": "The diagnosis of these recordings found nothing beyond noise.",
     "named": "The diagnosis of these recordings says what the law leaves out.",
     "family": "The diagnosis of these recordings found that the law leaves something out, and what it may be.",
@@ -160,8 +159,20 @@ def fit_words(left: LeftOver) -> str:
     return f"{size} % of Fy unexplained{few}"
 
 
-def left_words(left: LeftOver) -> str:
-    """One sentence: does the model describe this device, and what the diagnosis found."""
+def missing_words(left: LeftOver, effects: Sequence[str] = ()) -> str:
+    """Say what a diagnosis of the same recordings found, or which one would tell of a model with these effects."""
+    if left.diagnosed:
+        return DIAGNOSED_WORDS[left.diagnosed]
+    if effects:
+        return (
+            f"It holds effects that were given to it ({', '.join(effects)}); whether anything is missing beside them, "
+            f"shj-bayes diagnose --effects {','.join(effects)} says."
+        )
+    return "Whether anything is missing, shj-bayes diagnose says."
+
+
+def left_words(left: LeftOver, effects: Sequence[str] = ()) -> str:
+    """One sentence: does the model, with these effects, describe this device, and what the diagnosis found."""
     if left.grade == "undecided":
         return (
             f"Too few cycles to say whether the model describes this device: {left.n_cycles} full, and "
@@ -174,7 +185,7 @@ def left_words(left: LeftOver) -> str:
         text = "The cycles scatter more than the model and its noise allow."
     elif left.grade == "fair":
         text = "More is left over than a load cell drifts."
-    return f"{text} {DIAGNOSED_WORDS[left.diagnosed]}"
+    return f"{text} {missing_words(left, effects)}"
 
 
 def left_cell(left: LeftOver) -> str:

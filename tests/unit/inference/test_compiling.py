@@ -11,6 +11,7 @@ from shj_bayes.inference.compiling import TEXT, told_when_slow
 @pytest.mark.parametrize(
     ("terminal", "tell", "rest_s", "printed"),
     [(True, True, 0.2, TEXT), (True, True, 0.0, ""), (True, False, 0.2, ""), (False, True, 0.2, "")],
+    ids=["slow", "quick", "not asked", "no terminal"],
 )
 def test_told_only_when_slow(
     capsys: pytest.CaptureFixture[str],
