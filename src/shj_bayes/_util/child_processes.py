@@ -99,10 +99,6 @@ def program(name: str) -> str | None:
     ----------
     name : str
         Without the ending.
-
-    Returns
-    -------
-    str or None
     """
     folders = os.pathsep.join(folder for folder in os.get_exec_path() if os.path.isabs(folder))
     found = shutil.which(name, path=folders)

@@ -178,10 +178,6 @@ def read_bytes(path: Path, max_bytes: int, error: type[ShjError]) -> bytes:
         Largest size that is read.
     error : type
         Kind of error to raise.
-
-    Returns
-    -------
-    bytes
     """
     try:
         status = path.stat()

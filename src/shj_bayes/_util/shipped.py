@@ -11,10 +11,6 @@ def shipped(*parts: str) -> Path:
     *parts : str
         Path below the top of the project, for example ``"priors", "afc.toml"``.
 
-    Returns
-    -------
-    pathlib.Path
-
     Raises
     ------
     FileNotFoundError

@@ -109,10 +109,6 @@ def diagnose_chains(
         Accepted shares.
     n_failed : int
         Failed evaluations, passed through.
-
-    Returns
-    -------
-    Diagnostics
     """
     n_total = chains[0].shape[0]
     # The walkers start from a wide ball: the first fifth would lengthen the time that decides how much to drop.

@@ -92,10 +92,6 @@ def fit(
         Show a progress bar on standard error.
     threads : int
         Ensembles that run at the same time, 0 for one per processor.
-
-    Returns
-    -------
-    Fit
     """
     plan = plan or Plan()
     path = None

@@ -76,10 +76,6 @@ def floor_of(posterior: Posterior, start: Start) -> Floor:
         What was fitted.
     start : Start
         Its top.
-
-    Returns
-    -------
-    Floor
     """
     scores, information = _scores(posterior, start), _information(posterior, start)
     sd, n_law = np.sqrt(np.diag(start.covariance)), posterior.model.n_law

@@ -175,9 +175,5 @@ def make_posterior(runs: Sequence[Run], model: DeviceModel) -> Posterior:
         Consecutive runs.
     model : DeviceModel
         What is believed of the device.
-
-    Returns
-    -------
-    Posterior
     """
     return Posterior(tuple(runs), model, reduce_runs(runs))

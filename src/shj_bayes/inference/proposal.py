@@ -91,10 +91,6 @@ def fit_proposal(density: Density, start: Start, rng: np.random.Generator) -> Pr
         Most probable point and covariance.
     rng : numpy.random.Generator
         Source of randomness.
-
-    Returns
-    -------
-    Proposal
     """
     d = start.free.size
     made, points, heights = [_first(density, start)], np.empty((0, d)), np.empty(0)

@@ -113,10 +113,6 @@ def reduce_runs(
         or what divides the run into `LEAST_BLOCKS` where that is more.
     coarser : float
         By how much the blocks are longer than that, in time, slip and bend: for comparing many models.
-
-    Returns
-    -------
-    tuple of Averages
     """
     whole = histories_of(runs)
     bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)

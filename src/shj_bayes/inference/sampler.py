@@ -122,10 +122,6 @@ def run_ensembles(
         Show a progress bar on standard error (only on a terminal).
     threads : int
         Ensembles that run at the same time, 0 for as many as there are processors; the numbers do not depend on it.
-
-    Returns
-    -------
-    list of EnsembleState, Diagnostics
     """
     d, n = len(names), n_threads(threads)
     stream = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(98,)))

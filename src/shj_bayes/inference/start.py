@@ -209,10 +209,6 @@ def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
     candidates : sequence of array, shape (d,)
         Where to start.
 
-    Returns
-    -------
-    Start
-
     Raises
     ------
     InferenceError

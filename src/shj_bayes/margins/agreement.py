@@ -36,10 +36,6 @@ def agreement(rows: Sequence[Margin]) -> Agreement:
     ----------
     rows : sequence of Margin
         All margins of a sheet.
-
-    Returns
-    -------
-    Agreement
     """
     names = list(dict.fromkeys(row.set_name for row in rows))
     found = [text for name in names for text in _of_set(name, [row for row in rows if row.set_name == name])]

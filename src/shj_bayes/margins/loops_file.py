@@ -29,10 +29,6 @@ def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ..
         The devices; a set's widest cycle is cut to what all its devices went through.
     peak_speed_mm_s : float
         Of the history.
-
-    Returns
-    -------
-    tuple of LoopBand
     """
     out = []
     for name in dict.fromkeys(trial.set_name for trial in trials):

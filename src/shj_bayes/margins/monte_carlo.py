@@ -80,10 +80,6 @@ def draw_devices(
     speed_mm_s : float
         Peak speed of the tests.
 
-    Returns
-    -------
-    tuple of Drawn
-
     Raises
     ------
     PopulationError
@@ -150,10 +146,6 @@ def draws_script(
         Where they come from.
     left_out : sequence of str
         What these devices do not carry besides, one sentence each.
-
-    Returns
-    -------
-    str
     """
     rows = "\n".join(
         f"    ({json.dumps(d.set_name)}, {d.number}): ({d.force_kN:.6g}, {d.force_2_kN:.6g}, {d.K_kN_mm:.6g}, "

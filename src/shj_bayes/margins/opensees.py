@@ -59,10 +59,6 @@ def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str, lef
         Where they come from.
     left_out : sequence of str
         What these materials do not carry besides, one sentence each.
-
-    Returns
-    -------
-    str
     """
     rows = "\n".join(
         f"    ({json.dumps(b.set_name)}, {json.dumps(b.bound)}): "

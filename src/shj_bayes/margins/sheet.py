@@ -80,10 +80,6 @@ def pool(trials: Sequence[Trial], result: PopulationResult, *, progress: bool = 
         Their population: tags of the sets, tested range, seed.
     progress : bool
         Show a progress bar.
-
-    Returns
-    -------
-    PopulationResult
     """
     if not trials:
         raise PopulationError("no device gives all of K, Fy, beta and gamma; there are no margins without them")
@@ -139,10 +135,6 @@ def margins(
         History of the virtual test; None for the devices' own.
     words : sequence of str
         What the diagnoses found.
-
-    Returns
-    -------
-    Sheet
     """
     rows = tuple(_rows(design, trials, request))
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.

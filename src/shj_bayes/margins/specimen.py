@@ -122,10 +122,6 @@ def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = N
         The device and its set.
     found : Path, optional
         Results folder of the fit that its diagnosis ended in, with the effects that were found.
-
-    Returns
-    -------
-    Specimen
     """
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
         record = read_record(folder)
@@ -202,10 +198,6 @@ def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:
     ----------
     result : PopulationResult
         Its devices have values with the error of their rounding; those that lack K, Fy, beta or gamma are left out.
-
-    Returns
-    -------
-    tuple of Specimen
     """
     variant = result.tested.variant if result.tested else "published"
     time, motion = exact_motion(table_1(), TABLE_RATE_HZ)

@@ -107,10 +107,6 @@ def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: 
     extrapolate : bool
         Whether what was not tested may be spoken of.
 
-    Returns
-    -------
-    tuple of Trial
-
     Raises
     ------
     PopulationError

@@ -92,10 +92,6 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
     measured : bool
         Whether the force carries noise: it is then averaged over up to `TAKEN` samples, and `REACH_MM` of motion,
         before its largest value is taken.
-
-    Returns
-    -------
-    Readings
     """
     x, start = motion.displacement_mm, motion.start
     n = motion.n_half

@@ -87,10 +87,6 @@ def classical(strata: Sequence[Pair], seed: int = 0) -> Classical:
         Point values of the devices, pooled scale.
     seed : int
         Of the random arrangements, where there are too many for all.
-
-    Returns
-    -------
-    Classical
     """
     full = [(a, b) for a, b in strata if a.size and b.size]
     p, least, n = permutation(full, seed) if full else (None, None, 0)

@@ -160,10 +160,6 @@ def compare(result: PopulationResult, set_a: str, set_b: str, *, rope: float = R
     rope : float
         Half-width of the region of practical equivalence, as a share.
 
-    Returns
-    -------
-    Comparison
-
     Raises
     ------
     PopulationError

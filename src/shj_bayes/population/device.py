@@ -94,10 +94,6 @@ class DeviceEstimate:
         tags : Tags
             Of the set.
 
-        Returns
-        -------
-        DeviceEstimate
-
         Raises
         ------
         PopulationError
@@ -138,10 +134,6 @@ class DeviceEstimate:
             kN/mm, kN (first run), kN (second run), s/mm, 1. The ratio follows from both forces.
         tags : Tags
             Of the set.
-
-        Returns
-        -------
-        DeviceEstimate
         """
         given: dict[str, Measurement | None] = {"K": K, "Fy": Fy, "gamma": gamma, "beta": beta}
         if Fy is not None and Fy_second is not None:

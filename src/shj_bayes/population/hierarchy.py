@@ -192,10 +192,6 @@ def fit_population(
         Fewer draws, for many quantities of which only a few quantiles are asked: these are then known to about 2 % of
         the spread.
 
-    Returns
-    -------
-    PopulationResult
-
     Raises
     ------
     PopulationError

@@ -92,10 +92,6 @@ def loop_band(
     n_draws, n_points : int
         Devices drawn; displacements at which the band is given.
 
-    Returns
-    -------
-    LoopBand
-
     Raises
     ------
     PopulationError

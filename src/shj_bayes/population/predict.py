@@ -75,10 +75,6 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
     prior : str
         "default", "alike" or "free".
 
-    Returns
-    -------
-    NewDevice
-
     Raises
     ------
     PopulationError
@@ -180,10 +176,6 @@ def how_wide(result: PopulationResult, set_name: str, name: str = "Fy") -> str:
         One of its sets, or ``ANY_SET``.
     name : str
         A quantity, or ``Fy_second``.
-
-    Returns
-    -------
-    str
     """
     main = new_device(result, set_name)
     bands = {"default": main.band(name)}

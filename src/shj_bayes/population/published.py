@@ -150,9 +150,5 @@ def published_devices() -> tuple[DeviceEstimate, ...]:
 
     Five sets of one device (shim materials, Table 3), five of two (coatings, Tables 4 and 5) and five of
     two (corroded coatings, Tables 6 and 7).
-
-    Returns
-    -------
-    tuple of DeviceEstimate
     """
     return tuple(row.device() for row in published_rows())

@@ -22,10 +22,6 @@ from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
     """Half-open index ranges over which a mask is True.
 
-    Parameters
-    ----------
-    mask : array of bool
-
     Returns
     -------
     list of (int, int)
@@ -104,10 +100,6 @@ def spikes(displacement_mm: FloatArray) -> BoolArray:
     Parameters
     ----------
     displacement_mm : array, shape (n_samples,)
-
-    Returns
-    -------
-    array of bool
     """
     x = displacement_mm
     found = np.zeros(x.size, dtype=np.bool_)

@@ -60,10 +60,6 @@ def _checked(recording: Recording) -> tuple[dict[str, Any], str]:
 def blocks_of(motion: Motion) -> list[dict[str, float]]:
     """Consecutive reversals of like amplitude.
 
-    Parameters
-    ----------
-    motion : Motion
-
     Returns
     -------
     list of dict

@@ -198,10 +198,6 @@ def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Find
         Strictly increasing.
     displacement_mm : array, shape (n_samples,)
         To say how far the device moved in a gap.
-
-    Returns
-    -------
-    list of Finding
     """
     steps = np.diff(time_s)
     median = float(np.median(steps))

@@ -81,10 +81,6 @@ def choose(
     rate_Hz : float or None
         Constant sampling rate of a file without a time column, Hz.
 
-    Returns
-    -------
-    Channels
-
     Raises
     ------
     RecordingError

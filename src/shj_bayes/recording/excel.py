@@ -24,10 +24,6 @@ def read_excel(path: Path, sha256: str) -> Table:
         The workbook; formulas are read as the values last stored.
     sha256 : str
         Its digest.
-
-    Returns
-    -------
-    Table
     """
     _bounded(path)
     from openpyxl import load_workbook  # noqa: PLC0415

@@ -55,10 +55,6 @@ def evaluate(text: str, table: Table) -> Value:
     table : Table
         Where names and numbers are looked up.
 
-    Returns
-    -------
-    Value
-
     Raises
     ------
     RecordingError

@@ -35,10 +35,6 @@ def read_frame(
     columns, units, rate_Hz
         As for `shj_bayes.recording.reader.read`.
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     RecordingError

@@ -34,10 +34,6 @@ def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> lis
     Parameters
     ----------
     displacement_mm, force_kN : array, shape (n_samples,)
-
-    Returns
-    -------
-    list of Finding
     """
     force, stroke = float(np.max(np.abs(force_kN))), float(np.ptp(displacement_mm))
     varies = float(np.ptp(force_kN))
@@ -80,10 +76,6 @@ def changes(values: FloatArray) -> FloatArray:
     Parameters
     ----------
     values : array, shape (n_samples,)
-
-    Returns
-    -------
-    array
     """
     return np.diff(values[:: max(1, values.size // 1000)])
 
@@ -98,10 +90,6 @@ def burstiness(values: FloatArray) -> float:
     Parameters
     ----------
     values : array, shape (n_samples,)
-
-    Returns
-    -------
-    float
     """
     change = changes(values)
     mean = float(np.mean(np.abs(change)))
@@ -133,10 +121,6 @@ def half_cycles(values: FloatArray) -> int:
     Parameters
     ----------
     values : array, shape (n_samples,)
-
-    Returns
-    -------
-    int
     """
     return len(hysteresis(values, max(REVERSAL_NOISE * noise_of(values), REVERSAL_RANGE * float(np.ptp(values))))) + 1
 
@@ -200,17 +184,7 @@ def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[Fl
 
 
 def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
-    """Too few samples or half-cycles, offsets and lag.
-
-    Parameters
-    ----------
-    recording : Recording
-    motion : Motion
-
-    Returns
-    -------
-    list of Finding
-    """
+    """Too few samples or half-cycles, offsets and lag."""
     findings = []
     if recording.n_samples < MIN_SAMPLES:
         message = f"{recording.n_samples} samples; at least {MIN_SAMPLES} are needed"
@@ -304,11 +278,6 @@ def _lag(recording: Recording, motion: Motion) -> list[Finding]:
 
 def lag_of(recording: Recording, motion: Motion) -> float | None:
     """Delay for which the force drop after reversals is proportional to the travel.
-
-    Parameters
-    ----------
-    recording : Recording
-    motion : Motion
 
     Returns
     -------

@@ -34,10 +34,6 @@ def plausibility_findings(
         What was chosen; says which units were assumed and which columns were named.
     time_s, displacement_mm, force_kN : array, shape (n_samples,)
         After the repairs.
-
-    Returns
-    -------
-    list of Finding
     """
     stroke, force = float(np.ptp(displacement_mm)), float(np.max(np.abs(force_kN)))
     duration = float(time_s[-1] - time_s[0])

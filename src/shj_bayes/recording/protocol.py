@@ -46,10 +46,6 @@ def table_1(last_block_cycles: int = 5) -> tuple[Block, ...]:
     ----------
     last_block_cycles : {5, 6}
         The table prints 6 cycles for the last block, the text says 5 and a total of 20; 5 is the default.
-
-    Returns
-    -------
-    tuple of Block
     """
     if last_block_cycles not in (5, 6):
         raise RecordingError(

@@ -66,10 +66,6 @@ def repair(
 def inspect(recording: Recording) -> tuple[Finding, ...]:
     """Run the checks that need the half-cycles.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     tuple of Finding

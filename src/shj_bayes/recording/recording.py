@@ -186,10 +186,6 @@ class Recording:
         rate_Hz : float, optional
             Sampling rate of a file without time, Hz.
 
-        Returns
-        -------
-        Recording
-
         Raises
         ------
         RecordingError

@@ -68,10 +68,6 @@ def first_direction(values: FloatArray, turns: list[int]) -> int:
         Displacement.
     turns : list of int
         Reversals.
-
-    Returns
-    -------
-    int
     """
     end = turns[0] if turns else values.size - 1
     return 1 if values[end] >= values[0] else -1

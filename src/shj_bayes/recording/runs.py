@@ -69,10 +69,6 @@ class Division:
 def divisions(recording: Recording) -> tuple[Division, ...]:
     """Find the ways in which a recording may hold several runs.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     tuple of Division

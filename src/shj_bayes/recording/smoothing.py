@@ -79,10 +79,6 @@ def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -
         Standard deviation of one sample.
     step : float
         Width of a cell, s; at least the sampling interval.
-
-    Returns
-    -------
-    Grid
     """
     n = int(np.floor((time_s[-1] - time_s[0]) / step + 1e-6)) + 1
     centres = time_s[0] + step * np.arange(n)
@@ -110,10 +106,6 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, t
         Step of the encoder, 0 when there is none.
     threshold : float
         Hysteresis of the first search for half-cycles.
-
-    Returns
-    -------
-    Smooth
     """
     step = float(np.median(np.diff(time_s)))
     turns = hysteresis(values, threshold)

@@ -97,10 +97,6 @@ def read_table(path: str | Path) -> Table:
     path : str or Path
         CSV, TSV, TXT, DAT (also .gz), XLSX, JSON, MAT (v4 to v7.3), HDF5 or TDMS; the ending tells which.
 
-    Returns
-    -------
-    Table
-
     Raises
     ------
     RecordingError

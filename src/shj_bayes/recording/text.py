@@ -33,10 +33,6 @@ def read_text(path: Path, sha256: str) -> Table:
         The file.
     sha256 : str
         Its digest.
-
-    Returns
-    -------
-    Table
     """
     encoding = find_encoding(path)
     said = "Latin-1" if encoding == "cp1252" else encoding
@@ -56,10 +52,6 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
         Name, digest and format for the table.
     notes : tuple of Finding
         What was met before.
-
-    Returns
-    -------
-    Table
     """
     comments: list[str] = []
     stream = _rows(lines, comments, name)

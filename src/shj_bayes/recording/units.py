@@ -156,10 +156,6 @@ def factor(text: str, role: Role) -> float:
     role : {"time", "displacement", "force"}
         Channel; the targets are s, mm and kN.
 
-    Returns
-    -------
-    float
-
     Raises
     ------
     RecordingError

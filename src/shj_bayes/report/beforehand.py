@@ -58,10 +58,6 @@ def beforehand(device: DeviceData, amplitude_mm: float, peak_speed_mm_s: float) 
     device : DeviceData
     amplitude_mm, peak_speed_mm_s : float
         Of the cycle.
-
-    Returns
-    -------
-    Beforehand
     """
     variant = str(device.record["model"]["variant"])
     published = device.record["model"]["priors"] == "afc"

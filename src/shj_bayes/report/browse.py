@@ -27,10 +27,6 @@ def page_of(place: Path, which: str | None = None) -> Path:
     which : {"report", "diagnosis", "margins", "plan"}, optional
         Page to take; the first that is there by default.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     ReportError

@@ -120,10 +120,6 @@ def read_device(folder: Path) -> DeviceData:
     folder : Path
         Results folder with ``posterior.nc`` and ``fit.json``.
 
-    Returns
-    -------
-    DeviceData
-
     Raises
     ------
     InferenceError

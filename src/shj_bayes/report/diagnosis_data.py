@@ -108,10 +108,6 @@ def read_diagnosis(folder: Path) -> DiagnosisData:
     folder : Path
         Results folder.
 
-    Returns
-    -------
-    DiagnosisData
-
     Raises
     ------
     ReportError

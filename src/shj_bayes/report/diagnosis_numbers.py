@@ -68,10 +68,6 @@ def profile(
         Samples that count.
     n_bins : int
         Number of bins.
-
-    Returns
-    -------
-    Profile
     """
     edges = edges_of(values[used], n_bins)
     signed = residual_kN * direction

@@ -40,10 +40,6 @@ class Band:
 def force_band(run: RunData) -> Band:
     """Median and 90 % bands of the predicted force.
 
-    Parameters
-    ----------
-    run : RunData
-
     Returns
     -------
     Band
@@ -65,10 +61,6 @@ def cycle_marks(run: RunData) -> FloatArray:
 
     A cycle goes from one crossing of mid-stroke to the next in the same direction, beginning with the direction in
     which the run starts; so a block of sine cycles gives exactly its cycles, as closed loops.
-
-    Parameters
-    ----------
-    run : RunData
 
     Returns
     -------

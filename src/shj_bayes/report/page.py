@@ -66,10 +66,6 @@ def script(names: tuple[str, ...]) -> Markup:
     ----------
     names : tuple of str
         Files of ``scripts``, without ending.
-
-    Returns
-    -------
-    Markup
     """
     sources = [(Path(__file__).parent / "scripts" / f"{name}.js").read_text(encoding="utf-8") for name in names]
     return Markup("\n".join(line.strip() for source in sources for line in source.splitlines()))

@@ -24,11 +24,6 @@ STEPS = 20_000  # of the range of a channel: finer than a screen, and coarse eno
 def device_viewer(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     """Loops of a device with the model and the 90 % band.
 
-    Parameters
-    ----------
-    device : DeviceData
-    numbers : Numbers
-
     Returns
     -------
     dict
