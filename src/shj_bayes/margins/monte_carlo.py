@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.opensees import HARDENING, NOTES, exponent_of_steel02, plain
+from shj_bayes.margins.opensees import NOTES, exponent_of_steel02, filled
 from shj_bayes.margins.outermost import newcomers, own_devices, priors_that_count
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.population.posterior import PopulationResult
@@ -152,59 +152,5 @@ def draws_script(
         f"{exponent_of_steel02(d.beta):.6g}, {d.share_at_rest:.6g}),"
         for d in drawn
     )
-    notes = "\n".join(f"# - {note}" for note in (NOTES[0], *NOTES[2:4], *map(plain, left_out)))
-    return f'''# New sliding friction connections for Monte Carlo, written by shj-bayes. Source: {plain(source)}.
-{notes}
-# - Each line is one device that might be delivered next: how devices differ and how little is known of that together.
-# - run=2 gives the force in a second earthquake, where a second run was tested.
-import math
-
-# (set, device): (plateau force of run 1, of run 2, kN; stiffness kN/mm; R of Steel02; force at rest over plateau force)
-DEVICES = {{
-{rows}
-}}
-HARDENING = {HARDENING!r}
-RATE = {1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}  # s/mm, of the friction model
-
-
-def define(ops, tag, set_name, device, run=1):
-    """Define uniaxial material `tag`: the loop at the tested speed."""
-    values = DEVICES[set_name, device]
-    ops.uniaxialMaterial("Steel02", tag, values[run - 1], values[2], HARDENING, values[3], 0.0, 0.15)
-
-
-def define_friction(ops, tag, set_name, device, run=1):
-    """Define friction model `tag`, with the speed law, for a bearing element under a normal force of 1 kN.
-
-    The element takes the stiffness DEVICES[set_name, device][2] as its initial stiffness.
-    """
-    values = DEVICES[set_name, device]
-    force, at_rest = values[run - 1], values[run - 1] * values[4]
-    ops.frictionModel("VelDependent", tag, at_rest, at_rest + (force - at_rest) / (1 - math.exp(-1)), RATE)
-
-
-def loop(ops, set_name, device, displacement, run=1):
-    """Force (kN) of one material driven through the displacements (mm)."""
-    ops.wipe()
-    define(ops, 1, set_name, device, run)
-    ops.testUniaxialMaterial(1)
-    force = []
-    for value in displacement:
-        ops.setStrain(float(value))
-        force.append(ops.getStress())
-    return force
-
-
-def main():
-    import openseespy.opensees as ops
-
-    amplitude, steps = {amplitude_mm!r}, 800
-    displacement = [amplitude * math.sin(2 * math.pi * i / steps) for i in range(2 * steps + 1)]
-    print("set, device, largest force kN")
-    for set_name, device in DEVICES:
-        print(f"{{set_name}}, {{device}}, {{max(loop(ops, set_name, device, displacement)):.4g}}")
-
-
-if __name__ == "__main__":
-    main()
-'''
+    rate = f"{1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}"
+    return filled("connection_draws", rows, (NOTES[0], *NOTES[2:4], *map(plain, left_out)), amplitude_mm, source, rate=rate)

@@ -13,6 +13,8 @@ import json
 import math
 import re
 from collections.abc import Sequence
+from pathlib import Path
+from string import Template
 
 from shj_bayes.margins.bounds import Bound
 
@@ -65,53 +67,15 @@ def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str, lef
         f"({b.force_kN:.6g}, {b.K_kN_mm:.6g}, {exponent_of_steel02(b.beta):.6g}),"
         for b in bounds
     )
-    notes = "\n".join(f"# - {note}" for note in (*NOTES, *map(plain, left_out)))
-    return f'''# Sliding friction connections as OpenSees materials, written by shj-bayes. Source: {plain(source)}.
-{notes}
-import math
-
-# (set, bound): (sliding force kN, stiffness kN/mm, R of Steel02)
-MATERIALS = {{
-{rows}
-}}
-HARDENING = {HARDENING!r}
+    return filled("connection_materials", rows, (*NOTES, *map(plain, left_out)), amplitude_mm, source)
 
 
-def define(ops, tag, set_name, bound):
-    """Define uniaxial material `tag`; bound is "lower", "middle" or "upper"."""
-    force, stiffness, sharpness = MATERIALS[set_name, bound]
-    ops.uniaxialMaterial("Steel02", tag, force, stiffness, HARDENING, sharpness, 0.0, 0.15)
-
-
-def loop(ops, set_name, bound, displacement):
-    """Force (kN) of one material driven through the displacements (mm)."""
-    ops.wipe()
-    define(ops, 1, set_name, bound)
-    ops.testUniaxialMaterial(1)
-    force = []
-    for value in displacement:
-        ops.setStrain(float(value))
-        force.append(ops.getStress())
-    return force
-
-
-def main():
-    import openseespy.opensees as ops
-
-    amplitude, steps = {amplitude_mm!r}, 800
-    displacement = [amplitude * math.sin(2 * math.pi * i / steps) for i in range(2 * steps + 1)]
-    print("set, bound, largest force kN, energy of the second cycle kJ")
-    for set_name, bound in MATERIALS:
-        force = loop(ops, set_name, bound, displacement)
-        energy = sum(
-            0.5 * (force[i] + force[i + 1]) * (displacement[i + 1] - displacement[i]) for i in range(steps, 2 * steps)
-        )
-        print(f"{{set_name}}, {{bound}}, {{max(force):.4g}}, {{energy / 1000:.4g}}")
-
-
-if __name__ == "__main__":
-    main()
-'''
+def filled(name: str, rows: str, notes: Sequence[str], amplitude_mm: float, source: str, **more: str) -> str:
+    """Fill one of the ``scripts``."""
+    text = (Path(__file__).parent / "scripts" / f"{name}.py.txt").read_text(encoding="utf-8")
+    said = "\n".join(f"# - {note}" for note in notes)
+    fixed = {"source": plain(source), "hardening": repr(HARDENING), "amplitude": repr(amplitude_mm)}
+    return Template(text).substitute(fixed, rows=rows, notes=said, **more)
 
 
 def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = ()) -> str:

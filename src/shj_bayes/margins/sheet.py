@@ -24,11 +24,12 @@ from shj_bayes.margins.trial import Trial
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import sets_suffice
-from shj_bayes.population.quantities import LOWEST, MOST, THIRD_CYCLE
+from shj_bayes.population.quantities import LOWEST, MOST, THIRD_CYCLE, FloatArray
 from shj_bayes.population.tested import RangeTested
 
 UNEQUAL = 2.0
 """Sets spread unequally when the widest of them is surely (95 %) more than this many times the tightest."""
+POOLED = "partially pooled model, decision 0004"
 OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
 
@@ -181,52 +182,34 @@ def _spreads(result: PopulationResult, name: str, trials: Sequence[Trial]) -> It
     index = result.index(name)
     for q, fit in result.posteriors.items():
         within = [trial.errors[q] for trial in trials if q in trial.errors]
-        found = [
-            (
-                "device to device",
-                float(np.median(fit.tau[:, index])),
-                "median of the spread of the set",
-                "how much devices differ",
-            ),
-            (
-                "within a device",
-                float(np.sqrt(np.mean(np.square(within)))) if within else math.nan,
-                "posterior of each device and reading of its recording",
-                "how well a tested device is known",
-            ),
-        ]
         gaps = np.array([trial.model_errors[q] for trial in trials if q in trial.model_errors])
-        if gaps.size:
-            scatter = float(gaps.std(ddof=1)) if gaps.size > 1 else math.nan
-            found += [
-                ("model, b", float(np.exp(gaps.mean())), "mean of measured over predicted", "bias of the model"),
-                ("model, V_delta", scatter, "scatter of measured over predicted", "error of the model"),
-            ]
         cycles = np.concatenate([np.empty(0), *(trial.cycle_errors for trial in trials)])
+        between, least = float(np.median(fit.tau[:, index])), math.nan
+        if within:
+            least = float(np.sqrt(np.mean(np.square(within))))
+        found = [
+            (POOLED, "device to device", between, "median of the spread of the set", "how much devices differ"),
+            (POOLED, "within a device", least, "posterior of each device and reading of its recording",
+             "how well a tested device is known"),
+        ]  # fmt: skip
+        if gaps.size:
+            found += _model_error(gaps, "", "measured over predicted")
         if q == "plateau" and cycles.size > 1:
-            bias, scatter, n = float(np.exp(cycles.mean())), float(cycles.std(ddof=1)), cycles.size
-            said = f"measured over predicted plateau of {n} half-cycles, each predicted without it"
-            found += [
-                ("model, b of a half-cycle left out", bias, f"mean of {said}", "bias of the model"),
-                ("model, V_delta of a half-cycle left out", scatter, f"scatter of {said}", "error of the model"),
-            ]
-        for kind, value, formula, purpose in found:
-            yield Margin(
-                name,
-                q,
-                SPREAD,
-                kind,
-                MIDDLE,
-                value,
-                "1",
-                len(within),
-                math.nan,
-                "EN 1990 D8" if kind.startswith("model") else "partially pooled model, decision 0004",
-                formula,
-                f"{len(within)} devices",
-                purpose,
-                "one device tells no scatter" if math.isnan(value) else "",
-            )
+            said = f"measured over predicted plateau of {cycles.size} half-cycles, each predicted without it"
+            found += _model_error(cycles, " of a half-cycle left out", said)
+        for clause, kind, value, formula, purpose in found:
+            note = "one device tells no scatter" if math.isnan(value) else ""
+            origin = (clause, formula, f"{len(within)} devices", purpose, note)
+            yield Margin(name, q, SPREAD, kind, MIDDLE, value, "1", len(within), math.nan, *origin)
+
+
+def _model_error(logs: FloatArray, where: str, said: str) -> list[tuple[str, str, float, str, str]]:
+    """Bias and scatter of a model, EN 1990 D8, from logarithms of measured over predicted."""
+    scatter = float(logs.std(ddof=1)) if logs.size > 1 else math.nan
+    return [
+        ("EN 1990 D8", f"model, b{where}", float(np.exp(logs.mean())), f"mean of {said}", "bias of the model"),
+        ("EN 1990 D8", f"model, V_delta{where}", scatter, f"scatter of {said}", "error of the model"),
+    ]
 
 
 def _given(

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from shj_bayes.inference.squares import extended, start_values
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.coordinates import coordinate_named
@@ -75,7 +76,7 @@ class Class:
     @property
     def id(self) -> str:
         """Short word."""
-        return f"{self.action} over {self.coordinate}"
+        return str(ClassId(self.action, self.coordinate))
 
 
 @dataclass(frozen=True, eq=False)

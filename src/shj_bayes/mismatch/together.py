@@ -9,6 +9,7 @@ from typing import Any
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import InferenceError
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.sets import Common, DeviceEvidence, Shared, common_to, device_evidence
 from shj_bayes.model.coordinates import coordinates
 
@@ -82,7 +83,7 @@ class Together:
         }
 
     def _class(self, one: Shared) -> dict[str, Any]:
-        action, _, coordinate = one.id.partition(" over ")
+        action, coordinate = ClassId.read(one.id)
         known = coordinates().get("heat1" if coordinate == "heat" else coordinate)
         measured = next((d.units[coordinate] for d in self.devices if coordinate in d.units), "1")
         return {

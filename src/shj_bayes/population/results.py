@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import unicodedata
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+import shj_bayes
 from shj_bayes._util.files import check_seal, damage_told, file_digest, read_json, replacing, sealed, write_text
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.correlation import correlation_table
@@ -75,13 +75,6 @@ def to_tables(result: PopulationResult) -> dict[str, pd.DataFrame]:
     return {"new_device": new_device_table(result), "sets": pd.DataFrame(sets), "fit": pd.DataFrame(fits)}
 
 
-def _version() -> str:
-    try:
-        return version("shj-bayes")
-    except PackageNotFoundError:
-        return "unknown"
-
-
 def _finite(value: Any) -> Any:
     """Return the value with infinities and NaN as None, which JSON can hold."""
     if isinstance(value, float) and not np.isfinite(value):
@@ -118,7 +111,7 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
         )
     document = {
         "schema": SCHEMA,
-        "version": _version(),
+        "version": shj_bayes.__version__,
         "seed": result.seed,
         "tested": None if result.tested is None else asdict(result.tested),
         "converged": result.converged,

@@ -12,6 +12,7 @@ from shj_bayes._util.files import read_json
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.margins.specimen import read_specimen
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.model.curve import curve_named
 from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
 from shj_bayes.report.diagnosis_words import over_words
@@ -36,7 +37,7 @@ def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, 
         For the folder of each device those of its diagnosis and of its fit with what its set has, below the campaign's;
         empty where there is none.
     """
-    by_class: dict[str, list[tuple[Row, list[DeviceCurve]]]] = {}
+    by_class: dict[ClassId, list[tuple[Row, list[DeviceCurve]]]] = {}
     for row in rows:
         if row.set_name and row.certain and row.action != "motion":
             curves = [

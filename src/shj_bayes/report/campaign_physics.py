@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from shj_bayes.errors import ReportError, shown
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.search import DOUBT, MATTERS
 from shj_bayes.mismatch.sets import LIKELY
 from shj_bayes.report.campaign_file import safe_folder
@@ -15,8 +16,8 @@ from shj_bayes.report.diagnosis_words import over_words, percent
 ALL = "all devices of the campaign"
 # Where a coordinate is no quantity that varies.
 PLAIN = {
-    "added over constant": "a constant force beside friction",
-    "capacity over direction": "another force in push than in pull",
+    ClassId("added", "constant"): "a constant force beside friction",
+    ClassId("capacity", "direction"): "another force in push than in pull",
 }
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten"}
 
@@ -37,7 +38,7 @@ class Row:
         That the set has it.
     enters : bool
         Whether models of its devices hold it.
-    rivals : tuple of str
+    rivals : tuple of ClassId
         Classes that may stand in its place.
     of_devices : tuple of float
         That each device has it.
@@ -56,7 +57,7 @@ class Row:
     unit: str
     probability: float
     enters: bool
-    rivals: tuple[str, ...]
+    rivals: tuple[ClassId, ...]
     of_devices: tuple[float, ...]
     alone: tuple[bool, ...]
     effects: tuple[str, ...]
@@ -70,9 +71,9 @@ class Row:
             raise ValueError(f"{self.id} of {shown(self.set_name)}")
 
     @property
-    def id(self) -> str:
-        """Word of the class."""
-        return f"{self.action} over {self.coordinate}"
+    def id(self) -> ClassId:
+        """The class."""
+        return ClassId(self.action, self.coordinate)
 
     @property
     def holders(self) -> tuple[int, ...]:
@@ -118,7 +119,7 @@ def _rows(groups: Any) -> Iterator[Row]:
                 str(one["unit"]),
                 float(one["probability"]),
                 bool(one["enters"]),
-                tuple(str(word) for word in one["rivals"]),
+                tuple(map(ClassId.read, one["rivals"])),
                 tuple(float(p) for p in one["of_devices"]),
                 tuple(bool(found) for found in one["alone"]),
                 tuple(str(word) for word in one["effects"]),
@@ -169,20 +170,19 @@ def statement(row: Row) -> str:
     shows = shows if alone <= 1 or alone == n else f"{_count(alone).lower()} show it alone"
     text += f" (probability {percent(row.probability)}; {shows})."
     if row.rivals:
-        others = ", ".join(class_words(word) for word in row.rivals)
+        others = ", ".join(map(class_words, row.rivals))
         text += f" Their tests do not tell it from {others}."
     if max(sizes) < 100.0 * MATTERS:
         text += f" In none of them can more than {100 * MATTERS:g} % of Fy be seen beside the law: little for design."
     return text
 
 
-def class_words(word: str) -> str:
+def class_words(one: ClassId) -> str:
     """Name a class."""
-    if word in PLAIN:
-        return PLAIN[word]
-    action, _, coordinate = word.partition(" over ")
-    what = {"capacity": "sliding force over ", "added": "added force over ", "motion": ""}.get(action, "")
-    return f"{what}{over_words(coordinate)}"
+    if one in PLAIN:
+        return PLAIN[one]
+    what = {"capacity": "sliding force over ", "added": "added force over ", "motion": ""}.get(one.action, "")
+    return f"{what}{over_words(one.coordinate)}"
 
 
 def set_words(row: Row) -> str:
@@ -196,23 +196,23 @@ def table(record: Mapping[str, Any]) -> dict[str, Any] | None:
     if not rows:
         return None
     names = list(dict.fromkeys(row.set_name for row in rows))
-    by_class: dict[str, dict[str, Row]] = {}
+    by_class: dict[ClassId, dict[str, Row]] = {}
     for row in rows:
         by_class.setdefault(row.id, {})[row.set_name] = row
     kept = {
-        word: own
-        for word, own in by_class.items()
+        one: own
+        for one, own in by_class.items()
         if any(row.probability >= DOUBT or any(row.alone) for row in own.values())
     }
-    order = sorted(kept, key=lambda word: (-max(row.probability for row in kept[word].values()), word))
+    order = sorted(kept, key=lambda one: (-max(row.probability for row in kept[one].values()), str(one)))
     return {
         "sets": [
             {"name": name or ALL, "n": next(len(r.folders) for r in rows if r.set_name == name)} for name in names
         ],
         "classes": [
-            {"words": class_words(word), "cells": [_cell(kept[word].get(name)) for name in names]} for word in order
+            {"words": class_words(one), "cells": [_cell(kept[one].get(name)) for name in names]} for one in order
         ],
-        "excluded": [class_words(word) for word in sorted(by_class) if word not in kept],
+        "excluded": [class_words(one) for one in sorted(by_class, key=str) if one not in kept],
     }
 
 

@@ -14,7 +14,7 @@ lambda_test x lambda_spec reaches the force that 95 % of new devices deliver eve
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.delivered import Delivered
@@ -55,80 +55,58 @@ def testing(force: Delivered) -> Bounds:
 
 
 def _rows(given: Given) -> Iterator[Margin]:
-    parts = given.parts
-
-    def row(kind: str, side: str, value: float, formula: str, more: tuple[str, str, str], clause: str = "") -> Margin:
-        unit, inputs, purpose = more
-        n = given.devices.get(LOWEST, 0)
-        origin = (clause or CLAUSE, formula, inputs, purpose)
-        return Margin(given.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
-
-    yield row(
-        "nominal sliding force",
-        MIDDLE,
-        parts.nominal_kN,
-        "50 % of a new device, third cycle of the first run",
-        ("kN", f"nominal {parts.nominal_kN:.4g} kN ({parts.nominal_words})", "what the factors below multiply"),
+    parts, nominal = given.parts, given.parts.nominal_kN
+    yield _row(
+        given, "nominal sliding force", MIDDLE, nominal, "50 % of a new device, third cycle of the first run",
+        ("kN", f"nominal {nominal:.4g} kN ({parts.nominal_words})", "what the factors below multiply"),
         "ASCE 7, NZ practice",
-    )
-    spec, test = specification(parts.force, parts.nominal_kN), testing(parts.force)
+    )  # fmt: skip
+    spec, test = specification(parts.force, nominal), testing(parts.force)
     total = modification(parts.age.measured, test, spec)
-    floored = with_floor(total)
-    ends = parts.force.third_low, parts.force.third_high
-    for i, (side, word, level) in enumerate(((LOW, "min", 5), (HIGH, "max", 95))):
-        s, t, age, both, final = ((b.low, b.high)[i] for b in (spec, test, parts.age.measured, total, floored))
-        bound, what = (("lower", "smallest plateau"), ("upper", "largest force"))[i]
-        reached = (parts.force.low, parts.force.high)[i]
-        yield row(
-            f"lambda_spec,{word}",
-            side,
-            s,
-            f"{level} % of a new device, third cycle of the first run / nominal",
-            ("1", f"{ends[0]:.4g} to {ends[1]:.4g} kN", "manufacturing: device to device"),
-        )
-        yield row(
-            f"lambda_test,{word}",
-            side,
-            t,
-            f"{what} of all runs over the third cycle: typical device, or the "
-            f" {level} % devices where those change more",
-            (
-                "1",
-                f"{parts.force.words}; {level} % devices {reached:.4g} / {ends[i]:.4g} kN",
-                "first cycle, cumulative travel, later runs and speed in the tests",
-            ),
-        )
-        yield row(
-            f"lambda_ae,{word}",
-            side,
-            age,
-            "corroded / uncorroded, typical devices",
-            ("1", parts.age.words, "ageing and environment: corrosion only"),
-        )
-        sign = "1 - 0.75 (1 - ae)" if side == LOW else "1 + 0.75 (ae - 1)"
-        yield row(
-            f"lambda_{word}",
-            side,
-            both,
-            f"({sign}) x test x spec",
-            ("1", f"ae {age:.3f}, test {t:.3f}, spec {s:.3f}", "factor on the nominal force, before the floor"),
-        )
-        limit = FLOORS["damper"][i]
-        yield row(
-            f"lambda_{word} with the floor for dampers",
-            side,
-            final,
-            f"not {'above' if side == LOW else 'below'} {limit:g}",
-            ("1", f"{both:.3f}", f"{bound}-bound analysis"),
-            f"{CLAUSE}.5",
-        )
-        yield row(
-            f"ASCE 7 {bound} bound force",
-            side,
-            final * parts.nominal_kN,
-            f"lambda_{word} x nominal",
-            ("kN", f"{final:.3f} x {parts.nominal_kN:.4g} kN", f"{bound}-bound analysis"),
-        )
+    factors = (spec, test, parts.age.measured, total, with_floor(total))
+    yield from _of_bound(given, LOW, [factor.low for factor in factors])
+    yield from _of_bound(given, HIGH, [factor.high for factor in factors])
+
+
+def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Margin]:
+    """Factors of the lower or upper bound (specification, tests, ageing, all, all with the floor), and its force."""
+    parts, force, nominal = given.parts, given.parts.force, given.parts.nominal_kN
+    spec, test, age, both, final = factors
+    if side == LOW:
+        word, bound, level, what, floor = "min", "lower", 5, "smallest plateau", "not above"
+        reached, third, sign = force.low, force.third_low, "1 - 0.75 (1 - ae)"
+    else:
+        word, bound, level, what, floor = "max", "upper", 95, "largest force", "not below"
+        reached, third, sign = force.high, force.third_high, "1 + 0.75 (ae - 1)"
+    limit = FLOORS["damper"][side == HIGH]
+    rows = (
+        (f"lambda_spec,{word}", spec, f"{level} % of a new device, third cycle of the first run / nominal",
+         ("1", f"{force.third_low:.4g} to {force.third_high:.4g} kN", "manufacturing: device to device"), CLAUSE),
+        (f"lambda_test,{word}", test, f"{what} of all runs over the third cycle: typical device, or the "
+         f" {level} % devices where those change more",
+         ("1", f"{force.words}; {level} % devices {reached:.4g} / {third:.4g} kN",
+          "first cycle, cumulative travel, later runs and speed in the tests"), CLAUSE),
+        (f"lambda_ae,{word}", age, "corroded / uncorroded, typical devices",
+         ("1", parts.age.words, "ageing and environment: corrosion only"), CLAUSE),
+        (f"lambda_{word}", both, f"({sign}) x test x spec",
+         ("1", f"ae {age:.3f}, test {test:.3f}, spec {spec:.3f}", "factor on the nominal force, before the floor"),
+         CLAUSE),
+        (f"lambda_{word} with the floor for dampers", final, f"{floor} {limit:g}",
+         ("1", f"{both:.3f}", f"{bound}-bound analysis"), f"{CLAUSE}.5"),
+        (f"ASCE 7 {bound} bound force", final * nominal, f"lambda_{word} x nominal",
+         ("kN", f"{final:.3f} x {nominal:.4g} kN", f"{bound}-bound analysis"), CLAUSE),
+    )  # fmt: skip
+    for kind, value, formula, unit_inputs_purpose, clause in rows:
+        yield _row(given, kind, side, value, formula, unit_inputs_purpose, clause)
+
+
+def _row(
+    given: Given, kind: str, side: str, value: float, formula: str, more: tuple[str, str, str], clause: str
+) -> Margin:
+    unit, inputs, purpose = more
+    origin = (clause, formula, inputs, purpose)
+    n = given.devices.get(LOWEST, 0)
+    return Margin(given.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
 
 
 CODE = Code("asce7", "ASCE/SEI 7", "clause text not read; given from knowledge of the standard", _rows, 3)
