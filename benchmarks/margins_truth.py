@@ -45,7 +45,7 @@ from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sample import Sample, common_spread
 from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
 from shj_bayes.margins.spread import of_set
-from shj_bayes.margins.trial import LEAST_ERROR, readings_of, try_all
+from shj_bayes.margins.trial import LEAST_ERROR, own_readings, try_all
 from shj_bayes.margins.virtual_test import Readings, read_off
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
@@ -188,7 +188,7 @@ def population(kind: str, seed: int, *, fitted: bool) -> Line:
             continue
         chosen = [replace(d, beliefs=(*d.beliefs[i : i + 1], *d.beliefs[:1]) if i else d.beliefs[:1]) for d in devices]
         trials = try_all(chosen, None)
-        least = max(counted_from(readings_of(device, device.histories)) for device in chosen)
+        least = max(counted_from(own_readings(device)) for device in chosen)
         out["states"][state] = {
             "values": _listed([t.values for t in trials]),
             "errors": _listed([t.errors for t in trials]),

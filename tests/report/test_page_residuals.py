@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from shj_bayes.commands.finished import DeviceResult
 from shj_bayes.report import words
-from shj_bayes.report.binned import stroke_profiles
+from shj_bayes.report.binned import N_STROKE, stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
 from shj_bayes.report.residual_file import DIAGNOSED, LeftOver, left_over, read_residual, write_residual
 
@@ -75,13 +75,13 @@ def test_the_page_repeats_the_fit_and_the_diagnosis_and_tests_nothing_itself(tmp
 
 def test_profile_against_hand_calculation() -> None:
     device = toy(np.random.default_rng(6), phi=0.0, shape_kN=10.0)
-    push, pull = stroke_profiles(device.runs[0], n_bins=10)
+    push, pull = stroke_profiles(device.runs[0])
     assert push.direction == 1
     assert push.mean_kN == pytest.approx(10 * (push.centre_mm / 50) ** 2, abs=1.0)
     assert pull.mean_kN == pytest.approx(-10 * (pull.centre_mm / 50) ** 2, abs=1.0)
     # Independent noise: the 90 % band of a mean of m samples is 1.645 / sqrt(m).
-    m = 12 * 400 / 2 * np.diff(np.arcsin(np.linspace(-1, 1, 11)))[5] / np.pi
-    assert push.high_kN[5] == pytest.approx(1.645 / np.sqrt(m), rel=0.25)
+    m = 12 * 400 / 2 * np.diff(np.arcsin(np.linspace(-1, 1, N_STROKE + 1)))[10] / np.pi
+    assert push.high_kN[10] == pytest.approx(1.645 / np.sqrt(m), rel=0.25)
 
 
 @pytest.mark.parametrize(

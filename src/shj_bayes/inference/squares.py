@@ -82,11 +82,11 @@ def cost(residual: FloatArray, z: FloatArray, sigma_kN: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def best_of(scene: Scene, starts: Sequence[FloatArray], sigma_kN: float, *, rounds: int = 40) -> FloatArray:
+def best_of(scene: Scene, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
     """Descend from several starts: all for a few steps, the best two to the end; give the better end."""
     short = [descend(scene, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
     costs = [cost(scene.residual(z), z, sigma_kN) for z in short]
-    ends = [descend(scene, short[i], sigma_kN, rounds=rounds) for i in np.argsort(costs, kind="stable")[:2]]
+    ends = [descend(scene, short[i], sigma_kN, rounds=40) for i in np.argsort(costs, kind="stable")[:2]]
     return ends[int(np.argmin([cost(scene.residual(end), end, sigma_kN) for end in ends]))]
 
 

@@ -12,12 +12,11 @@ from scipy.integrate import trapezoid
 
 from shj_bayes._util.files import write_text
 from shj_bayes.margins.trial import Trial
-from shj_bayes.population.loops import LEVELS, LoopBand
+from shj_bayes.population.loops import LEVELS, N_POINTS, LoopBand
 from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.results import safe_cell
 
 LOOPS_CSV = "loops.csv"
-N_POINTS = 121
 
 
 def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:

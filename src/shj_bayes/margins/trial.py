@@ -117,7 +117,7 @@ def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: 
     common = max((a for a in least if np.isfinite(a)), default=np.inf)
     own_least = common
     if asked is not None:
-        own_least = max(counted_from(readings_of(s, s.histories)) for s in specimens)
+        own_least = max(counted_from(own_readings(s)) for s in specimens)
     return tuple(
         _trial(s, found, loops, _from(found, common), own_least if asked is not None else None)
         for s, (found, loops) in zip(specimens, driven, strict=True)
@@ -154,11 +154,11 @@ def _widest(history: History, force: FloatArray) -> Loop:
     return branches[up], branches[1 - up]
 
 
-def readings_of(specimen: Specimen, histories: Sequence[History], which: int = 0) -> Runs:
-    """Read the force that a model of a device (the best by default) gives in consecutive runs."""
-    belief = specimen.beliefs[which]
-    forces = drive(belief.model, belief.theta, histories, specimen.start_force_kN)
-    return tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, histories, strict=True))
+def own_readings(specimen: Specimen) -> Runs:
+    """Read the force that the best model of a device gives in its own test."""
+    belief, runs = specimen.beliefs[0], specimen.histories
+    forces = drive(belief.model, belief.theta, runs, specimen.start_force_kN)
+    return tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True))
 
 
 def _from(found: Mapping[Course, list[Runs]], common: float) -> float:
@@ -184,7 +184,7 @@ def _trial(
     noise, n = 0.0, 1
     if specimen.measured_kN:
         floor = least if own_least is None else own_least
-        own = first if own_least is None else readings_of(specimen, specimen.histories)
+        own = first if own_least is None else own_readings(specimen)
         measured = tuple(
             read_off(force[None], h.motion, h.travel_m, measured=True)
             for force, h in zip(specimen.measured_kN, specimen.histories, strict=True)

@@ -171,7 +171,6 @@ def fit_population(
     seed: int,
     progress: bool = False,
     workers: int = 0,
-    priors: Mapping[str, PopulationPrior] | None = None,
     brief: bool = False,
 ) -> PopulationResult:
     """Pool devices, set by set, quantity by quantity, under the default prior and two others of the spread.
@@ -186,8 +185,6 @@ def fit_population(
         Show a bar on standard error when that is a terminal.
     workers : int
         Threads, 0 for one per processor; the numbers do not depend on it.
-    priors : mapping of str to PopulationPrior, optional
-        Replaces the default prior of the quantities named.
     brief : bool
         Fewer draws, for many quantities of which only a few quantiles are asked: these are then known to about 2 % of
         the spread.
@@ -212,7 +209,7 @@ def fit_population(
                 for group in grouped.values()
             ]
             draws_behind[q] = min(x.effective_draws for group in sets for x in group)
-            chosen[q] = (priors or {}).get(q, population_prior(q))
+            chosen[q] = population_prior(q)
             for label, prior in {MAIN_PRIOR: chosen[q], **other_priors(chosen[q])}.items():
                 sweeps = _BRIEF if brief else _FULL if label == MAIN_PRIOR else _SHORT
                 fits.setdefault(label, {})[q] = _until_met(q, sets, prior, (seed, q, label), sweeps, threads)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,14 +11,11 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
 from shj_bayes.population.predict import SECOND_RUN, NewDevice
 from shj_bayes.population.quantities import FloatArray
-from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import Block, exact_motion
 
-Law = Callable[[Motion, FloatArray], FloatArray]
-"""law(motion, laws) -> force, kN, shape (m, n_samples); ``laws`` (m, 4) holds K kN/mm, Fy kN, beta, gamma s/mm.
-
-``shj_bayes.model.law.force_of_laws`` is one; ``functools.partial`` sets its variant."""
 LEVELS = (0.05, 0.5, 0.95)
+N_DRAWS, N_POINTS = 500, 121
+"""Devices drawn at most; displacements at which a band is given."""
 _SAMPLES_PER_CYCLE = 400
 _PUSH, _PULL = 2, 3  # half-cycles of a two-cycle sine that make up its steady loop
 
@@ -65,32 +61,20 @@ class LoopBand:
             getattr(self, name).setflags(write=False)
 
 
-def loop_band(
-    device: NewDevice,
-    law: Law = force_of_laws,
-    *,
-    amplitude_mm: float,
-    peak_speed_mm_s: float = 10.0,
-    run: int = 1,
-    n_draws: int = 500,
-    n_points: int = 121,
-) -> LoopBand:
-    """Band of the force of a new device over the second cycle of a sine.
+def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float = 10.0, run: int = 1) -> LoopBand:
+    """Band of the force of a new device by the published law over the second cycle of a sine.
 
     Parameters
     ----------
     device : NewDevice
-        Predictive draws with K, Fy, beta, gamma and, for the second run, ratio.
-    law : callable
-        The forward law, see ``Law``. Draws of beta are kept inside what the published law allows (1 to 500).
+        Predictive draws with K, Fy, beta, gamma and, for the second run, ratio; beta is kept inside what the law
+        allows (1 to 500).
     amplitude_mm : float
         Half of the stroke, mm; keep it inside what was tested.
     peak_speed_mm_s : float
         Largest speed of the sine, mm/s; 10 is what the paper tested, beyond it the law extrapolates.
     run : {1, 2}
         First run, or second.
-    n_draws, n_points : int
-        Devices drawn; displacements at which the band is given.
 
     Raises
     ------
@@ -111,19 +95,14 @@ def loop_band(
             "add devices that do" + (" (two runs each)" if run == 2 else "")
         )
     total = device.draws["K"].size
-    chosen = np.linspace(0, total - 1, min(n_draws, total)).astype(np.int64)
+    chosen = np.linspace(0, total - 1, min(N_DRAWS, total)).astype(np.int64)
     laws = np.column_stack([device.draws[q][chosen] for q in ("K", force_name, "beta", "gamma")])
     laws[:, 2] = np.clip(laws[:, 2], *BETA_RANGE)
     frequency = peak_speed_mm_s / (2.0 * np.pi * amplitude_mm)
     _, motion = exact_motion((Block(amplitude_mm, frequency, 2),), _SAMPLES_PER_CYCLE * frequency)
-    force = np.asarray(law(motion, laws), dtype=np.float64)
+    force = force_of_laws(motion, laws)
     x, start = motion.displacement_mm, motion.start
-    if force.shape != (chosen.size, x.size) or not np.all(np.isfinite(force)):
-        raise PopulationError(
-            f"the law gave {'forces that are not finite' if force.shape[0] == chosen.size else 'no force per draw'}; "
-            "check the law"
-        )
-    grid = np.linspace(-amplitude_mm, amplitude_mm, n_points)
+    grid = np.linspace(-amplitude_mm, amplitude_mm, N_POINTS)
     up, down = slice(start[_PUSH], start[_PUSH + 1]), slice(start[_PULL], start[_PULL + 1])
     push = np.array([np.interp(grid, x[up], f[up]) for f in force])
     pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])

@@ -23,46 +23,27 @@ _SHARE, _WEIGHT = np.polynomial.legendre.leggauss(200)
 _SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
 
 
-def power(shift: float, sd: float, n_a: int, n_b: int, level: float = LEVEL, *, strata: int = 1) -> float:
-    """Chance that the two-sided t test of two samples finds a true difference.
+def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, strata: int = 1) -> float:
+    """Power of the two-sided t test of two samples at `LEVEL`, averaged over what is known of the spread.
 
     Parameters
     ----------
-    shift, sd : float
-        True difference and spread between devices of a set, both on the pooled scale (logarithm, or s/mm).
+    shift : float
+        True difference, pooled scale.
+    sds : array, shape (n,), or float
+        Equally probable values of the spread between devices of a set, pooled scale.
     n_a, n_b : int
         Devices.
-    level : float
-        Of the test.
     strata : int
         Pairs of sets that the devices are divided over; each takes two degrees of freedom.
 
     Returns
     -------
     float
-        0 where there are too few devices for any test.
+        Always between 0 and 1; 0 where there are too few devices for any test. The noncentral t is integrated over
+        the estimate of the spread, because the distribution function of scipy gives NaN far out.
     """
-    return assurance(shift, np.array([sd]), n_a, n_b, level, strata=strata)
-
-
-def assurance(shift: float, sds: FloatArray, n_a: int, n_b: int, level: float = LEVEL, *, strata: int = 1) -> float:
-    """Power averaged over what is known of the spread.
-
-    Parameters
-    ----------
-    shift : float
-        True difference, pooled scale.
-    sds : array, shape (n,)
-        Equally probable values of the spread between devices of a set, pooled scale.
-    n_a, n_b, level, strata
-        As in `power`.
-
-    Returns
-    -------
-    float
-        Always between 0 and 1. The noncentral t is integrated over the estimate of the spread, because the
-        distribution function of scipy gives NaN far out.
-    """
+    sds = np.atleast_1d(np.asarray(sds, dtype=np.float64))
     if not (math.isfinite(shift) and np.all(np.isfinite(sds)) and np.all(sds > 0)):
         raise PopulationError(
             f"power needs a finite difference and a spread above zero; got {shift:g} and {np.min(sds):g}"
@@ -71,15 +52,13 @@ def assurance(shift: float, sds: FloatArray, n_a: int, n_b: int, level: float = 
     if min(n_a, n_b) < 1 or nu < 1:
         return 0.0
     away = np.abs(shift) / (sds * math.sqrt(1.0 / n_a + 1.0 / n_b))
-    limit = -float(stdtrit(nu, level / 2.0)) * np.sqrt(chdtri(nu, _SHARE) / nu)
+    limit = -float(stdtrit(nu, LEVEL / 2.0)) * np.sqrt(chdtri(nu, _SHARE) / nu)
     found = ndtr(away[:, None] - limit) + ndtr(-away[:, None] - limit)
     return float(np.mean(found @ _WEIGHT))
 
 
-def devices_needed(
-    shift: float, sds: FloatArray | float, wanted: float = POWER, level: float = LEVEL, *, strata: int = 1
-) -> int:
-    """Devices on each side for which the assurance reaches what is wanted; ``MOST`` when more would be needed.
+def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
+    """Devices on each side for which the assurance reaches `POWER`; ``MOST`` when more would be needed.
 
     Parameters
     ----------
@@ -87,24 +66,21 @@ def devices_needed(
         Difference to find, pooled scale.
     sds : array, shape (n,), or float
         Equally probable values of the spread.
-    wanted, level : float
-        Assurance; level of the test.
     strata : int
         Pairs of sets that each side is divided over.
     """
-    sds = np.atleast_1d(np.asarray(sds, dtype=np.float64))
 
     def found(n: int) -> float:
-        return assurance(shift, sds, n, n, level, strata=strata)
+        return assurance(shift, sds, n, n, strata=strata)
 
     low, high = strata, 2 * strata
-    while found(high) < wanted:
+    while found(high) < POWER:
         low, high = high, 2 * high
         if high > MOST:
             return MOST
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if found(middle) >= wanted else (middle, high)
+        low, high = (low, middle) if found(middle) >= POWER else (middle, high)
     return high
 
 

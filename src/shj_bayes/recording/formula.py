@@ -1,9 +1,15 @@
-"""Small formulas over columns: ``#7 - 49.087*#6``, ``gtau*vir``. Parsed by hand; nothing is ever evaluated as code."""
+"""Small formulas over columns: ``#7 - 49.087*#6``, ``gtau*vir``.
+
+Python's parser reads them, once names and numbers stand aside; of its tree nothing but + - * and / is gone through, and
+nothing is ever evaluated as code.
+"""
 
 from __future__ import annotations
 
+import ast
+import operator
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,18 +18,17 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording.recording import FloatArray
 from shj_bayes.recording.tables import Column, Table
 
-_TOKEN = re.compile(
-    r"""\s*(?:
-      (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
-    | \#(?P<index>\d+)
-    | "(?P<double>[^"]+)" | '(?P<single>[^']+)'
-    | (?P<name>[^\W\d][\w.\[\]]*)
-    | (?P<sign>[-+*/])
-    )""",
+_OPERAND = re.compile(
+    r"""(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) | \#(?P<index>\d+)
+    | "(?P<double>[^"]+)" | '(?P<single>[^']+)' | (?P<name>[^\W\d][\w.\[\]]*)""",
     re.VERBOSE,
 )
 _MAX_LENGTH = 400
-_HELP = "allowed are column names, numbers of columns as #3, constants, + - * and / by a constant, as in #7 - 49.087*#6"
+_SIGNS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
+_HELP = (
+    "allowed are column names, numbers of columns as #3, constants, brackets, + - * and / by a constant, as in "
+    "#7 - 49.087*#6"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +73,20 @@ def evaluate(text: str, table: Table) -> Value:
     exact = _named(text.strip("\"'"), table)
     if exact is not None:
         return exact
-    return _sum(_tokens(text), text, table)
+    operands: list[Value] = []
+
+    def aside(match: re.Match[str]) -> str:
+        operands.append(_operand(match, text, table))
+        return f" {len(operands) - 1} "
+
+    bare = _OPERAND.sub(aside, text)
+    try:
+        tree = ast.parse(f"({bare})", mode="eval").body if re.fullmatch(r"[\d\s()*/+-]+", bare) else None
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        tree = None
+    if tree is None:
+        raise RecordingError(f"--columns: cannot read {text!r}; {_HELP}")
+    return _value(tree, operands, text)
 
 
 def _column(column: Column) -> Value:
@@ -105,82 +123,45 @@ def _named(name: str, table: Table) -> Value | None:
     return None
 
 
-def _tokens(text: str) -> list[tuple[str, str]]:
-    """Split a formula into (kind, text)."""
-    tokens: list[tuple[str, str]] = []
-    position = 0
-    while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None or match.end() == position:
-            if text[position:].strip() == "":
-                break
-            raise RecordingError(f"--columns: cannot read {text!r} from {text[position:].strip()[:12]!r} on; {_HELP}")
-        kind = str(match.lastgroup)
-        tokens.append(("name" if kind in {"double", "single"} else kind, match[kind]))
-        position = match.end()
-    return tokens
-
-
-def _sum(tokens: list[tuple[str, str]], text: str, table: Table) -> Value:
-    """Terms joined by plus and minus."""
-    total: FloatArray = np.asarray(0.0)
-    columns: tuple[Column, ...] = ()
-    position = 0
-    while position < len(tokens) or position == 0:
-        sign = 1.0
-        while position < len(tokens) and tokens[position][1] in {"+", "-"} and tokens[position][0] == "sign":
-            sign = -sign if tokens[position][1] == "-" else sign
-            position += 1
-        term, position = _product(tokens, position, text, table)
-        total = _combined(total, sign * term.values, text)
-        columns += term.columns
-        if position < len(tokens) and tokens[position][1] not in {"+", "-"}:
-            raise RecordingError(f"--columns: expected + or - before {tokens[position][1]!r} in {text!r}; {_HELP}")
-    return Value(total, columns)
-
-
-def _product(tokens: list[tuple[str, str]], position: int, text: str, table: Table) -> tuple[Value, int]:
-    """Factors joined by times and divide; at most one of them is a column, and nothing is divided by a column."""
-    value, position = _factor(tokens, position, text, table)
-    while position < len(tokens) and tokens[position] in {("sign", "*"), ("sign", "/")}:
-        operator = tokens[position][1]
-        other, position = _factor(tokens, position + 1, text, table)
-        if other.values.ndim and (value.values.ndim or operator == "/"):
-            raise RecordingError(
-                f"--columns: {text!r} multiplies or divides two columns; only one factor may be a column; {_HELP}"
-            )
-        if operator == "/" and float(other.values) == 0.0:
-            raise RecordingError(f"--columns: {text!r} divides by zero")
-        product = value.values * other.values if operator == "*" else value.values / other.values
-        value = Value(product, value.columns + other.columns)
-    return value, position
-
-
-def _factor(tokens: list[tuple[str, str]], position: int, text: str, table: Table) -> tuple[Value, int]:
-    """One number, column or named single number."""
-    if position >= len(tokens):
-        raise RecordingError(f"--columns: {text!r} ends too early; {_HELP}")
-    kind, word = tokens[position]
-    if kind == "sign":
-        raise RecordingError(f"--columns: {word!r} stands at the wrong place in {text!r}; {_HELP}")
+def _operand(match: re.Match[str], text: str, table: Table) -> Value:
+    """Look up a number, column or named single number."""
+    kind, word = str(match.lastgroup), match[str(match.lastgroup)]
     if kind == "number":
-        return Value(np.asarray(float(word))), position + 1
+        return Value(np.asarray(float(word)))
     if kind == "index":
-        return _column(_numbered(int(word), table)), position + 1
+        return _column(_numbered(int(word), table))
     found = _named(word, table)
     if found is None:
         names = [column.name for column in table.columns]
-        hint = did_you_mean(text.strip(), names) or did_you_mean(word, names)
+        hint = did_you_mean(text, names) or did_you_mean(word, names)
         raise RecordingError(
             f"{table.name} has no column named {word!r}{hint}; {table.summary}; quote names with blanks, or use #3"
         )
-    return found, position + 1
+    return found
 
 
-def _combined(left: FloatArray, right: FloatArray, text: str) -> FloatArray:
-    """Sum, if the lengths allow it."""
-    if left.ndim and right.ndim and left.size != right.size:
+def _value(node: ast.expr, operands: list[Value], text: str) -> Value:
+    """Value of a part of a formula, whose numbers are places in the list of operands."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, int):
+        return replace(operands[node.value], plain=False)
+    if isinstance(node, ast.UnaryOp):
+        inner = _value(node.operand, operands, text)
+        return inner if isinstance(node.op, ast.UAdd) else replace(inner, values=np.asarray(-inner.values))
+    if not isinstance(node, ast.BinOp) or type(node.op) not in _SIGNS:
+        raise RecordingError(f"--columns: cannot read {text!r}; {_HELP}")
+    left, right = (_value(side, operands, text) for side in (node.left, node.right))
+    both = left.values.ndim and right.values.ndim
+    if isinstance(node.op, ast.Add | ast.Sub):
+        if both and left.values.size != right.values.size:
+            raise RecordingError(
+                f"--columns: {text!r} adds columns of {left.values.size} and {right.values.size} rows; they must be "
+                "equal"
+            )
+    elif both or (isinstance(node.op, ast.Div) and right.values.ndim):
         raise RecordingError(
-            f"--columns: {text!r} adds columns of {left.size} and {right.size} rows; they must be equal"
+            f"--columns: {text!r} multiplies or divides two columns; only one factor may be a column; {_HELP}"
         )
-    return np.asarray(left + right, dtype=np.float64)
+    elif isinstance(node.op, ast.Div) and float(right.values) == 0.0:
+        raise RecordingError(f"--columns: {text!r} divides by zero")
+    values = np.asarray(_SIGNS[type(node.op)](left.values, right.values), dtype=np.float64)
+    return Value(values, left.columns + right.columns)

@@ -53,9 +53,9 @@ def counted(run: RunData) -> BoolArray:
     return keep
 
 
-def stroke_profiles(run: RunData, n_bins: int = N_STROKE) -> tuple[StrokeProfile, StrokeProfile]:
+def stroke_profiles(run: RunData) -> tuple[StrokeProfile, StrokeProfile]:
     """Mean residual over stroke for push and pull, beside what noise alone would give."""
-    edges = edges_of(run.displacement_mm, n_bins)
+    edges = edges_of(run.displacement_mm, N_STROKE)
     index, left = index_in(run.displacement_mm, edges), residual(run)
     noise = run.predicted_kN - run.law_kN
     # The fitted noise is stationary, so each draw may be moved in time to give several.
@@ -63,9 +63,9 @@ def stroke_profiles(run: RunData, n_bins: int = N_STROKE) -> tuple[StrokeProfile
     out = []
     for sign in (1, -1):
         inside = counted(run) & (run.direction == sign)
-        mean = bin_means(index, left, inside, n_bins)
+        mean = bin_means(index, left, inside, N_STROKE)
         there = np.isfinite(mean)
-        alone = [bin_means(index, np.roll(row, step), inside, n_bins)[there] for row in noise for step in shifts]
+        alone = [bin_means(index, np.roll(row, step), inside, N_STROKE)[there] for row in noise for step in shifts]
         low, high = np.quantile(alone, (0.05, 0.95), axis=0)
         out.append(StrokeProfile(run.number, sign, 0.5 * (edges[:-1] + edges[1:])[there], mean[there], low, high))
     return out[0], out[1]

@@ -13,7 +13,7 @@ from shj_bayes.population.compare import compare
 from shj_bayes.population.correlation import correlation_draws, scatter
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.power import MOST, assurance, devices_needed, power
+from shj_bayes.population.power import MOST, assurance, devices_needed
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.published import published_rows
 from shj_validation.paper_claims import coated_table
@@ -92,7 +92,7 @@ def test_a_small_sample_is_told_what_would_decide():
     assert "no effect" not in sentence
     assert "not settled" in sentence
     assert f"finds a true difference of 10 %, the smallest that matters here, with a power of {0.053:.2f}" in sentence
-    assert power(math.log(1.1), 0.3, 2, 2) == pytest.approx(0.053, abs=0.003)
+    assert assurance(math.log(1.1), 0.3, 2, 2) == pytest.approx(0.053, abs=0.003)
     assert "devices a side (if sets spread nearly alike)" in sentence
 
 
@@ -155,20 +155,20 @@ def test_holm():
 
 def test_power_of_two_devices():
     """A factor of 2 at a spread of 0.34, by another simulation of 60 to 400 campaigns: 0.24, 0.70, 0.92."""
-    found = [power(math.log(2.0), 0.34, n, n) for n in (2, 4, 6)]
+    found = [assurance(math.log(2.0), 0.34, n, n) for n in (2, 4, 6)]
     assert found == pytest.approx([0.24, 0.70, 0.92], abs=0.04)
-    assert power(0.0, 0.3, 5, 5) == pytest.approx(0.05, abs=1e-6)
-    assert power(50.0, 0.1, 9, 9) == pytest.approx(1.0)
-    assert power(1.0, 0.3, 1, 1) == 0.0
+    assert assurance(0.0, 0.3, 5, 5) == pytest.approx(0.05, abs=1e-6)
+    assert assurance(50.0, 0.1, 9, 9) == pytest.approx(1.0)
+    assert assurance(1.0, 0.3, 1, 1) == 0.0
     for n_a, n_b, shift in ((2, 2, 0.3), (3, 3, 0.6), (3, 7, 0.3)):  # the noncentral t, where scipy can give it
         limit, away = stats.t.isf(0.025, n_a + n_b - 2), shift / (0.3 * math.sqrt(1 / n_a + 1 / n_b))
         wanted = stats.nct.sf(limit, n_a + n_b - 2, away) + stats.nct.cdf(-limit, n_a + n_b - 2, away)
-        assert power(shift, 0.3, n_a, n_b) == pytest.approx(wanted, abs=1e-5)
+        assert assurance(shift, 0.3, n_a, n_b) == pytest.approx(wanted, abs=1e-5)
     n = devices_needed(math.log(2.0), 0.34)
-    assert power(math.log(2.0), 0.34, n, n) >= 0.8 > power(math.log(2.0), 0.34, n - 1, n - 1)
+    assert assurance(math.log(2.0), 0.34, n, n) >= 0.8 > assurance(math.log(2.0), 0.34, n - 1, n - 1)
     assert devices_needed(1e-6, 1.0) == MOST
     with pytest.raises(PopulationError, match="above zero"):
-        power(1.0, 0.0, 3, 3)
+        assurance(1.0, 0.0, 3, 3)
 
 
 def correlated_population(rho, n_sets=40, seed=8):
@@ -261,7 +261,7 @@ def test_devices_needed_come_from_the_edge_and_not_from_what_was_seen():
 
 def test_assurance_averages_over_the_spread_and_is_never_nan():
     """Halfway between two spreads' powers, not the power at their middle."""
-    two = [power(0.2, sd, 5, 5) for sd in (0.1, 0.4)]
+    two = [assurance(0.2, sd, 5, 5) for sd in (0.1, 0.4)]
     assert assurance(0.2, np.array([0.1, 0.4]), 5, 5) == pytest.approx(sum(two) / 2)
     for shift in (0.0, 0.01, 1.0, 300.0):
         for n in (2, 3, 30, 5000):

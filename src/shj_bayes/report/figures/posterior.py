@@ -77,9 +77,7 @@ def _gamma_and_dep(value: float, _: object = None) -> str:
     return f"{value:.4g}\n({1 / value:+.4g})" if abs(value) > 1e-9 else "0\n(none)"
 
 
-def densities(
-    parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], units: Mapping[str, str], width: float = WIDE
-) -> str:
+def densities(parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], units: Mapping[str, str]) -> str:
     """Posterior of every parameter beside its prior.
 
     Parameters
@@ -88,12 +86,10 @@ def densities(
         In the unit that is shown.
     units : mapping of str to str
         Unit of each, ``"1"`` for none.
-    width : float
-        Inches.
     """
     columns = 4
     rows = -(-len(parts) // columns)
-    figure = fixed(width, 1.75 * rows + 0.3, left=0.2, top=0.35)
+    figure = fixed(WIDE, 1.75 * rows + 0.3, left=0.2, top=0.35)
     panels = figure.subplots(rows, columns, squeeze=False, gridspec_kw={"wspace": 0.12, "hspace": 0.45}).ravel()
     for axes, (name, (draws, places, density)) in zip(panels, parts.items(), strict=False):
         tidy(axes)
