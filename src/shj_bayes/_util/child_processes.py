@@ -72,12 +72,9 @@ def end_with_parent() -> None:
 
 @contextmanager
 def tether() -> Iterator[int]:
-    """Give a child a standard input that ends when this process does; it calls `end_with_input`.
+    """Give a child a standard input (``stdin=`` of `subprocess`) that ends when this process does.
 
-    Yields
-    ------
-    int
-        For ``stdin=`` of `subprocess`.
+    The child calls `end_with_input`.
     """
     reading, writing = os.pipe()
     try:
@@ -93,13 +90,7 @@ def end_with_input() -> None:
 
 
 def program(name: str) -> str | None:
-    """Path of an installed program; never one in the current folder, where Windows looks first.
-
-    Parameters
-    ----------
-    name : str
-        Without the ending.
-    """
+    """Path of an installed program, without ending; never one in the current folder, where Windows looks first."""
     folders = os.pathsep.join(folder for folder in os.get_exec_path() if os.path.isabs(folder))
     found = shutil.which(name, path=folders)
     return found if found and os.path.isabs(found) else None

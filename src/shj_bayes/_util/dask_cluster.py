@@ -84,13 +84,7 @@ def results_on(
 
 
 def _library() -> Any:
-    """Import dask's distributed, which is optional and slow to import.
-
-    Raises
-    ------
-    CampaignError
-        If it is not installed.
-    """
+    """Import dask's distributed, which is optional and slow to import; `CampaignError` where it is not installed."""
     try:
         import distributed  # noqa: PLC0415
     except ImportError as error:
@@ -103,13 +97,7 @@ def _library() -> Any:
 
 
 def _connect(library: Any, address: str) -> Any:
-    """Connect to the scheduler.
-
-    Raises
-    ------
-    CampaignError
-        If that fails.
-    """
+    """Connect to the scheduler; `CampaignError` where that fails."""
     where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
     try:
         if "scheduler_file" in where:

@@ -20,21 +20,12 @@ def constants(package: ModuleType, constant: str) -> Iterator[tuple[str, Any]]:
 
 
 def discovered(package: ModuleType, constant: str, error: type[ShjError]) -> Iterator[Any]:
-    """Value of a constant in every module of a package that holds one.
-
-    Parameters
-    ----------
-    package : module
-        The package.
-    constant : str
-        Name of the constant, such as ``EFFECT``; its value has an ``id``.
-    error : type
-        Kind of error to raise.
+    """Value of a constant such as ``EFFECT`` in every module that holds one; its ``id`` is that of its file.
 
     Raises
     ------
     ShjError
-        If a value has another id than its file.
+        Of the kind `error`, if a value has another id than its file.
     """
     folder = package.__name__.rpartition(".")[2]
     for name, value in constants(package, constant):

@@ -69,19 +69,8 @@ def replacing(path: Path) -> Iterator[Path]:
 def reserve(path: Path, n_bytes: int) -> None:
     """Make sure that a file of this size can be written, before a library that reports a full disk badly begins.
 
-    HDF5 that cannot write prints tracebacks while it is torn down, and may even end the process.
-
-    Parameters
-    ----------
-    path : Path
-        The file; it is made, and may be written over.
-    n_bytes : int
-        Most that will be written.
-
-    Raises
-    ------
-    OSError
-        If there is no room.
+    HDF5 that cannot write prints tracebacks while it is torn down, and may even end the process. The file is made, and
+    may be written over; `OSError` where there is no room.
     """
     with path.open("wb") as stream:
         if hasattr(os, "posix_fallocate"):
@@ -105,13 +94,7 @@ def need_population(folder: Path) -> None:
 
 
 def make_writable(folder: Path) -> None:
-    """Make a folder for results; one that cannot be written to is found before the work, not after it.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made or written to.
-    """
+    """Make a folder for results; one that cannot be written to (`OSError`) is found before the work."""
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with TemporaryFile(dir=folder):
@@ -128,16 +111,9 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def damage_told(what: str, error: type[ShjError]) -> Iterator[None]:
-    """Turn what the content of a damaged or hand-made file makes our own code raise into one line.
+    """Turn what the content of a damaged or hand-made file makes our own code raise into one line that names it.
 
     Files that carry digests never come so far; those of earlier versions, or made by hand, may lack anything.
-
-    Parameters
-    ----------
-    what : str
-        The file or files, for the message.
-    error : type
-        Kind of error to raise.
     """
     try:
         yield
@@ -168,17 +144,7 @@ def _digest_of(record: dict[str, Any]) -> str:
 
 
 def read_bytes(path: Path, max_bytes: int, error: type[ShjError]) -> bytes:
-    """Read an ordinary file of bounded size.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    max_bytes : int
-        Largest size that is read.
-    error : type
-        Kind of error to raise.
-    """
+    """Read an ordinary file of at most so many bytes; what cannot be read, or is larger, raises `error`."""
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):

@@ -9,15 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def frozen(values: ArrayLike, kind: type[np.generic] = np.float64) -> NDArray[Any]:
-    """Array that nobody can change: a copy, unless nobody can change this one already (a law with a delay makes many).
-
-    Parameters
-    ----------
-    values : array_like
-        What to keep.
-    kind : numpy type
-        Its type.
-    """
+    """Array that nobody can change: a copy, unless nobody can change this one (a law with a delay makes many)."""
     array = np.asarray(values, dtype=kind)
     owner: Any = array
     while isinstance(owner, np.ndarray) and not owner.flags.writeable:
@@ -29,16 +21,6 @@ def frozen(values: ArrayLike, kind: type[np.generic] = np.float64) -> NDArray[An
 
 
 def freeze(holder: object, *names: str, kind: type[np.generic] = np.float64) -> None:
-    """Make arrays of a frozen dataclass `frozen`, in its ``__post_init__``.
-
-    Parameters
-    ----------
-    holder : object
-        The dataclass.
-    *names : str
-        Its fields.
-    kind : numpy type
-        Their type.
-    """
+    """Make arrays of a frozen dataclass `frozen`, by the names of its fields, in its ``__post_init__``."""
     for name in names:
         object.__setattr__(holder, name, frozen(getattr(holder, name), kind))

@@ -100,12 +100,9 @@ def _stampless() -> Iterator[None]:
 
 @contextmanager
 def without(*names: str) -> Iterator[None]:
-    """Import a library without others that it only uses where they are there, and that take seconds to import.
+    """Import a library as if others, slow to import and used only where they are there, were not installed.
 
-    Parameters
-    ----------
-    *names : str
-        Modules that seem not to be installed meanwhile; those that are imported already stay.
+    Those that are imported already stay.
     """
     hidden = [name for name in names if name not in sys.modules]
     nowhere: Any = None  # what makes an import say that there is no such module

@@ -4,18 +4,7 @@ from pathlib import Path
 
 
 def shipped(*parts: str) -> Path:
-    """Path of a shipped file or folder.
-
-    Parameters
-    ----------
-    *parts : str
-        Path below the top of the project, for example ``"priors", "afc.toml"``.
-
-    Raises
-    ------
-    FileNotFoundError
-        If neither the checkout nor the installed wheel holds it.
-    """
+    """Path of a shipped file or folder such as ``"priors", "afc.toml"``; `FileNotFoundError` where there is none."""
     package = Path(__file__).resolve().parents[1]
     for root in (package / "_shipped", package.parents[1]):
         candidate = root.joinpath(*parts)

@@ -13,15 +13,7 @@ TEXT = "compiling the law for this machine: once after installation, up to a min
 
 @contextmanager
 def told_when_slow(tell: bool, wait_s: float = WAIT_S) -> Iterator[None]:
-    """Print one line to standard error if what is inside takes longer than the cache would.
-
-    Parameters
-    ----------
-    tell : bool
-        Whether to print at all (only to a terminal).
-    wait_s : float
-        Seconds after which to print.
-    """
+    """Print one line to a terminal if what is inside takes `wait_s` seconds, longer than the cache would."""
     if not (tell and sys.stderr.isatty()):
         yield
         return

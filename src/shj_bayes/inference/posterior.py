@@ -167,13 +167,5 @@ class Posterior:
 
 
 def make_posterior(runs: Sequence[Run], model: DeviceModel) -> Posterior:
-    """Hold a model against the runs of a device, in blocks for a first look; `start.find_start` refines them.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Consecutive runs.
-    model : DeviceModel
-        What is believed of the device.
-    """
+    """Hold a model against the runs of a device, in blocks for a first look; `start.find_start` refines them."""
     return Posterior(tuple(runs), model, reduce_runs(runs))

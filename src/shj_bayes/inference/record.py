@@ -31,13 +31,7 @@ class Remark(StrEnum):
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Read ``fit.json`` of a results folder.
-
-    Raises
-    ------
-    InferenceError
-        If there is none, it is not one of ours, or it was altered after it was written.
-    """
+    """Read ``fit.json`` of a results folder; `InferenceError` where it is missing, altered or not ours."""
     path = folder / "fit.json"
     if not path.exists():
         raise InferenceError(f"{folder.name} holds no finished fit (no {path.name} in it); run shj-bayes fit")
@@ -54,13 +48,7 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def check_files(folder: Path, record: dict[str, Any]) -> None:
-    """Refuse files of a fit that are missing, cut short or altered; a fit of an earlier version has no digests.
-
-    Raises
-    ------
-    InferenceError
-        With the file at fault.
-    """
+    """Refuse files of a fit that are missing or altered; a fit of an earlier version has no digests."""
     for name in FILES:
         path = folder / name
         if not path.is_file():
@@ -74,27 +62,10 @@ def check_files(folder: Path, record: dict[str, Any]) -> None:
 
 
 def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
-    """Read the arrays of one group of ``posterior.nc`` and nothing else.
+    """Read the arrays of one group of ``posterior.nc``, by variable in the shape in which they are stored.
 
     A campaign's summary asks three times for a little of every device; all groups with their coordinates through
-    xarray took a third of a second each time.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    group : str
-        ``posterior``, ``constant_data`` ...
-
-    Returns
-    -------
-    dict of str to array
-        By variable, in the shape in which they are stored.
-
-    Raises
-    ------
-    InferenceError
-        As for `read_posterior`.
+    xarray took a third of a second each time. `InferenceError` where the file is missing or damaged.
     """
     import h5py  # noqa: PLC0415
 

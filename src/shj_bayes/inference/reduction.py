@@ -78,17 +78,9 @@ class Averages:
         return int(self.force_kN.size)
 
     def residual_and_slope(self, force_kN: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Measured less modelled force of each block, and the slope of the modelled force over the displacement.
+        """Measured less modelled force of each block, kN (0 without samples), and its slope, kN/mm, shape (m, n).
 
-        Parameters
-        ----------
-        force_kN : array, shape (m, n_points)
-            Modelled force at the points.
-
-        Returns
-        -------
-        residual, slope : array, shape (m, n)
-            kN and kN/mm; the residual of a block without samples is 0.
+        `force_kN`, shape (m, n_points), is the modelled force at the points.
         """
         motion = self.history.motion
         residual, slope = np.empty((force_kN.shape[0], self.n)), np.empty((force_kN.shape[0], self.n))

@@ -33,22 +33,9 @@ class Scene(Protocol):
 
 
 def descend(scene: Scene, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
-    """Go to where the squares and the priors are least.
+    """Go from `z` (unbounded, shape (n_law,)) to where squares and priors are least, in so many rounds at most.
 
-    Parameters
-    ----------
-    scene : Scene
-        What is fitted.
-    z : array, shape (n_law,)
-        Where to start, in the unbounded space.
-    sigma_kN : float
-        Noise scale against which the priors count.
-    rounds : int
-        Largest number of steps.
-
-    Returns
-    -------
-    array, shape (n_law,)
+    `sigma_kN` is the noise scale against which the priors count.
     """
 
     def misfit(z: FloatArray) -> FloatArray:

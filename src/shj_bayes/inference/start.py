@@ -108,15 +108,7 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
 def law_starts(posterior: Posterior) -> list[FloatArray]:
     """Fit a model's law by least squares, best first: the base law from a grid, then with one effect more at a time.
 
-    Parameters
-    ----------
-    posterior : Posterior
-        In blocks for a first look.
-
-    Returns
-    -------
-    list of array, shape (n_law,)
-        In the unbounded space.
+    In the unbounded space, each of shape (n_law,).
     """
     model = posterior.model
 

@@ -156,22 +156,7 @@ def inference_data(
 
 
 def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
-    """Table of the parameters.
-
-    Parameters
-    ----------
-    model : DeviceModel
-        Says the units.
-    figures : Diagnostics
-        Convergence figures.
-    chains : array, shape (..., d)
-        Kept draws in natural units.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns name, unit, mean, sd, q05, q50, q95, ess_bulk, ess_tail, rhat.
-    """
+    """Table of the parameters (`SUMMARY_COLUMNS`) from kept draws in natural units, shape (..., d)."""
     flat = chains.reshape(-1, chains.shape[-1])
     of_draws = (flat.mean(axis=0), flat.std(axis=0, ddof=1), *np.quantile(flat, [0.05, 0.5, 0.95], axis=0))
     words = ([parameter.name for parameter in model.parameters], [parameter.unit for parameter in model.parameters])
@@ -277,13 +262,7 @@ def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: dict
 
 
 def read_posterior(folder: Path) -> xr.DataTree:
-    """Read ``posterior.nc`` of a results folder, all groups.
-
-    Raises
-    ------
-    InferenceError
-        If it is missing, damaged, or not the one that ``fit.json`` belongs to.
-    """
+    """Read ``posterior.nc`` of a results folder, all groups; `InferenceError` where that fails."""
     with whole(folder) as path, xr.open_datatree(path, engine="h5netcdf") as data:
         return data.load()
 

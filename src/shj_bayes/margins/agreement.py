@@ -30,13 +30,7 @@ class Agreement:
 
 
 def agreement(rows: Sequence[Margin]) -> Agreement:
-    """Compare the bounds of every set with each other and with the bands of a new device.
-
-    Parameters
-    ----------
-    rows : sequence of Margin
-        All margins of a sheet.
-    """
+    """Compare the bounds of every set with each other and with the bands of a new device."""
     names = list(dict.fromkeys(row.set_name for row in rows))
     found = [text for name in names for text in _of_set(name, [row for row in rows if row.set_name == name])]
     words = (

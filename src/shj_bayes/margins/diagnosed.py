@@ -84,17 +84,7 @@ def _diagnosed(record: Mapping[str, Any], place: Path) -> Diagnosed:
 
 
 def words_of(found: Mapping[Key, Diagnosed], n_devices: int, notes: Iterable[str] = ()) -> tuple[str, ...]:
-    """Say what the diagnoses of a campaign found, device by device, and what could not be used.
-
-    Parameters
-    ----------
-    found : mapping of (set, device) to Diagnosed
-        Per device that has one.
-    n_devices : int
-        Devices of the campaign.
-    notes : iterable of str
-        Diagnoses that could not be used.
-    """
+    """Say what the diagnoses found, by (set, device), of how many devices, and what could not be used (`notes`)."""
     changed = [_words(f"{key[0]}, {key[1]}", d) for key, d in found.items() if d.verdict != "adequate"]
     return (*changed, _how_many(len(found), n_devices), *notes)
 

@@ -53,20 +53,7 @@ def _record(row: Margin) -> dict[str, Any]:
 
 
 def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
-    """Write ``margins.csv``, ``margins.xlsx``, ``margins.json`` and ``margins-devices.csv``.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        What to write.
-    folder : Path
-        Where to; it must exist.
-
-    Returns
-    -------
-    tuple of Path
-        The files.
-    """
+    """Write ``margins.csv``, ``.xlsx``, ``.json`` and ``margins-devices.csv`` into a folder that exists."""
     table = to_table(sheet)
     paths = tuple(folder / f"{STEM}{ending}" for ending in (".csv", ".xlsx", ".json", "-devices.csv"))
     write_text(paths[0], table.to_csv(index=False, lineterminator="\n"))

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.opensees import NOTES, exponent_of_steel02, filled
+from shj_bayes.margins.opensees import NOTES, exponent_of_steel02, filled, plain
 from shj_bayes.margins.outermost import newcomers, own_devices, priors_that_count
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.population.posterior import PopulationResult
@@ -132,20 +132,10 @@ def draws_csv(drawn: Sequence[Drawn], speed_mm_s: float) -> str:
 def draws_script(
     drawn: Sequence[Drawn], amplitude_mm: float, speed_mm_s: float, source: str, left_out: Sequence[str] = ()
 ) -> str:
-    """Script for OpenSeesPy: a table of devices, functions that define one, and a check that runs each.
+    """Script for OpenSeesPy: a table of devices, functions that define one, and a check that runs a cycle of each.
 
-    Parameters
-    ----------
-    drawn : sequence of Drawn
-        The devices.
-    amplitude_mm : float
-        Of the cycle that the check runs.
-    speed_mm_s : float
-        Peak speed of the tests.
-    source : str
-        Where they come from.
-    left_out : sequence of str
-        What these devices do not carry besides, one sentence each.
+    `speed_mm_s` is the peak speed of the tests, `source` says where the devices come from, and `left_out` what they do
+    not carry besides, one sentence each.
     """
     rows = "\n".join(
         f"    ({json.dumps(d.set_name)}, {d.number}): ({d.force_kN:.6g}, {d.force_2_kN:.6g}, {d.K_kN_mm:.6g}, "

@@ -49,18 +49,9 @@ def plain(name: str) -> str:
 
 
 def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str, left_out: Sequence[str] = ()) -> str:
-    """Script for OpenSeesPy: a table of materials, a function that defines one, and a check that runs each.
+    """Script for OpenSeesPy: a table of materials, a function that defines one, a check that runs each.
 
-    Parameters
-    ----------
-    bounds : sequence of Bound
-        The materials.
-    amplitude_mm : float
-        Of the cycle that the check runs.
-    source : str
-        Where they come from.
-    left_out : sequence of str
-        What these materials do not carry besides, one sentence each.
+    `left_out` says what these materials do not carry besides, one sentence each.
     """
     rows = "\n".join(
         f"    ({json.dumps(b.set_name)}, {json.dumps(b.bound)}): "

@@ -71,17 +71,7 @@ class Sheet:
 
 
 def pool(trials: Sequence[Trial], result: PopulationResult, *, progress: bool = False) -> PopulationResult:
-    """Pool the design quantities of devices after their virtual test.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        The devices.
-    result : PopulationResult
-        Their population: tags of the sets, tested range, seed.
-    progress : bool
-        Show a progress bar.
-    """
+    """Pool the design quantities of devices after their virtual test, with tags and seed of `result`."""
     if not trials:
         raise PopulationError("no device gives all of K, Fy, beta and gamma; there are no margins without them")
     tags = {group.name: group.tags for group in result.sets}

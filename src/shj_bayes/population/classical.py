@@ -79,14 +79,9 @@ class Classical:
 
 
 def classical(strata: Sequence[Pair], seed: int = 0) -> Classical:
-    """Run every test that the numbers allow.
+    """Run every test that the values of the devices, pooled scale, stratum by stratum, allow.
 
-    Parameters
-    ----------
-    strata : sequence of (a, b)
-        Point values of the devices, pooled scale.
-    seed : int
-        Of the random arrangements, where there are too many for all.
+    `seed` is that of the random arrangements, where there are too many for all.
     """
     full = [(a, b) for a, b in strata if a.size and b.size]
     p, least, n = permutation(full, seed) if full else (None, None, 0)

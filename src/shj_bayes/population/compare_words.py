@@ -73,15 +73,7 @@ def sentence(
 
 
 def multiplicity_words(n_quantities: int, n_strata: int, tests: Sequence[str]) -> str:
-    """Say how many comparisons were made at once, by which test, and how that is allowed for.
-
-    Parameters
-    ----------
-    n_quantities, n_strata : int
-        Quantities compared; pairs of sets that each runs over.
-    tests : sequence of str
-        Test behind the adjusted p of each quantity: "permutation", "Welch" or "".
-    """
+    """Say how many comparisons were made at once, by which test of each quantity, and how that is allowed for."""
     over = f", each averaged over {n_strata} pairs of sets alike in all else" if n_strata > 1 else ""
     said = {
         "permutation": "on the exact permutation",

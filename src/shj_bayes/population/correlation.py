@@ -19,21 +19,8 @@ from shj_bayes.population.quantities import FloatArray
 def scatter(result: PopulationResult, prior: str = "default") -> tuple[tuple[str, ...], FloatArray, int]:
     """Sum of squares and products of the standardised devices about their set, and its degrees of freedom.
 
-    Parameters
-    ----------
-    result : PopulationResult
-        A fitted population.
-    prior : str
-        Prior of the spread.
-
-    Returns
-    -------
-    names : tuple of str
-        The quantities.
-    products : array, shape (k, k)
-        Over the devices that give every quantity.
-    degrees : int
-        Devices less sets; 0 where every set has one device.
+    Names of the quantities; products over the devices that give every quantity, shape (k, k); devices less sets, 0
+    where every set has one device.
     """
     names = tuple(result.posteriors)
     products, degrees = np.zeros((len(names), len(names))), 0
@@ -50,22 +37,7 @@ def scatter(result: PopulationResult, prior: str = "default") -> tuple[tuple[str
 
 
 def correlation_draws(result: PopulationResult, n_draws: int, prior: str = "default") -> FloatArray:
-    """Posterior draws of the correlation between the quantities of one device.
-
-    Parameters
-    ----------
-    result : PopulationResult
-        A fitted population.
-    n_draws : int
-        How many.
-    prior : str
-        Prior of the spread.
-
-    Returns
-    -------
-    array, shape (n_draws, k, k)
-        Correlation matrices, quantities in the order of the population's.
-    """
+    """Posterior draws of the correlation between the quantities of one device, shape (n_draws, k, k)."""
     names, products, degrees = scatter(result, prior)
     k = len(names)
     if k == 1:

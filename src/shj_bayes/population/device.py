@@ -124,17 +124,7 @@ class DeviceEstimate:
         beta: Rounded | None = None,
         tags: Tags = Tags(),
     ) -> DeviceEstimate:
-        """Build a device from rounded numbers.
-
-        Parameters
-        ----------
-        name, set_name : str
-            The device and its set.
-        K, Fy, Fy_second, gamma, beta : Rounded, optional
-            kN/mm, kN (first run), kN (second run), s/mm, 1. The ratio follows from both forces.
-        tags : Tags
-            Of the set.
-        """
+        """Build a device from rounded numbers, kN/mm, kN, s/mm, 1; the ratio follows from both runs' Fy."""
         given: dict[str, Measurement | None] = {"K": K, "Fy": Fy, "gamma": gamma, "beta": beta}
         if Fy is not None and Fy_second is not None:
             given["ratio"] = RoundedRatio(Fy_second, Fy)

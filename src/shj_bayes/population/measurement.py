@@ -63,23 +63,11 @@ class Likelihood:
 
 
 def gathered(group: Sequence[Likelihood]) -> tuple[FloatArray, list[Likelihood]]:
-    """Narrow devices of a large set as one lot, whose likelihood needs no sum over devices.
+    """Narrow devices of a large set as one lot, whose likelihood needs no sum over devices; the others as they are.
 
     Beside a spread of the set that is many times as wide, and that many devices fix, nothing of their shape is felt,
     nor how their errors differ (`tests` hold both likelihoods side by side). Normal devices with one error enter by
-    their number, mean and sum of squares alone.
-
-    Parameters
-    ----------
-    group : sequence of Likelihood
-        The devices of a set.
-
-    Returns
-    -------
-    array, shape (4,)
-        Of the lot: devices (0 for a small set), mean, variance of one, sum of squares about the mean.
-    list of Likelihood
-        All other devices.
+    their number (0 for a small set), mean, variance of one, and sum of squares about the mean alone.
     """
     if len(group) < MANY_DEVICES:
         return np.zeros(4), list(group)
@@ -135,13 +123,7 @@ class Rounded:
 
     @classmethod
     def gamma_of_dep(cls, dep: float, step: float) -> Rounded:
-        """Interval of gamma = 1/dep, s/mm, for a dep in mm/s rounded to ``step``.
-
-        Raises
-        ------
-        PopulationError
-            If the interval of dep reaches zero, where gamma is unbounded.
-        """
+        """Interval of gamma = 1/dep, s/mm, for a dep in mm/s rounded to ``step``; refuses one that reaches 0."""
         if abs(dep) <= 0.5 * step:
             raise PopulationError(
                 f"dep = {dep:g} mm/s rounded to {step:g} reaches zero, where gamma = 1/dep has no bound; "

@@ -158,13 +158,7 @@ class PopulationResult:
         return all(fit.converged for fit in self.posteriors.values())
 
     def index(self, name: str) -> int:
-        """Position of a set.
-
-        Raises
-        ------
-        PopulationError
-            If there is no such set; the message lists the sets and names the nearest.
-        """
+        """Position of a set; `PopulationError` with the sets that there are where there is no such set."""
         if name in self.set_names:
             return self.set_names.index(name)
         folded = {s.casefold(): s for s in self.set_names}
@@ -175,13 +169,7 @@ class PopulationResult:
         raise PopulationError(f"there is no set {name!r}; sets are: {known}{more}{did_you_mean(name, self.set_names)}")
 
     def fit(self, name: str, prior: str = "default") -> QuantityPosterior:
-        """Return the posterior of one quantity under the prior asked for.
-
-        Raises
-        ------
-        PopulationError
-            If that quantity was not pooled or that prior not tried.
-        """
+        """Posterior of one quantity under a prior; `PopulationError` where there is none."""
         known = {"default": self.posteriors, **self.other_priors}
         if prior not in known:
             raise PopulationError(f"no prior {prior!r} was tried; these were: {', '.join(known)}")

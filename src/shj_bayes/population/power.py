@@ -58,17 +58,7 @@ def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, stra
 
 
 def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
-    """Devices on each side for which the assurance reaches `POWER`; ``MOST`` when more would be needed.
-
-    Parameters
-    ----------
-    shift : float
-        Difference to find, pooled scale.
-    sds : array, shape (n,), or float
-        Equally probable values of the spread.
-    strata : int
-        Pairs of sets that each side is divided over.
-    """
+    """Devices on each side for which the `assurance` reaches `POWER`; `MOST` when more would be needed."""
 
     def found(n: int) -> float:
         return assurance(shift, sds, n, n, strata=strata)

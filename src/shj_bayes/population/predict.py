@@ -64,21 +64,9 @@ class NewDevice:
 
 
 def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "default") -> NewDevice:
-    """Draw new devices of a set, one per posterior draw.
+    """Draw new devices of a set, or of one never tested (``ANY_SET``), under a prior, one per posterior draw.
 
-    Parameters
-    ----------
-    result : PopulationResult
-        A fitted population.
-    set_name : str
-        One of its sets, or ``ANY_SET`` for a set never tested but like the tested ones.
-    prior : str
-        "default", "alike" or "free".
-
-    Raises
-    ------
-    PopulationError
-        If there is no such set or prior.
+    `PopulationError` where there is no such set or prior.
     """
     index = None if set_name == ANY_SET else result.index(set_name)
     name = ANY_SET if index is None else result.set_names[index]
@@ -166,17 +154,7 @@ def new_device_table(result: PopulationResult) -> pd.DataFrame:
 
 
 def how_wide(result: PopulationResult, set_name: str, name: str = "Fy") -> str:
-    """One plain sentence on how wide the band of a new device is, and how much of that is the prior.
-
-    Parameters
-    ----------
-    result : PopulationResult
-        A fitted population.
-    set_name : str
-        One of its sets, or ``ANY_SET``.
-    name : str
-        A quantity, or ``Fy_second``.
-    """
+    """One plain sentence on how wide the band of a new device is in a quantity, and how much of that is the prior."""
     main = new_device(result, set_name)
     bands = {"default": main.band(name)}
     bands |= {label: new_device(result, set_name, label).band(name) for label in result.other_priors}

@@ -35,13 +35,7 @@ class Quantity:
     meaning: str
 
     def pool(self, natural: FloatArray | float) -> FloatArray:
-        """Natural values on the pooled scale.
-
-        Raises
-        ------
-        PopulationError
-            If a value is not finite, or not above zero where the logarithm is pooled.
-        """
+        """Natural values on the pooled scale; `PopulationError` where one is not finite or has no logarithm."""
         values = np.asarray(natural, dtype=np.float64)
         if not np.all(np.isfinite(values)) or (self.logarithmic and np.any(values <= 0)):
             bound = "finite and above zero" if self.logarithmic else "finite"
@@ -110,13 +104,7 @@ DESIGN: dict[str, Quantity] = {q.name: q for q in (*_OF_ALL_TESTS, *_OF_A_TEST)}
 
 
 def quantity(name: str) -> Quantity:
-    """Look up a pooled quantity by its name.
-
-    Raises
-    ------
-    PopulationError
-        If there is no such quantity.
-    """
+    """Look up a pooled quantity by its name; `PopulationError` where there is none."""
     if name not in QUANTITIES and name not in DESIGN:
         hint = "; dep is never pooled, give gamma = 1/dep" if name == "dep" else ""
         raise PopulationError(

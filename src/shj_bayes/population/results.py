@@ -159,13 +159,7 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
 
 
 def population_record(folder: Path) -> dict[str, Any]:
-    """Content of ``population.json``.
-
-    Raises
-    ------
-    PopulationError
-        If the folder holds none, or one of another schema, or one that was altered.
-    """
+    """Content of ``population.json``; `PopulationError` where it is missing, altered or of another schema."""
     path = folder / "population.json"
     if not path.exists():
         raise PopulationError(
@@ -180,13 +174,7 @@ def population_record(folder: Path) -> dict[str, Any]:
 
 
 def load_population(folder: Path) -> PopulationResult:
-    """Read back what ``write_population`` wrote.
-
-    Raises
-    ------
-    PopulationError
-        If the folder holds no population, or one of another schema.
-    """
+    """Read back what ``write_population`` wrote; `PopulationError` where that is missing or of another schema."""
     document = population_record(folder)
     if not (folder / _DRAWS).is_file():
         raise PopulationError(f"{_DRAWS} is missing in {folder.name}; run `shj-bayes tables` or `campaign` again")

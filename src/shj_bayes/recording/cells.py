@@ -31,18 +31,7 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 
 def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, list[Finding]]:
-    """Rows to keep: without the empty ends, and without holes too long to be filled.
-
-    Parameters
-    ----------
-    channels : tuple of array
-        Displacement and force, NaN where empty.
-
-    Returns
-    -------
-    keep : array of bool, shape (n_rows,)
-    findings : list of Finding
-    """
+    """Rows of displacement and force (NaN where empty) to keep: without empty ends, and holes too long to be filled."""
     empty = np.isnan(channels[0]) | np.isnan(channels[1])
     keep = np.ones(empty.size, dtype=np.bool_)
     ends = holes = 0
@@ -95,12 +84,7 @@ def fill(time_s: FloatArray, values: FloatArray, name: str) -> tuple[FloatArray,
 
 
 def spikes(displacement_mm: FloatArray) -> BoolArray:
-    """Single displacement samples far off both neighbours: a device cannot jump and return within one sample.
-
-    Parameters
-    ----------
-    displacement_mm : array, shape (n_samples,)
-    """
+    """Single displacement samples, shape (n,), far off both neighbours: no device jumps and returns in one."""
     x = displacement_mm
     found = np.zeros(x.size, dtype=np.bool_)
     if x.size < 32:

@@ -84,18 +84,9 @@ def blocks_of(motion: Motion) -> list[dict[str, float]]:
 
 
 def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
-    """Everything ``check --json`` prints.
+    """Everything ``check --json`` prints, as plain values.
 
-    Parameters
-    ----------
-    recording : Recording
-    motion : Motion or None
-        None when the displacement does not move enough to have half-cycles.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings, lists and dictionaries.
+    `motion` is None when the displacement does not move enough to have half-cycles.
     """
     result: dict[str, Any] = {
         "schema": SCHEMA,
@@ -129,18 +120,9 @@ def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
 
 
 def describe(recording: Recording, motion: Motion | None) -> str:
-    """Plain text for the ``check`` command.
+    """Plain text for the ``check`` command: what was read, then the findings, the gravest first.
 
-    Parameters
-    ----------
-    recording : Recording
-    motion : Motion or None
-        None when the displacement does not move enough to have half-cycles.
-
-    Returns
-    -------
-    str
-        What was read, then the findings, the gravest first.
+    `motion` is None when the displacement does not move enough to have half-cycles.
     """
     facts = to_dict(recording, motion)
     lines = [f"{facts['name']}: {'usable' if facts['usable'] else 'NOT USABLE'}"]

@@ -258,20 +258,7 @@ def _by_unit(table: Table, role: Role) -> int:
 
 
 def check_rate(rate_Hz: float, asked: dict[str, str]) -> None:
-    """Refuse a sampling rate that is none, or that is given beside a time column.
-
-    Parameters
-    ----------
-    rate_Hz : float
-        Sampling rate, Hz.
-    asked : dict
-        What `parse_columns` read.
-
-    Raises
-    ------
-    RecordingError
-        With the rate.
-    """
+    """Refuse a sampling rate, Hz, that is none, or that is given beside a time column (`RecordingError`)."""
     if not 1e-6 <= rate_Hz <= 1e7:
         raise RecordingError(f"--rate {shown(rate_Hz, 20)} Hz: allowed is 1e-6 to 1e7 Hz")
     if "time" in asked:

@@ -16,15 +16,7 @@ from shj_bayes.recording.tables import Table
 
 
 def read_excel(path: Path, sha256: str) -> Table:
-    """Read an XLSX workbook.
-
-    Parameters
-    ----------
-    path : Path
-        The workbook; formulas are read as the values last stored.
-    sha256 : str
-        Its digest.
-    """
+    """Read an XLSX workbook, formulas as the values last stored; `sha256` is its digest."""
     _bounded(path)
     from openpyxl import load_workbook  # noqa: PLC0415
 

@@ -21,18 +21,9 @@ _SUFFIXED = re.compile(r"^(?P<name>.+?)\s*[_,/: \-]\s*(?P<unit>[A-Za-z\u00b5\u03
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """Separate name and unit of a header.
+    """Separate name and unit of a header: ``Displacement (in)``, ``Force [kip]``, ``time_s``, ``Load / kN`` ...
 
-    Parameters
-    ----------
-    header : str
-        For example ``"Displacement (in)"``, ``"Force [kip]"``, ``"time_s"`` or ``"Load / kN"``.
-
-    Returns
-    -------
-    name : str
-    unit : str or None
-        As written; a unit in brackets is taken as it is, a suffix only when it is a unit of time, length or force.
+    A unit in brackets is taken as it is, a suffix only when it is a unit of time, length or force; else it is None.
     """
     text = header[:MAX_NAME].strip().strip("\"'").strip()
     if (match := _BRACKETED.match(text)) and match["name"].strip():
@@ -52,16 +43,8 @@ def bare_unit(cell: str) -> str:
 def is_unit_row(cells: list[str]) -> bool:
     """Whether a row below the names holds units, bare or in brackets.
 
-    Parameters
-    ----------
-    cells : list of str
-        One for each column.
-
-    Returns
-    -------
-    bool
-        True where every cell is empty, a dash or a usual unit, or, where units of two of these are
-        among them, anything that may be a unit of another quantity: a file has channels that nobody needs.
+    True where every cell is empty, a dash or a usual unit, or, where units of two of these are among them,
+    anything that may be a unit of another quantity: a file has channels that nobody needs.
     """
     texts = [bare_unit(cell) for cell in cells]
     filled = [text for text in texts if text not in {"", "-", "--"}]

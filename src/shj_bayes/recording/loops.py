@@ -29,12 +29,7 @@ from shj_bayes.recording.reversals import hysteresis
 
 
 def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
-    """Ranges that no device of this kind has, which means a wrong unit or column.
-
-    Parameters
-    ----------
-    displacement_mm, force_kN : array, shape (n_samples,)
-    """
+    """Ranges, of arrays of shape (n_samples,), that no device of this kind has, which means a wrong unit or column."""
     force, stroke = float(np.max(np.abs(force_kN))), float(np.ptp(displacement_mm))
     varies = float(np.ptp(force_kN))
     checks = (
@@ -53,14 +48,7 @@ def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> lis
 def dissipation(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
     """Work done on the device over the work of a rigid friction loop with the same force range and travel.
 
-    Parameters
-    ----------
-    displacement_mm, force_kN : array, shape (n_samples,)
-
-    Returns
-    -------
-    float
-        About 0.8 for friction, 0 for elastic, negative when one of the signs is wrong.
+    About 0.8 for friction, 0 for elastic, negative when one of the signs is wrong; arrays have shape (n_samples,).
     """
     step = np.diff(displacement_mm)
     mean = 0.5 * (force_kN[1:] + force_kN[:-1])
@@ -71,12 +59,7 @@ def dissipation(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
 
 
 def changes(values: FloatArray) -> FloatArray:
-    """Take the change over each thousandth of a record; from sample to sample it would be mostly noise.
-
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-    """
+    """Take the change over each thousandth of a record, shape (n,); from sample to sample it would be mostly noise."""
     return np.diff(values[:: max(1, values.size // 1000)])
 
 
@@ -85,11 +68,9 @@ def _rms(values: FloatArray) -> float:
 
 
 def burstiness(values: FloatArray) -> float:
-    """Root mean square over mean of the changes: near 1.1 for a driven displacement, more for a force that reverses.
+    """Root mean square over mean of the changes of a channel, shape (n_samples,).
 
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
+    Near 1.1 for a driven displacement, more for a force that reverses.
     """
     change = changes(values)
     mean = float(np.mean(np.abs(change)))
@@ -99,14 +80,7 @@ def burstiness(values: FloatArray) -> float:
 def roughness(values: FloatArray) -> float:
     """Root mean square of the second differences over that of the first, at a thousandth of the record.
 
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-
-    Returns
-    -------
-    float
-        Below 0.4 for a driven displacement, 1.7 for white noise.
+    Below 0.4 for a driven displacement, 1.7 for white noise.
     """
     change = changes(values)
     if change.size < 2:
@@ -116,27 +90,16 @@ def roughness(values: FloatArray) -> float:
 
 
 def half_cycles(values: FloatArray) -> int:
-    """Count the half-cycles of a channel, with the threshold that the displacement has.
-
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-    """
+    """Count the half-cycles of a channel, shape (n_samples,), with the threshold that the displacement has."""
     return len(hysteresis(values, max(REVERSAL_NOISE * noise_of(values), REVERSAL_RANGE * float(np.ptp(values))))) + 1
 
 
 def exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
     """How much more the displacement looks like a force, and the force like a driven displacement.
 
-    Parameters
-    ----------
-    displacement_mm, force_kN : array, shape (n_samples,)
-
-    Returns
-    -------
-    float
-        Product of three ratios: of the jumps, of the roughness and of the half-cycles of displacement and force. At
-        most 1.8 in 26 public recordings; 12 and more with their columns exchanged, but for two that were digitised.
+    Product of three ratios: of the jumps, of the roughness and of the half-cycles of displacement and force, shape
+    (n_samples,). At most 1.8 in 26 public recordings; 12 and more with their columns exchanged, but for two that were
+    digitised.
     """
     return float(
         np.prod(
@@ -277,12 +240,9 @@ def _lag(recording: Recording, motion: Motion) -> list[Finding]:
 
 
 def lag_of(recording: Recording, motion: Motion) -> float | None:
-    """Delay for which the force drop after reversals is proportional to the travel.
+    """Delay, s, for which the force drop after reversals is proportional to the travel; None where it cannot be told.
 
-    Returns
-    -------
-    float or None
-        Seconds, positive when the force is late; None when the recording does not tell.
+    Positive when the force is late.
     """
     pieces = _unloading(recording, motion)
     if len(pieces) < 4:

@@ -12,18 +12,9 @@ _THIRD_NORM = float(np.sqrt(np.sum(_THIRD**2)))
 
 
 def resolution_of(values: FloatArray) -> float:
-    """Step of an encoder or converter, 0 when the values come in no steps that matter.
+    """Step of an encoder or converter in a channel of shape (n,), 0 when the values come in no steps that matter.
 
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-        A measured channel.
-
-    Returns
-    -------
-    float
-        Smallest spacing of the levels, in the unit of the values, when levels repeat so often that
-        rounding is the larger part of the noise; otherwise 0.
+    It is the smallest spacing of the levels, when these repeat so often that rounding is the larger part of the noise.
     """
     levels = np.unique(values)
     if levels.size < 3 or levels.size > values.size / 3:
@@ -35,22 +26,11 @@ def resolution_of(values: FloatArray) -> float:
 
 
 def noise_of(values: FloatArray, resolution: float | None = None) -> float:
-    """Estimate the standard deviation of the fast part of a slowly varying signal.
+    """Estimate the standard deviation of the fast part of a slowly varying channel, shape (n_samples,), nearly even.
 
     Third differences cancel every parabola, so the motion does not count as noise; their median absolute value
-    does not see the few samples at corners. Rounding to counts adds at least a uniform error.
-
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-        A measured channel, evenly sampled or nearly so.
-    resolution : float, optional
-        Its count; found when not given.
-
-    Returns
-    -------
-    float
-        In the unit of the values; 0 for fewer than 8 samples.
+    does not see the few samples at corners. Rounding to counts (`resolution`, found when not given) adds at least a
+    uniform error. In the unit of the values; 0 for fewer than 8 samples.
     """
     if values.size < 8:
         return 0.0

@@ -39,18 +39,9 @@ def weights(window: int, degree: int, derivative: int = 0, step: float = 1.0) ->
 
 
 def filtered(values: FloatArray, window: int, degree: int, step: float) -> tuple[FloatArray, FloatArray]:
-    """Value and first derivative of the local polynomial at every sample; the ends use the last whole window.
+    """Value and slope, shape (n,), of the local polynomial at every sample; the ends use the last whole window.
 
-    Parameters
-    ----------
-    values : array, shape (n,)
-        At least `window` samples.
-    window, degree, step
-        As for `weights`.
-
-    Returns
-    -------
-    value, slope : array, shape (n,)
+    `values` holds at least `window` samples; `window`, `degree` and `step` are as for `weights`.
     """
     (powers, solve), half = _powers(window, degree), window // 2
     slopes = np.column_stack([k * powers[:, max(k - 1, 0)] for k in range(degree + 1)])
@@ -76,18 +67,9 @@ def _powers(window: int, degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def hermite(knots: FloatArray, values: FloatArray, slopes: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Value and slope of the cubic between neighbouring knots that has their values and slopes.
+    """Value and slope, shape (m,), of the cubics that have the values and slopes at increasing knots, shape (n,).
 
-    Parameters
-    ----------
-    knots, values, slopes : array, shape (n,)
-        Increasing knots, at least two.
-    at : array, shape (m,)
-        Where to evaluate; beyond the ends the last cubic goes on.
-
-    Returns
-    -------
-    value, slope : array, shape (m,)
+    Beyond the ends the last cubic goes on.
     """
     k = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, knots.size - 2)
     width = (knots[1:] - knots[:-1])[k]

@@ -64,13 +64,7 @@ def repair(
 
 
 def inspect(recording: Recording) -> tuple[Finding, ...]:
-    """Run the checks that need the half-cycles.
-
-    Returns
-    -------
-    tuple of Finding
-        Only what is new; the recording's own findings are not repeated.
-    """
+    """Run the checks that need the half-cycles; the recording's own findings are not repeated."""
     try:
         motion = motion_of(recording)
     except RecordingError as error:

@@ -175,22 +175,7 @@ class Recording:
     def read(
         cls, path: str | Path, *, columns: str | None = None, units: str | None = None, rate_Hz: float | None = None
     ) -> Recording:
-        """Read a file; the same as `shj_bayes.recording.reader.read`, where the parameters are described.
-
-        Parameters
-        ----------
-        path : str or Path
-            CSV, TSV, TXT (also .gz), XLSX, JSON, MAT, HDF5 or TDMS.
-        columns, units : str, optional
-            Columns and units, where the file does not say.
-        rate_Hz : float, optional
-            Sampling rate of a file without time, Hz.
-
-        Raises
-        ------
-        RecordingError
-            If the file cannot be read, or a channel is missing, ambiguous or not convertible.
-        """
+        """Read a file; the same as `shj_bayes.recording.reader.read`, where the parameters and errors are described."""
         from shj_bayes.recording.reader import read  # noqa: PLC0415  the reader makes recordings, so it imports this
 
         return read(path, columns=columns, units=units, rate_Hz=rate_Hz)

@@ -60,15 +60,7 @@ def hysteresis(values: FloatArray, threshold: float) -> list[int]:
 
 
 def first_direction(values: FloatArray, turns: list[int]) -> int:
-    """Direction of the first half-cycle: +1 when displacement grows.
-
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-        Displacement.
-    turns : list of int
-        Reversals.
-    """
+    """Direction of the first half-cycle of a displacement, shape (n_samples,): +1 when it grows."""
     end = turns[0] if turns else values.size - 1
     return 1 if values[end] >= values[0] else -1
 

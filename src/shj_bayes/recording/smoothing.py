@@ -390,18 +390,7 @@ def _degree(window: int) -> int:
 def local_polynomial(values: FloatArray, half: int, step: float) -> tuple[FloatArray, FloatArray]:
     """Local quintic (cubic where the window is short) through one stretch; its ends use the last whole window.
 
-    Parameters
-    ----------
-    values : array, shape (n,)
-        Evenly spaced samples.
-    half : int
-        Half-width of the window, samples.
-    step : float
-        Spacing, s.
-
-    Returns
-    -------
-    position, velocity : array, shape (n,)
+    Position and velocity, shape (n,), of values `step` s apart; `half` is the half-width of the window, samples.
     """
     n = values.size
     if n < 2:
@@ -414,19 +403,9 @@ def local_polynomial(values: FloatArray, half: int, step: float) -> tuple[FloatA
 
 
 def bandwidth(half: int, step: float) -> float:
-    """Frequency at which the velocity from the local polynomial has lost 3 dB.
+    """Frequency, Hz, at which the velocity from the local polynomial has lost 3 dB.
 
-    Parameters
-    ----------
-    half : int
-        Half-width of the window, samples.
-    step : float
-        Spacing, s.
-
-    Returns
-    -------
-    float
-        Hz.
+    `half` is the half-width of the window, samples, which are `step` s apart.
     """
     window = 2 * half + 1
     kernel = weights(window, _degree(window), 1, step)

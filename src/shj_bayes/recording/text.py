@@ -25,15 +25,7 @@ _HEAD = 4096  # bytes in which the zeros of UTF-16 are looked for
 
 
 def read_text(path: Path, sha256: str) -> Table:
-    """Read a text table, plain or gzipped.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    sha256 : str
-        Its digest.
-    """
+    """Read a text table, plain or gzipped; `sha256` is its digest."""
     encoding = find_encoding(path)
     said = "Latin-1" if encoding == "cp1252" else encoding
     notes = [] if encoding.startswith("utf-8") else [Finding("encoding", "note", f"text read as {said}")]

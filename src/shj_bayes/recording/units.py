@@ -130,31 +130,13 @@ def role_of_dimension(unit: pint.Unit) -> Role | None:
 
 
 def role_of(text: str) -> Role | None:
-    """Channel (time, displacement or force) that a unit belongs to.
-
-    Parameters
-    ----------
-    text : str
-        Unit as written, for example ``"kip"``.
-
-    Returns
-    -------
-    {"time", "displacement", "force"} or None
-        None when it is not a unit of one of them.
-    """
+    """Channel (time, displacement or force) that a unit such as ``kip`` belongs to; None where it is of none."""
     known = _known(text.strip())
     return None if known is None else known[0]
 
 
 def factor(text: str, role: Role) -> float:
-    """Multiplier from a unit to the tool's unit of a channel.
-
-    Parameters
-    ----------
-    text : str
-        Unit as written; ``lb`` is a pound-force.
-    role : {"time", "displacement", "force"}
-        Channel; the targets are s, mm and kN.
+    """Multiplier from a unit (``lb`` is a pound-force) to the tool's unit of a channel: s, mm and kN.
 
     Raises
     ------

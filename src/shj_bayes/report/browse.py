@@ -18,14 +18,7 @@ PATIENCE_S = 120.0
 
 
 def page_of(place: Path, which: str | None = None) -> Path:
-    """Page of a results folder.
-
-    Parameters
-    ----------
-    place : Path
-        Results folder, or a page itself.
-    which : {"report", "diagnosis", "margins", "plan"}, optional
-        Page to take; the first that is there by default.
+    """Page of a results folder: the one asked for (report, diagnosis, margins, plan), or the first that is there.
 
     Raises
     ------

@@ -91,22 +91,7 @@ def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def render_tables(folder: Path, population: PopulationResult, claims: Sequence[Claim] = ()) -> Path:
-    """Write ``report.html`` of the published tables.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    population : PopulationResult
-        Population fitted to the published devices.
-    claims : sequence of Claim
-        The paper's claims against its own numbers.
-
-    Returns
-    -------
-    Path
-        The page.
-    """
+    """Write ``report.html`` of the published devices, with the paper's claims against its own numbers."""
     colours = {Held.YES: "holds", Held.NO: "not"}
     content = {
         "claims": [

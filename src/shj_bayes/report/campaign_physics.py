@@ -87,18 +87,7 @@ class Row:
 
 
 def rows_of(record: Mapping[str, Any]) -> tuple[Row, ...]:
-    """Read what the devices of each set have in common.
-
-    Parameters
-    ----------
-    record : mapping
-        Content of ``campaign.json``.
-
-    Raises
-    ------
-    ReportError
-        If it cannot be read.
-    """
+    """Read from ``campaign.json`` what the devices of each set have in common; `ReportError` where that fails."""
     try:
         return tuple(_rows(record.get("together", ())))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -129,13 +118,7 @@ def _rows(groups: Any) -> Iterator[Row]:
 
 
 def statements(record: Mapping[str, Any] | None) -> tuple[str, ...]:
-    """Say what each set of two devices or more has in common; nothing where no device was diagnosed.
-
-    Parameters
-    ----------
-    record : mapping or None
-        Content of ``campaign.json``.
-    """
+    """Say what each set of two devices or more has in common; nothing where no device was diagnosed."""
     rows = [row for row in rows_of(record or {}) if len(row.folders) > 1]
     out = []
     for name in dict.fromkeys(row.set_name for row in rows):

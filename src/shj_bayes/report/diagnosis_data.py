@@ -101,29 +101,12 @@ def number(value: Any) -> float:
 
 
 def read_diagnosis(folder: Path) -> DiagnosisData:
-    """Read ``diagnosis.json`` and ``diagnosis.nc``.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-
-    Raises
-    ------
-    ReportError
-        If either file is missing, damaged or of another kind.
-    """
+    """Read ``diagnosis.json`` and ``diagnosis.nc``; `ReportError` where one is missing, damaged or another."""
     return DiagnosisData(diagnosis_record(folder), _read_channels(folder))
 
 
 def diagnosis_record(folder: Path) -> dict[str, Any]:
-    """Content of ``diagnosis.json``, with its fields and their kinds checked.
-
-    Raises
-    ------
-    ReportError
-        If it is missing, damaged or of another kind.
-    """
+    """Content of ``diagnosis.json``, its fields checked; `ReportError` where it is missing or damaged."""
     if not (folder / "diagnosis.json").exists():
         raise ReportError(f"{folder.name} holds no diagnosis.json; run shj-bayes diagnose first")
     record = read_json(folder / "diagnosis.json", ReportError)

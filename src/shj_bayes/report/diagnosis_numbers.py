@@ -54,21 +54,7 @@ class Map:
 def profile(
     values: FloatArray, residual_kN: FloatArray, direction: IntArray, used: BoolArray, n_bins: int = N_BINS
 ) -> Profile:
-    """Average the direction-signed residual in even bins of a coordinate.
-
-    Parameters
-    ----------
-    values : array, shape (n,)
-        Coordinate.
-    residual_kN : array, shape (n,)
-        Measured less modelled force.
-    direction : array of int, shape (n,)
-        +1 push, -1 pull.
-    used : array of bool, shape (n,)
-        Samples that count.
-    n_bins : int
-        Number of bins.
-    """
+    """Average the residual, kN, along the motion (+1 push, -1 pull) in even bins of a coordinate, shape (n,)."""
     edges = edges_of(values[used], n_bins)
     signed = residual_kN * direction
     index = index_in(values, edges)

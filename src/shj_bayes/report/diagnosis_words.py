@@ -106,13 +106,7 @@ def channel_words(record: Mapping[str, Any]) -> list[str]:
 
 
 def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Sign, class of the colour and sentence of a verdict; two cycles that show nothing do not show that all is well.
-
-    Parameters
-    ----------
-    record : mapping
-        Content of ``diagnosis.json``.
-    """
+    """Sign, class of the colour and sentence of a verdict; two cycles that show nothing prove nothing."""
     sign, colour, sentence = VERDICTS[record["verdict"]]
     cycles = number((record["heldout"] or {}).get("n_blocks"))
     if record["verdict"] == "adequate" and cycles < FEWEST_CYCLES:
@@ -122,13 +116,7 @@ def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def sentences(record: Mapping[str, Any]) -> list[str]:
-    """Say what a diagnosis found, the verdict left out: each mechanism, what it may also be, what has no name.
-
-    Parameters
-    ----------
-    record : mapping
-        Content of ``diagnosis.json``.
-    """
+    """Say what a diagnosis found, the verdict left out: each mechanism, what it may also be, what has no name."""
     found, verdict = record["effects"], record["verdict"]
     out = []
     for e in found:

@@ -40,11 +40,8 @@ class Band:
 def force_band(run: RunData) -> Band:
     """Median and 90 % bands of the predicted force.
 
-    Returns
-    -------
-    Band
-        The band of the law point by point; that of the measured force evened out over neighbouring samples, since a
-        hundred noisy draws give a ragged edge that says nothing.
+    The band of the law is point by point; that of the measured force evened out over neighbouring samples, since a
+    hundred noisy draws give a ragged edge that says nothing.
     """
     low, median, high = np.quantile(run.law_kN, LEVELS, axis=0)
     n = median.size
@@ -88,21 +85,10 @@ def cycle_marks(run: RunData) -> FloatArray:
 
 
 def energy_between(force_kN: FloatArray, displacement_mm: FloatArray, marks: FloatArray) -> FloatArray:
-    """Energy, the integral of force over displacement, between neighbouring marks.
+    """Energy, the integral of force over displacement, between neighbouring marks: J (kN mm), by the trapezoidal rule.
 
-    Parameters
-    ----------
-    force_kN : array, shape (..., n)
-        Force, kN.
-    displacement_mm : array, shape (n,)
-        Displacement, mm.
-    marks : array, shape (n_cycles + 1,)
-        Fractional sample numbers.
-
-    Returns
-    -------
-    array, shape (..., n_cycles)
-        Joule (kN mm), by the trapezoidal rule.
+    Force of shape (..., n), kN, and displacement of shape (n,), mm, give shape (..., n_cycles); marks are fractional
+    sample numbers.
     """
     piece = 0.5 * (force_kN[..., 1:] + force_kN[..., :-1]) * np.diff(displacement_mm)
     total = np.concatenate([np.zeros((*piece.shape[:-1], 1)), np.cumsum(piece, axis=-1)], axis=-1)

@@ -58,14 +58,9 @@ def _environment() -> jinja2.Environment:
 
 @cache
 def script(names: tuple[str, ...]) -> Markup:
-    """Scripts of this package as one text that may stand in a page as it is.
+    """Scripts of this package, named without ending, as one text that may stand in a page as it is.
 
     Indentation is left out, which takes a fifth off; there is no other minifier to trust.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Files of ``scripts``, without ending.
     """
     sources = [(Path(__file__).parent / "scripts" / f"{name}.js").read_text(encoding="utf-8") for name in names]
     return Markup("\n".join(line.strip() for source in sources for line in source.splitlines()))

@@ -189,12 +189,9 @@ def curve_words(curve: CurveContrast) -> str:
 
 
 def force_matrix(result: PopulationResult) -> list[list[Quotient | None]]:
-    """Sliding force of a typical device of the row's set over that of the column's.
+    """Sliding force of a typical device of the row's set over that of the column's; None on the diagonal.
 
-    Returns
-    -------
-    list of list
-        None on the diagonal; empty when there are too many sets to show, or one.
+    Empty when there are too many sets to show, or one.
     """
     n = len(result.sets)
     if not 2 <= n <= MAX_MATRIX or "Fy" not in result.posteriors:

@@ -23,13 +23,7 @@ PRACTICE_PHI, PRACTICE_PHI_O = 0.70, 1.40
 
 
 def equivalent_factors(low: float, high: float, nominal: float) -> tuple[float, float]:
-    """Return phi = X_5% / nominal and phi_o = X_95% / nominal.
-
-    Raises
-    ------
-    PopulationError
-        If the nominal value is not above zero.
-    """
+    """Return phi = X_5% / nominal and phi_o = X_95% / nominal; refuses a nominal value that is not above zero."""
     if nominal <= 0:
         raise PopulationError(f"a nominal sliding force must be above zero; got {nominal:g} kN")
     return low / nominal, high / nominal

@@ -38,12 +38,7 @@ MAX_POINTS, MAX_OVER_TIME, MAX_OVER_SPEED = 20_000, 6000, 4000
 def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit = KN) -> str:
     """One cycle of each run: measured points, median of the law and the band of what would be measured.
 
-    Parameters
-    ----------
-    parts : sequence of (name, displacement, force, Band)
-        One for each run, arrays of shape (n,).
-    unit : ForceUnit
-        At the marks of the force.
+    `parts` holds name, displacement, force and band of each run, arrays of shape (n,).
     """
     figure, axes = sheet(NARROW, 4.1, measured=False)
     for (name, x, force, band), colour in zip(parts, SERIES, strict=False):

@@ -78,15 +78,7 @@ def _gamma_and_dep(value: float, _: object = None) -> str:
 
 
 def densities(parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], units: Mapping[str, str]) -> str:
-    """Posterior of every parameter beside its prior.
-
-    Parameters
-    ----------
-    parts : mapping of str to (draws, places, prior density there)
-        In the unit that is shown.
-    units : mapping of str to str
-        Unit of each, ``"1"`` for none.
-    """
+    """Posterior of every parameter beside its prior: draws, places and prior density there, in the unit shown."""
     columns = 4
     rows = -(-len(parts) // columns)
     figure = fixed(WIDE, 1.75 * rows + 0.3, left=0.2, top=0.35)
