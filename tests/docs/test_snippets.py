@@ -109,7 +109,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "my-device.toml").write_text(priors, encoding="utf-8")
     (folder / "made").mkdir()
     (folder / "made" / "campaign.toml").write_text(MANIFEST.replace('"run', '"../run').replace('"plain', '"../plain'))
-    short = {"n_warm": 75, "n_keep": 150, "thin": 1}  # of populations: a tenth of the time, and bands all the same
+    short = hierarchy.Sweeps(75, 150, 1)  # of populations: a tenth of the time, and bands all the same
     with pytest.MonkeyPatch.context() as patch:
         for sweeps in ("_FULL", "_SHORT", "_BRIEF"):
             patch.setattr(hierarchy, sweeps, short)

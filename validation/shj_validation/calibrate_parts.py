@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.population.hierarchy import fit_quantity
+from shj_bayes.population.hierarchy import Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.priors import PopulationPrior, population_prior
 
@@ -54,7 +54,7 @@ def draw_margins(number: int, seed: int, *, n_sets: int, n_devices: int, sd: flo
     devices = rng.normal(mu[:, None], tau[:, None], (n_sets, n_devices))
     measured = devices + sd * rng.standard_normal(devices.shape)
     sets = [[Likelihood(False, np.array([m]), np.array([sd]), np.ones(1)) for m in row] for row in measured]
-    fit = fit_quantity("Fy", sets, prior, np.random.SeedSequence([seed, number]), n_warm=500, n_keep=800, thin=2)
+    fit = fit_quantity("Fy", sets, prior, np.random.SeedSequence([seed, number]), Sweeps(500, 800))
     draws, truth = {}, {}
     for name, index in (("new device", 0), ("device of a set never tested", None)):
         mean, spread = fit.level_and_spread(index, rng)

@@ -23,7 +23,7 @@ from shj_bayes._util.files import file_digest, replacing, reserve, sealed, write
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
 from shj_bayes.inference.record import FILES, SCHEMA, whole
-from shj_bayes.inference.run import measured_of
+from shj_bayes.inference.run import Run, measured_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 
@@ -146,13 +146,17 @@ def inference_data(
     for name in ("log_likelihood", "log_prior"):
         for variable in groups[name].data_vars.values():
             variable.attrs.update(units="1", meaning=f"{name.replace('_', ' ')} of: {variable.attrs['meaning']}")
-    for name in loops:  # in 16 bits, to 1/16 384 of the largest or finer
-        stored = groups["loops"].variables[name]
-        unit = np.float32(2.0 ** (np.floor(np.log2(np.abs(stored).max())) - 13))
-        stored.values = np.round(stored.values / unit).astype(np.float32) * unit
-        chunks = (*stored.shape[:2], min(512, stored.shape[2]))
-        stored.encoding.update(dtype="int16", _FillValue=np.int16(-32768), scale_factor=unit, chunksizes=chunks)
+    for name in loops:
+        _pack(groups["loops"].variables[name])
     return xr.DataTree.from_dict(groups)
+
+
+def _pack(stored: xr.Variable) -> None:
+    """Have a variable of shape (chain, draw, point) written in 16 bits, to 1/16 384 of its largest value or finer."""
+    unit = np.float32(2.0 ** (np.floor(np.log2(np.abs(stored).max())) - 13))
+    stored.values = np.round(stored.values / unit).astype(np.float32) * unit
+    chunks = (*stored.shape[:2], min(512, stored.shape[2]))
+    stored.encoding.update(dtype="int16", _FillValue=np.int16(-32768), scale_factor=unit, chunksizes=chunks)
 
 
 def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
@@ -178,7 +182,8 @@ def fit_record(
     """Content of ``fit.json``: verdict, reasons, seeds, versions, digests, data quality and convergence."""
     pairs = zip(posterior.averages, posterior.runs, strict=True)
     means = table["mean"].to_numpy(dtype=np.float64)[None]
-    zeros = [zero_of_run(posterior, means, run) for run in range(1, len(posterior.runs) + 1)]
+    runs = range(1, len(posterior.runs) + 1)
+    zeros = [[float(value[0]) for value in zero_of_run(posterior, means, run)] for run in runs]
     return {
         "schema": SCHEMA,
         "device": name,
@@ -206,26 +211,7 @@ def fit_record(
             {"name": n, "unit": p.unit, "law": p.law, "a": p.a, "b": p.b, "source": p.source}
             for n, p in zip(posterior.names, posterior.model.laws_of_parameters, strict=True)
         ],
-        "inputs": [
-            {
-                "name": run.recording.source.name,
-                "sha256": run.recording.source.sha256,
-                "format": run.recording.source.format,
-                "columns": run.recording.source.columns,
-                "units": run.recording.source.units,
-                "extras": {extra.name: extra.unit for extra in run.recording.extras},
-                "n_samples": run.recording.n_samples,
-                "rate_Hz": run.recording.rate_Hz,
-                "duration_s": run.recording.duration_s,
-                "n_half_cycles": run.motion.n_half,
-                "start_force_kN": run.start_force_kN,
-                "motion_method": run.motion.method,
-                "displacement_noise_mm": run.motion.noise_mm,
-                "zero_error_kN": {"mean": float(mean[0]), "sd": float(sd[0])},
-                "findings": [vars(finding) for finding in run.recording.findings],
-            }
-            for run, (mean, sd) in zip(posterior.runs, zeros, strict=True)
-        ],
+        "inputs": [_input(run, *zero) for run, zero in zip(posterior.runs, zeros, strict=True)],
         "sampling": {
             "n_ensembles": int(figures.acceptance.shape[0]),
             "n_walkers": int(figures.acceptance.shape[1]),
@@ -242,6 +228,28 @@ def fit_record(
         },
         "reduction": [{"n_blocks": part.n, "n_samples": run.recording.n_samples} for part, run in pairs],
         "parameters": json.loads(table.to_json(orient="records", double_precision=15)),
+    }
+
+
+def _input(run: Run, zero_kN: float, zero_sd_kN: float) -> dict[str, Any]:
+    """Say what a recording is, with the error of the load cell's zero, kN."""
+    source, recording = run.recording.source, run.recording
+    return {
+        "name": source.name,
+        "sha256": source.sha256,
+        "format": source.format,
+        "columns": source.columns,
+        "units": source.units,
+        "extras": {extra.name: extra.unit for extra in recording.extras},
+        "n_samples": recording.n_samples,
+        "rate_Hz": recording.rate_Hz,
+        "duration_s": recording.duration_s,
+        "n_half_cycles": run.motion.n_half,
+        "start_force_kN": run.start_force_kN,
+        "motion_method": run.motion.method,
+        "displacement_noise_mm": run.motion.noise_mm,
+        "zero_error_kN": {"mean": zero_kN, "sd": zero_sd_kN},
+        "findings": [vars(finding) for finding in recording.findings],
     }
 
 

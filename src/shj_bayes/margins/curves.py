@@ -23,7 +23,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.compare import Band
 from shj_bayes.population.compare_words import ROPE_SPEED
 from shj_bayes.population.correlation import correlation_draws
-from shj_bayes.population.hierarchy import MAIN_PRIOR, fit_quantity
+from shj_bayes.population.hierarchy import MAIN_PRIOR, Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
@@ -37,7 +37,7 @@ ENDS = (0.005, 0.995)
 LEAST_ERROR = 1e-3
 """Least standard deviation of a logarithm with which a factor is taken to be known."""
 LEAST_FACTOR = 1e-3
-SWEEPS = {"n_warm": 300, "n_keep": 1000, "thin": 2}
+SWEEPS = Sweeps(300, 1000)
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
                 for group in result.sets
             ]
             labels = [zlib.crc32(text.encode()) for text in ("curve", word, name, label)]
-            out[name] = fit_quantity(name, data, own, np.random.SeedSequence([result.seed, *labels]), **SWEEPS)
+            out[name] = fit_quantity(name, data, own, np.random.SeedSequence([result.seed, *labels]), SWEEPS)
         return out
 
     return PopulationResult(

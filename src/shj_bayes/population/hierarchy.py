@@ -15,8 +15,9 @@ values as well as for posterior draws (docs/decisions/0004-population.md).
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -32,12 +33,19 @@ from shj_bayes.population.priors import PopulationPrior, other_priors, populatio
 from shj_bayes.population.quantities import DESIGN, QUANTITIES, FloatArray, quantity
 
 N_CHAINS = 4
-N_WARM = 800
-N_KEEP = 2000
-THIN = 2
-_FULL = {"n_warm": N_WARM, "n_keep": N_KEEP, "thin": THIN}
-_BRIEF = {"n_warm": 200, "n_keep": 500, "thin": 2}
-_SHORT = {"n_warm": 600, "n_keep": 500, "thin": 6}  # under the other priors only a few quantiles are shown
+
+
+class Sweeps(NamedTuple):
+    """Warm-up sweeps, draws kept per chain, sweeps per draw kept."""
+
+    n_warm: int = 800
+    n_keep: int = 2000
+    thin: int = 2
+
+
+_FULL = Sweeps()
+_BRIEF = Sweeps(200, 500)
+_SHORT = Sweeps(600, 500, 6)  # under the other priors only a few quantiles are shown
 LONGER = 4
 """Times as many sweeps, for as many draws, where chains have not met."""
 MAIN_PRIOR = "default"
@@ -85,10 +93,8 @@ def fit_quantity(
     sets: Sequence[Sequence[Likelihood]],
     prior: PopulationPrior,
     seed: np.random.SeedSequence,
+    sweeps: Sweeps = _FULL,
     *,
-    n_warm: int = N_WARM,
-    n_keep: int = N_KEEP,
-    thin: int = THIN,
     workers: int = 1,
 ) -> QuantityPosterior:
     """Posterior of level and spread of every set, for one quantity.
@@ -103,8 +109,8 @@ def fit_quantity(
         On the pooled scale.
     seed : numpy.random.SeedSequence
         Source of the four chains' streams.
-    n_warm, n_keep, thin : int
-        Warm-up sweeps, draws kept per chain, sweeps per draw kept.
+    sweeps : Sweeps
+        How long the chains are.
     workers : int
         Threads over which the chains are spread; the numbers do not depend on it.
 
@@ -125,7 +131,7 @@ def fit_quantity(
     def one_chain(child: np.random.SeedSequence) -> tuple[FloatArray, ...]:
         rng = np.random.default_rng(child)
         start = _start(sets, prior, data, rng)
-        drawn: tuple[FloatArray, ...] = run_chain(*start, data, prior.packed(), n_warm, n_keep, thin, rng)
+        drawn: tuple[FloatArray, ...] = run_chain(*start, data, prior.packed(), *sweeps, rng)
         return drawn
 
     with ThreadPoolExecutor(max(1, min(workers, N_CHAINS))) as pool:
@@ -154,15 +160,15 @@ def _until_met(
     sets: Sequence[Sequence[Likelihood]],
     prior: PopulationPrior,
     stream: tuple[int, str, str],
-    sweeps: Mapping[str, int],
+    sweeps: Sweeps,
     workers: int,
 ) -> QuantityPosterior:
     """Fit a quantity; once more, with longer chains, where they have not met."""
-    fitted = fit_quantity(name, sets, prior, _stream(*stream), workers=workers, **sweeps)
+    fitted = fit_quantity(name, sets, prior, _stream(*stream), sweeps, workers=workers)
     if fitted.converged:
         return fitted
-    longer = {word: n * (1 if word == "n_keep" else LONGER) for word, n in sweeps.items()}
-    return fit_quantity(name, sets, prior, _stream(*stream), workers=workers, **longer)
+    longer = Sweeps(LONGER * sweeps.n_warm, sweeps.n_keep, LONGER * sweeps.thin)
+    return fit_quantity(name, sets, prior, _stream(*stream), longer, workers=workers)
 
 
 def fit_population(
@@ -215,19 +221,17 @@ def fit_population(
                 fits.setdefault(label, {})[q] = _until_met(q, sets, prior, (seed, q, label), sweeps, threads)
                 bar.update()
     return PopulationResult(
-        sets=tuple(
-            DeviceSet(
-                name,
-                tuple(d.name for d in group),
-                group[0].tags,
-                {q: tuple(d.point(q) for d in group) for q in names},
-                {q: tuple(d.error(q) for d in group) for q in names},
-            )
-            for name, group in grouped.items()
-        ),
+        sets=tuple(_device_set(name, group, names) for name, group in grouped.items()),
         posteriors=fits.pop(MAIN_PRIOR),
         other_priors=fits,
         priors=chosen,
         importance_draws=draws_behind,
         seed=seed,
     )
+
+
+def _device_set(name: str, group: Sequence[DeviceEstimate], names: Sequence[str]) -> DeviceSet:
+    """Devices of a set with the points and errors of the quantities that are pooled."""
+    points = {q: tuple(d.point(q) for d in group) for q in names}
+    errors = {q: tuple(d.error(q) for d in group) for q in names}
+    return DeviceSet(name, tuple(d.name for d in group), group[0].tags, points, errors)

@@ -7,7 +7,7 @@ from shj_bayes.margins.sheet import pool
 from shj_bayes.margins.specimen import specimens_of_table
 from shj_bayes.margins.trial import try_all
 from shj_bayes.population.device import Tags
-from shj_bayes.population.hierarchy import fit_population
+from shj_bayes.population.hierarchy import Sweeps, fit_population
 from shj_bayes.population.tested import PUBLISHED
 
 ZINC = Tags("zinc", 70.0, material="Bisalloy 500")
@@ -46,6 +46,6 @@ def design(trials, population):
 def _fewer_draws():
     """Sheets are made many times here; what is asked of them does not hang on the number of draws."""
     patch = pytest.MonkeyPatch()
-    patch.setattr("shj_bayes.population.hierarchy._BRIEF", {"n_warm": 60, "n_keep": 150, "thin": 1})
+    patch.setattr("shj_bayes.population.hierarchy._BRIEF", Sweeps(60, 150, 1))
     yield
     patch.undo()

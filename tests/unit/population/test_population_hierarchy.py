@@ -10,7 +10,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.inference.ranks import ess_bulk, rhat
 from shj_bayes.population import hierarchy
 from shj_bayes.population.device import DeviceEstimate
-from shj_bayes.population.hierarchy import fit_population, fit_quantity
+from shj_bayes.population.hierarchy import Sweeps, fit_population, fit_quantity
 from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded
 from shj_bayes.population.priors import other_priors, population_prior
 from shj_bayes.population.quantities import quantity
@@ -64,8 +64,7 @@ def test_one_set_of_two_rounded_values_against_a_grid(prior):
         [[Rounded.to_step(v, 5.0).likelihood(FY) for v in (75.0, 95.0)]],
         prior,
         np.random.SeedSequence(5),
-        n_keep=4000,
-        thin=3,
+        Sweeps(n_keep=4000, thin=3),
     )
     assert fit.r_hat < 1.01
     kept = posterior.sum(axis=0)
@@ -159,7 +158,7 @@ def new_device_coverage(n_devices, n_campaigns, *, ignore_spread=False, n_sets=5
         mu, tau = rng.normal(np.log(80), 0.3, n_sets), 0.2 * np.exp(rng.normal(0, 0.5, n_sets))
         printed = 5.0 * np.maximum(np.round(np.exp(rng.normal(mu, tau, (n_devices, n_sets))) / 5.0), 1.0)
         sets = [[Rounded.to_step(v, 5.0).likelihood(FY) for v in printed[:, s]] for s in range(n_sets)]
-        fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence([19, c]), n_warm=300, n_keep=400, thin=2)
+        fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence([19, c]), Sweeps(300, 400))
         new = fit.mu if ignore_spread else rng.normal(fit.mu, fit.tau)
         low, high = np.quantile(new, [0.05, 0.95], axis=0)
         held.append(np.mean(stats.norm.cdf((high - mu) / tau) - stats.norm.cdf((low - mu) / tau)))
@@ -232,13 +231,13 @@ def test_chains_that_have_not_met_run_longer_for_as_many_draws(monkeypatch):
     devices = [DeviceEstimate(n, "s", {"Fy": Rounded(x, x - 5, x + 5)}) for n, x in (("a", 80), ("b", 95))]
     asked = []
 
-    def counted(*args, **sweeps):
-        asked.append({word: sweeps[word] for word in ("n_warm", "n_keep", "thin")})
-        return fit_quantity(*args, **sweeps)
+    def counted(*args, **options):
+        asked.append(args[-1])
+        return fit_quantity(*args, **options)
 
     for sweeps in ("_FULL", "_SHORT"):
-        monkeypatch.setattr(hierarchy, sweeps, {"n_warm": 20, "n_keep": 30, "thin": 1})
+        monkeypatch.setattr(hierarchy, sweeps, Sweeps(20, 30, 1))
     monkeypatch.setattr(hierarchy, "fit_quantity", counted)
     first, again = (fit_population(devices, seed=1).fit("Fy").mu for _ in range(2))
-    assert asked[:2] == [{"n_warm": 20, "n_keep": 30, "thin": 1}, {"n_warm": 80, "n_keep": 30, "thin": 4}]
+    assert asked[:2] == [Sweeps(20, 30, 1), Sweeps(80, 30, 4)]
     assert np.array_equal(first, again)

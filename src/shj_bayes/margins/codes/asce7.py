@@ -56,11 +56,9 @@ def testing(force: Delivered) -> Bounds:
 
 def _rows(given: Given) -> Iterator[Margin]:
     parts, nominal = given.parts, given.parts.nominal_kN
-    yield _row(
-        given, "nominal sliding force", MIDDLE, nominal, "50 % of a new device, third cycle of the first run",
-        ("kN", f"nominal {nominal:.4g} kN ({parts.nominal_words})", "what the factors below multiply"),
-        "ASCE 7, NZ practice",
-    )  # fmt: skip
+    formula, inputs = "50 % of a new device, third cycle of the first run", f"nominal {nominal:.4g} kN"
+    origin = ("ASCE 7, NZ practice", formula, f"{inputs} ({parts.nominal_words})", "what the factors below multiply")
+    yield _row(given, "nominal sliding force", MIDDLE, (nominal, "kN"), origin)
     spec, test = specification(parts.force, nominal), testing(parts.force)
     total = modification(parts.age.measured, test, spec)
     factors = (spec, test, parts.age.measured, total, with_floor(total))
@@ -96,17 +94,14 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
         (f"ASCE 7 {bound} bound force", final * nominal, f"lambda_{word} x nominal",
          ("kN", f"{final:.3f} x {nominal:.4g} kN", f"{bound}-bound analysis"), CLAUSE),
     )  # fmt: skip
-    for kind, value, formula, unit_inputs_purpose, clause in rows:
-        yield _row(given, kind, side, value, formula, unit_inputs_purpose, clause)
+    for kind, value, formula, (unit, inputs, purpose), clause in rows:
+        yield _row(given, kind, side, (value, unit), (clause, formula, inputs, purpose))
 
 
-def _row(
-    given: Given, kind: str, side: str, value: float, formula: str, more: tuple[str, str, str], clause: str
-) -> Margin:
-    unit, inputs, purpose = more
-    origin = (clause, formula, inputs, purpose)
+def _row(given: Given, kind: str, side: str, value: tuple[float, str], origin: tuple[str, str, str, str]) -> Margin:
+    """Margin of the force with its unit; `origin` is clause, formula, inputs and purpose."""
     n = given.devices.get(LOWEST, 0)
-    return Margin(given.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
+    return Margin(given.set_name, "force", FACTORS, kind, side, *value, n, math.nan, *origin)
 
 
 CODE = Code("asce7", "ASCE/SEI 7", "clause text not read; given from knowledge of the standard", _rows, 3)
