@@ -169,24 +169,7 @@ def read_json(path: Path, error: type[ShjError]) -> Any:
 
 
 def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) -> tuple[dict[str, Any], str]:
-    """Read a TOML file of a known schema.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    schema : str
-        What its ``schema`` key must say.
-    max_bytes : int
-        Largest size that is read.
-    error : type
-        Kind of error to raise.
-
-    Returns
-    -------
-    dict, str
-        Content, and the SHA-256 of the file.
-    """
+    """Read a TOML file of a known schema and of bounded size: content, and SHA-256; `error` where that fails."""
     raw = read_bytes(path, max_bytes, error)
     for number, line in enumerate(raw.split(b"\n"), start=1):
         if line.count(b".") > MAX_POINTS:
@@ -202,19 +185,9 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
 
 
 def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
-    """Line of a valid TOML file on which the value of a key ends.
+    """Line, from 1, of a valid TOML file on which a value ends; `keys` is the way to it: tables, places in lists.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    keys : sequence of str or int
-        Way to the value: keys of tables, places in lists.
-
-    Returns
-    -------
-    int or None
-        From 1; None where there is no such key, or looking for it would take long.
+    None where there is no such key, or looking for it would take long.
     """
     lines = path.read_text(encoding="utf-8-sig").split("\n")
     if sum(map(len, lines)) > MAX_SEARCHED:

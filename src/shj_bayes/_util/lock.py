@@ -30,19 +30,9 @@ T = TypeVar("T")
 
 
 def alone_in(parameter: str, kept: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function that writes into a folder, so that it does so alone.
+    """Decorate a function that writes into a folder, one of its parameters: it does so `alone`, or raises as that.
 
-    Parameters
-    ----------
-    parameter : str
-        Parameter of the function that is the folder.
-    kept : str
-        File of a finished result; where it is there, the folder may be one that cannot be written into.
-
-    Returns
-    -------
-    callable
-        The decorator; what it makes raises as `alone` does.
+    `kept` is a file of a finished result; where it is there, the folder may be one that cannot be written into.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:

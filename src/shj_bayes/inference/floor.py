@@ -68,15 +68,7 @@ class Floor:
 
 
 def floor_of(posterior: Posterior, start: Start) -> Floor:
-    """Compare the posterior's width with the scatter from cycle to cycle.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        What was fitted.
-    start : Start
-        Its top.
-    """
+    """Compare the width of a posterior with the scatter from cycle to cycle at its top."""
     scores, information = _scores(posterior, start), _information(posterior, start)
     sd, n_law = np.sqrt(np.diag(start.covariance)), posterior.model.n_law
     told = posterior.model.predicted

@@ -88,20 +88,11 @@ def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: E
 
 
 def promising(scene: Scene, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]) -> list[FloatArray]:
-    """Choose at most `N_STARTS` starts: those whose change of the force goes best with the residual.
+    """Choose at most `N_STARTS` starts, shape (n_law,): those whose change of the force goes best with the residual.
 
-    A moment in time or a wave length has a narrow basin; its grid is scanned to first order, not descended from.
-
-    Parameters
-    ----------
-    scene : Scene
-        The model that the starts belong to; its last effect is the new one.
-    before : array, shape (n,)
-        Residual without the effect, kN.
-    slopes : array, shape (n, k)
-        Derivatives after the parameters without the effect: what they can follow counts for none.
-    starts : sequence of array, shape (n_law,)
-        To choose from.
+    A moment in time or a wave length has a narrow basin; its grid is scanned to first order, not descended from. The
+    last effect of `scene` is the new one. What the parameters without it can follow, by their `slopes`, shape (n, k),
+    counts for none in the residual `before`, shape (n,), kN.
     """
     if len(starts) <= N_STARTS:
         return list(starts)

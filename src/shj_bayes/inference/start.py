@@ -192,14 +192,7 @@ def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
-    """Climb from each candidate to the top of the density; return the highest, with the curvature there.
-
-    Parameters
-    ----------
-    density : Density
-        Log density in the unbounded space.
-    candidates : sequence of array, shape (d,)
-        Where to start.
+    """Climb from each candidate, shape (d,), to the top of the density; return the highest, with the curvature there.
 
     Raises
     ------

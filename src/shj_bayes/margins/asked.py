@@ -84,12 +84,7 @@ class Course:
 def asked_for(request: Request, specimens: Sequence[Specimen]) -> Asked | None:
     """Give the history that is asked for; None for the test that each device went through.
 
-    Parameters
-    ----------
-    request : Request
-        Choices of the user.
-    specimens : sequence of Specimen
-        Tested devices; their largest common amplitude and speed stand in for what was not stated.
+    The largest common amplitude and speed of the tested devices stand in for what was not stated.
     """
     if request.history is not None:
         return from_file(request.history)

@@ -42,19 +42,9 @@ class Diagnosed:
 
 
 def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
-    """Look for the diagnosis of a device.
+    """Look for the diagnosis of a device in the folder of its fit.
 
-    Parameters
-    ----------
-    folder : Path
-        Results folder of the device's fit.
-
-    Returns
-    -------
-    Diagnosed or None
-        None where there is none, or one that does not belong to this fit.
-    str
-        Why one that is there was not used; empty otherwise.
+    None where there is none, or one that does not belong to this fit; and why one that is there was not used.
     """
     path = next((folder / place for place in PLACES if (folder / place).is_file()), None)
     if path is None:

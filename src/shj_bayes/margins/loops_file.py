@@ -20,15 +20,7 @@ LOOPS_CSV = "loops.csv"
 
 
 def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
-    """Draw the loop bands of every set over its tested devices, run by run.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        The devices; a set's widest cycle is cut to what all its devices went through.
-    peak_speed_mm_s : float
-        Of the history.
-    """
+    """Draw the loop bands of every set, run by run; its widest cycle is cut to what all its devices went through."""
     out = []
     for name in dict.fromkeys(trial.set_name for trial in trials):
         own = [trial for trial in trials if trial.set_name == name]

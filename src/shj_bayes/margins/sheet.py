@@ -112,20 +112,9 @@ def margins(
     asked: Asked | None = None,
     words: Sequence[str] = (),
 ) -> Sheet:
-    """Draw up the margins of a population.
+    """Draw up the margins of a population from its pooled design quantities and the devices behind it.
 
-    Parameters
-    ----------
-    design : PopulationResult
-        Design quantities, pooled.
-    trials : sequence of Trial
-        The devices behind it.
-    request : Request
-        Choices of the user.
-    asked : Asked or None
-        History of the virtual test; None for the devices' own.
-    words : sequence of str
-        What the diagnoses found.
+    `asked` is the history of the virtual test, None for the devices' own; `words` say what the diagnoses found.
     """
     rows = tuple(_rows(design, trials, request))
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.

@@ -112,17 +112,7 @@ class Specimen:
 
 
 def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = None) -> Specimen:
-    """Read a tested device from the files of its fit.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder of the fit.
-    name, set_name : str
-        The device and its set.
-    found : Path, optional
-        Results folder of the fit that its diagnosis ended in, with the effects that were found.
-    """
+    """Read a tested device from the folder of its fit, and of the fit that its diagnosis ended in (`found`), if any."""
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
         record = read_record(folder)
         data = read_group(folder, "constant_data")

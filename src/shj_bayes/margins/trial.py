@@ -96,21 +96,12 @@ class Trial:
 
 
 def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: bool = False) -> tuple[Trial, ...]:
-    """Put every device through the virtual test.
-
-    Parameters
-    ----------
-    specimens : sequence of Specimen
-        The devices.
-    asked : Asked or None
-        The history; None for the test that each went through.
-    extrapolate : bool
-        Whether what was not tested may be spoken of.
+    """Put every device through the virtual test: the history asked for, None for the test that each went through.
 
     Raises
     ------
     PopulationError
-        If the history leaves what was tested, or nothing slides in it.
+        If the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
     """
     driven = [_driven(s, courses(asked, s, extrapolate=extrapolate)) for s in specimens]
     least = [counted_from(next(iter(found.values()))[0]) for found, _ in driven]

@@ -19,20 +19,8 @@ from shj_bayes.population.tested import RangeTested
 def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS) -> DeviceEstimate:
     """Read one finished fit as a device of a population.
 
-    Parameters
-    ----------
-    folder : Path
-        Results folder of the fit (``posterior.nc``, ``fit.json``).
-    name, set_name : str
-        The device and its set.
-    tags : Tags
-        Of the set.
-
-    Returns
-    -------
-    DeviceEstimate
-        Draws of K, Fy, beta, gamma and ratio, as far as the fit has them, with the density of the prior they were
-        sampled under, so that the population does not count that prior once for each device.
+    Draws of K, Fy, beta, gamma and ratio, as far as the fit has them, with the density of the prior they were sampled
+    under, so that the population does not count that prior once for each device.
     """
     record = read_record(folder)
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):

@@ -29,19 +29,9 @@ _COMPRESSED = 15  # type of a compressed element of a v5 MAT file
 
 
 def read_binary(path: Path, sha256: str) -> Table:
-    """Read a MAT or HDF5 file.
+    """Read a MAT or HDF5 file: a column for each vector and each column of a matrix (``name[1]``), and single numbers.
 
-    Parameters
-    ----------
-    path : Path
-        The file; v7.3 MAT files are HDF5 and are recognised by their contents.
-    sha256 : str
-        Its digest.
-
-    Returns
-    -------
-    Table
-        One column for each vector, one for each column of a matrix (``name[1]``), and the single numbers.
+    v7.3 MAT files are HDF5 and are recognised by their contents.
     """
     kind = "mat" if path.suffix.lower() == ".mat" else "hdf5"
     if _is_hdf5(path):

@@ -50,22 +50,9 @@ def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, l
 
 
 def fill(time_s: FloatArray, values: FloatArray, name: str) -> tuple[FloatArray, BoolArray, list[Finding]]:
-    """Bridge short runs of empty cells by a straight line.
+    """Bridge short runs of empty cells (NaN) of a channel by a straight line.
 
-    Parameters
-    ----------
-    time_s, values : array, shape (n_samples,)
-        NaN where empty.
-    name : str
-        Channel, for messages.
-
-    Returns
-    -------
-    values : array
-        Without NaN.
-    filled : array of bool
-        Samples that are no evidence.
-    findings : list of Finding
+    Values without NaN, which samples are no evidence, both of shape (n_samples,), and findings.
     """
     filled = np.isnan(values)
     count = int(np.count_nonzero(filled))
@@ -102,20 +89,10 @@ def spikes(displacement_mm: FloatArray) -> BoolArray:
 
 
 def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
-    """Find samples at which a channel stands still at its own extreme because it cannot go further.
+    """Find samples at which a channel stands still at its own extreme while the other moves: it cannot go further.
 
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-        Channel.
-    other : array, shape (n_samples,)
-        The other channel, which must go on moving meanwhile.
-
-    Returns
-    -------
-    array of bool
-        Exactly equal runs at the extreme only: a plateau of friction carries noise, a rounded channel has equal runs
-        at every level, and a noise-free plateau is approached gradually.
+    Exactly equal runs at the extreme only: a plateau of friction carries noise, a rounded channel has equal runs at
+    every level, and a noise-free plateau is approached gradually. Arrays have shape (n_samples,).
     """
     found = np.zeros(values.size, dtype=np.bool_)
     extent, motion = float(np.ptp(values)), float(np.ptp(other))

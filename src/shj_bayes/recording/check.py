@@ -22,22 +22,10 @@ _MAX_BLOCKS = 10  # an earthquake has no blocks; its list would only be long
 
 
 def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple[dict[str, Any], str]]:
-    """Read and check one file.
+    """Read and check one file, as `shj_bayes.recording.reader.read` and `settle` do; facts and text for each run in it.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    runs : int, "split", "one" or None
-        Number of runs that the file holds; ``"split"`` parts it where runs are found, ``"one"`` never does.
-    **reading
-        ``columns``, ``units``, ``rate_Hz`` as for `shj_bayes.recording.reader.read`.
-
-    Returns
-    -------
-    list of (dict, str)
-        For each run in the file facts for machines (``usable`` says whether it may be fitted) and text for people. A
-        file that cannot be read at all gives its reason in both.
+    Facts are for machines (``usable`` says whether the run may be fitted), text is for people. A file that cannot be
+    read at all gives its reason in both.
     """
     try:
         recordings = settle([read(path, **reading)], runs)

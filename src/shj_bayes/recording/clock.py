@@ -70,18 +70,10 @@ def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding
 
 
 def restarts(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> list[int]:
-    """Rows at which the clock begins again, as where several runs were written into one file.
+    """Rows at which the clock begins again, as where several runs were written into one file; shape (n_rows,).
 
-    Parameters
-    ----------
-    time_s, displacement_mm, force_kN : array, shape (n_rows,)
-        NaN where there is no number.
-
-    Returns
-    -------
-    list of int
-        Time falls back there to before the middle of the run, and stays back. A clock that falls back while
-        displacement and force go on is a counter that overflowed, and is left to `orderly_rows`.
+    Time falls back there to before the middle of the run, and stays back. A clock that falls back while displacement
+    and force go on is a counter that overflowed, and is left to `orderly_rows`.
     """
     index = np.flatnonzero(np.isfinite(time_s))
     times = time_s[index]
@@ -113,20 +105,9 @@ def _goes_on(displacement_mm: FloatArray, force_kN: FloatArray, row: int) -> boo
 
 
 def follow_on(time_s: FloatArray, rows: list[int]) -> tuple[FloatArray, list[float]]:
-    """Put runs behind one another on one clock.
+    """Put runs behind one another on one clock; `rows` are the first of each run after the first.
 
-    Parameters
-    ----------
-    time_s : array, shape (n_rows,)
-        NaN where there is no time.
-    rows : list of int
-        First row of each run after the first.
-
-    Returns
-    -------
-    time_s : array, shape (n_rows,)
-    shift_s : list of float
-        What was added to the times of each run after the first; 0 where its clock goes on.
+    Times, shape (n_rows,), s, and what was added to those of each run after the first; 0 where its clock goes on.
     """
     out, shifts = time_s.copy(), list[float]()
     for a, b in pairwise([*rows, time_s.size]):

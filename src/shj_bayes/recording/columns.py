@@ -188,21 +188,7 @@ def parse_columns(option: str | None) -> dict[str, str]:
 
 
 def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | None:
-    """Find a channel by its header.
-
-    Parameters
-    ----------
-    table : Table
-        The file's columns.
-    role : {"time", "displacement", "force"}
-        Channel.
-    findings : list of Finding
-        Extended when the match is by a word in a longer header.
-
-    Returns
-    -------
-    Column or None
-        None when no header fits.
+    """Find a channel by its header; None where none fits. A match by a word in a longer header is a finding.
 
     Raises
     ------

@@ -68,19 +68,9 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def find_dialect(lines: list[str], name: str) -> Dialect:
-    """Separator, decimal sign and first line of numbers.
+    """Separator, decimal sign and first line of numbers, from lines without comments and empty ones.
 
-    Parameters
-    ----------
-    lines : list of str
-        Lines without comments and empty ones.
-    name : str
-        For the message.
-
-    Returns
-    -------
-    Dialect
-        The first line from which numbers follow, read in the way that makes most cells numbers, then most columns.
+    It is the first line from which numbers follow, read in the way that makes most cells numbers, then most columns.
     """
     for first in range(min(len(lines), LOOK)):
         best, most = None, (0.0, 0)

@@ -24,21 +24,9 @@ def read_frame(
     units: str | None = None,
     rate_Hz: float | None = None,
 ) -> Recording:
-    """Read a recording out of a data frame and check it.
+    """Read a recording out of a data frame and check it; columns that hold no numbers are not used.
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        One row for each sample; columns that hold no numbers are not used.
-    name : str
-        Name of the recording.
-    columns, units, rate_Hz
-        As for `shj_bayes.recording.reader.read`.
-
-    Raises
-    ------
-    RecordingError
-        As `shj_bayes.recording.reader.read`.
+    `columns`, `units`, `rate_Hz` and errors are those of `shj_bayes.recording.reader.read`.
     """
     found = []
     for label, series in frame.items():

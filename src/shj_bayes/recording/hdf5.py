@@ -27,17 +27,7 @@ Item = tuple[str, np.ndarray[Any, Any] | None, str | None]
 
 
 def apart(path: Path) -> Iterator[Item]:
-    """Read a file in a process of its own.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    iterator of (str, array or None, str or None)
-        Name, numbers and unit of each dataset; None for the numbers of what is not numbers.
+    """Read a file in a process of its own: name, numbers (None for what is not numbers) and unit of each dataset.
 
     Raises
     ------

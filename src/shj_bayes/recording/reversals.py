@@ -18,19 +18,9 @@ _POOR = 1.5  # a fit whose residual is this many times the noise is no smooth pe
 
 
 def hysteresis(values: FloatArray, threshold: float) -> list[int]:
-    """Find reversals: extremes from which the signal came back by more than a threshold.
+    """Find reversals: inner samples that are extremes from which a signal came back by more than a threshold.
 
-    Parameters
-    ----------
-    values : array, shape (n_samples,)
-        Displacement.
-    threshold : float
-        Same unit; smaller movements back and forth are no reversal.
-
-    Returns
-    -------
-    list of int
-        Increasing; neither the first nor the last sample.
+    Smaller movements back and forth, in the signal's unit, are no reversal.
     """
     step = np.sign(np.diff(values))
     moving = np.flatnonzero(step)

@@ -69,17 +69,7 @@ class Smooth:
 
 
 def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -> Grid:
-    """Average samples in cells of the given width and place the means on an even grid.
-
-    Parameters
-    ----------
-    time_s, values : array, shape (n_samples,)
-        Samples, evenly spaced or not.
-    noise : float
-        Standard deviation of one sample.
-    step : float
-        Width of a cell, s; at least the sampling interval.
-    """
+    """Average samples, even or not, in cells of `step` s and place the means on an even grid."""
     n = int(np.floor((time_s[-1] - time_s[0]) / step + 1e-6)) + 1
     centres = time_s[0] + step * np.arange(n)
     if n == time_s.size and np.allclose(time_s, centres, rtol=0.0, atol=0.02 * step):

@@ -13,20 +13,7 @@ from shj_bayes.recording.tables import Column, Table, as_floats, refuse_large
 
 
 def read_tdms(path: Path, sha256: str) -> Table:
-    """Read the numeric channels of a TDMS file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    sha256 : str
-        Its digest.
-
-    Returns
-    -------
-    Table
-        A waveform's sampling interval is kept as the single number ``wf_increment`` (s).
-    """
+    """Read the numeric channels of a TDMS file; a waveform's interval is the single number ``wf_increment`` (s)."""
     with path.open("rb") as stream:
         if stream.read(4) != b"TDSm":
             raise RecordingError(f"{path.name} is not a TDMS file although its ending says so; export it again")

@@ -34,16 +34,9 @@ def read_text(path: Path, sha256: str) -> Table:
 
 
 def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, notes: tuple[Finding, ...] = ()) -> Table:
-    """Find header and numbers in lines of text.
+    """Find header and numbers in lines of text; empty ones mean nothing, and ``#`` or ``%`` begins a comment.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        All lines; empty ones mean nothing, and those that start with ``#`` or ``%`` are comments.
-    name, sha256, kind : str
-        Name, digest and format for the table.
-    notes : tuple of Finding
-        What was met before.
+    `kind` is the format of the table, `notes` what was met before.
     """
     comments: list[str] = []
     stream = _rows(lines, comments, name)
@@ -86,17 +79,9 @@ def _rows(lines: Iterable[str], comments: list[str], name: str) -> Iterator[str]
 
 
 def find_encoding(path: Path) -> str:
-    """Find the encoding: UTF-8, UTF-16 or UTF-32 by their marks or zeros, else Latin-1 as Windows writes it.
+    """Codec of a text file, plain or gzipped: UTF-8, -16 or -32 by marks or zeros, else Latin-1 as Windows writes it.
 
-    Parameters
-    ----------
-    path : Path
-        The file, plain or gzipped; it is read once to its end.
-
-    Returns
-    -------
-    str
-        Name of the codec.
+    The file is read once to its end.
     """
     with _opened(path) as raw:
         head = raw.read(_HEAD)

@@ -11,28 +11,11 @@ from shj_bayes.recording.recording import Recording
 
 
 def write_csv(path: str | Path, recording: Recording, comment: str = "", digits: int = 7) -> Path:
-    """Write a recording as ``time_s,displacement_mm,force_kN``.
+    """Write a recording as ``time_s,displacement_mm,force_kN``; an existing file is replaced.
 
-    Parameters
-    ----------
-    path : str or Path
-        File to write; an existing one is replaced.
-    recording : Recording
-        Its findings are not written: reading the file checks it anew.
-    comment : str
-        Printed above the header, each line after ``#``; a line with the word SIMULATED makes the reader say so.
-    digits : int
-        Significant digits of displacement and force, 3 to 17; time gets 12 at least.
-
-    Returns
-    -------
-    Path
-        The file written.
-
-    Raises
-    ------
-    RecordingError
-        If the digits are out of range or the file cannot be written.
+    Findings are not written: reading the file checks it anew. The comment stands above the header, each line after
+    ``#``; a line with the word SIMULATED makes the reader say so. Displacement and force have 3 to 17 significant
+    digits, time 12 at least. `RecordingError` where the digits are out of range or the file cannot be written.
     """
     path = Path(path)
     if not 3 <= digits <= 17:

@@ -27,15 +27,8 @@ MOST = 40  # curves in a panel, and panels in a picture
 def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, str]]) -> list[Picture]:
     """Draw one picture for each class that some set has: a panel for each set, a curve for each device.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder.
-    rows : sequence of Row
-        What sets have in common.
-    fitted : mapping of str to (str, str)
-        For the folder of each device those of its diagnosis and of its fit with what its set has, below the campaign's;
-        empty where there is none.
+    `fitted` gives, for the folder of each device, those of its diagnosis and of its fit with what its set has, below
+    the campaign's; empty where there is none.
     """
     by_class: dict[ClassId, list[tuple[Row, list[DeviceCurve]]]] = {}
     for row in rows:

@@ -16,17 +16,7 @@ WORDS = (  # of a device; all are texts
 
 
 def read_campaign(folder: Path) -> dict[str, Any]:
-    """Read the record of a campaign.
-
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder.
-
-    Returns
-    -------
-    dict
-        Content of ``campaign.json``: name, simulated, sets with devices.
+    """Read the record of a campaign: name, simulated, sets with devices.
 
     Raises
     ------

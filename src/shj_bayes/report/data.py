@@ -113,12 +113,7 @@ class DeviceData:
 
 
 def read_device(folder: Path) -> DeviceData:
-    """Read the files of a finished fit.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder with ``posterior.nc`` and ``fit.json``.
+    """Read ``fit.json`` and ``posterior.nc`` of a finished fit.
 
     Raises
     ------

@@ -24,17 +24,7 @@ from shj_bayes.report.viewer import device_viewer, thinning_words
 
 
 def render_device(folder: Path) -> Path:
-    """Write ``report.html`` of a finished fit.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder with ``posterior.nc`` and ``fit.json``.
-
-    Returns
-    -------
-    Path
-        The page, one file that needs nothing else.
+    """Write ``report.html`` of a finished fit, one file that needs nothing else.
 
     Raises
     ------

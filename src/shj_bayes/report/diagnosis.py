@@ -18,17 +18,7 @@ PAGE = "diagnosis.html"
 
 
 def render_diagnosis(folder: Path) -> Path:
-    """Write ``diagnosis.html`` of a finished diagnosis.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder with ``diagnosis.json`` and ``diagnosis.nc``.
-
-    Returns
-    -------
-    Path
-        The page, one file that needs nothing else.
+    """Write ``diagnosis.html`` of a finished diagnosis, one file that needs nothing else.
 
     Raises
     ------

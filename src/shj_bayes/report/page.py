@@ -82,26 +82,7 @@ def policy(text: Markup) -> Markup:
 def write_page(
     folder: Path, template: str, content: dict[str, Any], scripts: Sequence[str] = TABLES, *, name: str = PAGE
 ) -> Path:
-    """Fill a template and put the page into a folder, whole or not at all.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    template : str
-        Name of the template.
-    content : dict
-        What it needs.
-    scripts : sequence of str
-        Scripts that make it move; without them it is a plain page.
-    name : str
-        Name of the file.
-
-    Returns
-    -------
-    Path
-        The page.
-    """
+    """Fill a template and put the page into a folder, whole or not at all; without its scripts it is a plain page."""
     code = script(tuple(scripts))
     fixed = {"version": shj_bayes.__version__, "script": code, "policy": policy(code)}
     text = _environment().get_template(template).render(**fixed, **content)

@@ -20,17 +20,7 @@ PLAN_PAGE = "plan.html"
 
 
 def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> Path:
-    """Write ``plan.html``.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    record : mapping
-        Content of ``plan.json``.
-    plan : Plan or None
-        The plan, for its pictures; None where further devices were asked for.
-    """
+    """Write ``plan.html`` from the content of ``plan.json``; the plan itself is for the pictures of a next test."""
     content = {
         "names": ", ".join(d["name"] for d in record["devices"]),
         "headline": headline(record),

@@ -115,18 +115,9 @@ def alias_words(peak_mm_s: float | None) -> str:
 
 
 def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0, *, family: str = "") -> str:
-    """Say what the recordings do not tell of a parameter.
+    """Say what the recordings do not tell of a parameter, from one of the ``remarks`` in ``fit.json``.
 
-    Parameters
-    ----------
-    finding : mapping
-        Of ``remarks`` in ``fit.json``.
-    unit : str
-        Of the numbers shown, empty for none.
-    factor : float
-        To that unit.
-    family : str
-        Of the priors that were taken.
+    Numbers are shown in `unit` (empty for none), `factor` of it in that of the file; `family` is that of the priors.
     """
     name = str(finding["parameter"])
     low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
