@@ -23,6 +23,7 @@ from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import Specimen, largest_ranges, read_specimen, specimens_of_table
 from shj_bayes.margins.trial import try_all
+from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
@@ -221,7 +222,7 @@ def tested_devices(
             notes.append(f"{of_set}, {name}: {why}")
         if diagnosis is not None:
             found[of_set, name] = diagnosis
-        better = diagnosis.fit if diagnosis is not None and diagnosis.verdict != "adequate" else None
+        better = diagnosis.fit if diagnosis is not None and diagnosis.verdict is not Verdict.ADEQUATE else None
         if with_set:
             better = folder / place / WITH_SET
         out.append(read_specimen(folder / place, name, of_set, better))

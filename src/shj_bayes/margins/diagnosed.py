@@ -15,10 +15,9 @@ from typing import Any
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import InferenceError, PopulationError
 from shj_bayes.inference.record import read_record
-from shj_bayes.mismatch.schema import READ
+from shj_bayes.mismatch.schema import READ, Verdict
 
 PLACES = ("diagnosis.json", "diagnosis/diagnosis.json")
-OPEN = ("family", "unknown")
 Key = tuple[str, str]
 
 
@@ -28,15 +27,15 @@ class Diagnosed:
 
     Parameters
     ----------
-    verdict : str
-        adequate, named, family or unknown.
+    verdict : Verdict
+        What it found.
     found : tuple of str
         What was left out, in words; for a family its members.
     fit : Path or None
         Folder of the fit that it ended in; None for a first look, which has none.
     """
 
-    verdict: str
+    verdict: Verdict
     found: tuple[str, ...]
     fit: Path | None = None
 
@@ -66,16 +65,14 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
 def _diagnosed(record: Mapping[str, Any], place: Path) -> Diagnosed:
     titles = [str(e.get("title", e["id"])) for e in record["effects"]]
     family = [str(e["id"]) for e in record["family"]]
-    verdict = str(record["verdict"])
-    if verdict not in ("adequate", "named", *OPEN):
-        raise ValueError(f"verdict {verdict!r}")
+    verdict = Verdict(record["verdict"])
     fitted = None if record.get("quick") or not (place / "fit.json").is_file() else place
-    return Diagnosed(verdict, tuple(family if verdict == "family" else titles), fitted)
+    return Diagnosed(verdict, tuple(family if verdict is Verdict.FAMILY else titles), fitted)
 
 
 def words_of(found: Mapping[Key, Diagnosed], n_devices: int, notes: Iterable[str] = ()) -> tuple[str, ...]:
     """Say what the diagnoses found, by (set, device), of how many devices, and what could not be used (`notes`)."""
-    changed = [_words(f"{key[0]}, {key[1]}", d) for key, d in found.items() if d.verdict != "adequate"]
+    changed = [_words(f"{key[0]}, {key[1]}", d) for key, d in found.items() if d.verdict is not Verdict.ADEQUATE]
     return (*changed, _how_many(len(found), n_devices), *notes)
 
 
@@ -95,6 +92,6 @@ def _words(name: str, diagnosis: Diagnosed) -> str:
         else " (first look without a posterior: bounds rest on the law alone and on what was measured)"
     )
     return {
-        "named": f"{name}: {what}{tail}",
-        "family": f"{name}: one of {what}, not told apart{tail}",
+        Verdict.NAMED: f"{name}: {what}{tail}",
+        Verdict.FAMILY: f"{name}: one of {what}, not told apart{tail}",
     }.get(diagnosis.verdict, f"{name}: left out and not explained by the catalogue; best model found: {what}{tail}")

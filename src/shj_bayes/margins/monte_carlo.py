@@ -143,4 +143,5 @@ def draws_script(
         for d in drawn
     )
     rate = f"{1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}"
-    return filled("connection_draws", rows, (NOTES[0], *NOTES[2:4], *map(plain, left_out)), amplitude_mm, source, rate=rate)
+    notes = (NOTES[0], *NOTES[2:4], *map(plain, left_out))
+    return filled("connection_draws", rows, notes, amplitude_mm, source, rate=rate)

@@ -10,11 +10,11 @@ import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.alias import Alias
-from shj_bayes.mismatch.findings import Answer, Finding, Reason, Verdict, curve_band, rivals_of
+from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import HeldOut, cycles_of
 from shj_bayes.mismatch.regions import Region, run_of
 from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.schema import SCHEMA
+from shj_bayes.mismatch.schema import SCHEMA, Verdict
 from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State

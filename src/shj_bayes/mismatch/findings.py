@@ -11,21 +11,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import Candidate
+from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, Hypothesis, Search, replaced
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 T = TypeVar("T")
-
-
-class Verdict(StrEnum):
-    """What a diagnosis found."""
-
-    ADEQUATE = "adequate"
-    NAMED = "named"
-    FAMILY = "family"
-    UNKNOWN = "unknown"
 
 
 class Reason(StrEnum):

@@ -1,4 +1,17 @@
-"""Names of the layouts of ``diagnosis.json``: the one that is written, and those that are read."""
+"""Words of ``diagnosis.json`` that are read without what diagnoses: layouts, written and read, and verdicts."""
+
+from __future__ import annotations
+
+from enum import StrEnum
 
 SCHEMA = "shj-bayes/diagnosis/2"
 READ = (SCHEMA, "shj-bayes/diagnosis/1")
+
+
+class Verdict(StrEnum):
+    """What a diagnosis found."""
+
+    ADEQUATE = "adequate"
+    NAMED = "named"
+    FAMILY = "family"
+    UNKNOWN = "unknown"

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError, shown
-from shj_bayes.mismatch.schema import READ
+from shj_bayes.mismatch.schema import READ, Verdict
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray
 
-VERDICTS = ("adequate", "named", "family", "unknown")
 KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
 )  # fmt: skip
@@ -114,8 +113,8 @@ def diagnosis_record(folder: Path) -> dict[str, Any]:
         raise ReportError(
             f"diagnosis.json in {folder.name} is of none of the schemas {', '.join(READ)}; run the diagnosis again"
         )
-    if record.get("verdict") not in VERDICTS:
-        raise ReportError(f"diagnosis.json in {folder.name}: the verdict is none of {', '.join(VERDICTS)}")
+    if record.get("verdict") not in tuple(Verdict):
+        raise ReportError(f"diagnosis.json in {folder.name}: the verdict is none of {', '.join(Verdict)}")
     missing = [key for key in KEYS if key not in record]
     if missing:
         raise ReportError(f"diagnosis.json in {folder.name} lacks {', '.join(missing)}; run the diagnosis again")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ModelError
+from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
@@ -22,10 +23,14 @@ from shj_bayes.report.residual_file import FEWEST_CYCLES
 
 # Word and sign first; the colour only repeats them.
 VERDICTS = {
-    "adequate": ("✓", "holds", "The model describes these recordings: nothing beyond noise was found."),
-    "named": ("●", "part", "The model left something out, and these recordings say what it is."),
-    "family": ("◐", "part", "The model left something out; these recordings cannot tell which of a family it is."),
-    "unknown": ("?", "failed", "The model left something out that no effect of the catalogue explains."),
+    Verdict.ADEQUATE: ("✓", "holds", "The model describes these recordings: nothing beyond noise was found."),
+    Verdict.NAMED: ("●", "part", "The model left something out, and these recordings say what it is."),
+    Verdict.FAMILY: (
+        "◐",
+        "part",
+        "The model left something out; these recordings cannot tell which of a family it is.",
+    ),
+    Verdict.UNKNOWN: ("?", "failed", "The model left something out that no effect of the catalogue explains."),
 }
 FAMILIES = {
     "even_in_position": "alike on both sides of mid-stroke",
@@ -109,7 +114,7 @@ def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
     """Sign, class of the colour and sentence of a verdict; two cycles that show nothing prove nothing."""
     sign, colour, sentence = VERDICTS[record["verdict"]]
     cycles = number((record["heldout"] or {}).get("n_blocks"))
-    if record["verdict"] == "adequate" and cycles < FEWEST_CYCLES:
+    if record["verdict"] == Verdict.ADEQUATE and cycles < FEWEST_CYCLES:
         few = f"{cycles:.0f} cycle{'s' * (cycles != 1)}"
         return "?", "part", f"Nothing beyond noise was found, but {few} are too few to say that nothing is missing."
     return sign, colour, sentence
@@ -122,16 +127,16 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     for e in found:
         # Of several effects the first screen names each; their causes stand where each is described. What may be
         # another effect has no cause yet, and nothing to be done about it.
-        cause = _cause(e) if len(found) == 1 and verdict == "named" else ""
+        cause = _cause(e) if len(found) == 1 and verdict == Verdict.NAMED else ""
         lead = (
             "A part of it: "
             if e.get("partial")
             else "Most probable: "
-            if verdict == "family" and e.get("rivals")
+            if verdict == Verdict.FAMILY and e.get("rivals")
             else ""
         )
         out.append(spaced(f"{lead}{e['statement']}{cause}"))
-    if verdict == "family":
+    if verdict == Verdict.FAMILY:
         members = [f"{title_of(m.get('id')).lower()} ({percent(m.get('probability'))})" for m in record["family"]]
         out.append(f"These recordings cannot tell: {', or '.join(members)}.")
     for c in record.get("coordinates") or ():
@@ -139,7 +144,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
             out.append(f"{curve_words(c)} No known mechanism has this curve.")
     out += fluctuation_words(record)
     out += channel_words(record)
-    if verdict == "unknown":
+    if verdict == Verdict.UNKNOWN:
         left = number(record.get("left_over_percent"))
         if math.isfinite(left) and left >= 1.0:
             out.append(f"What is left beside what was found reaches {per_cent(left / 100)} % of the sliding force.")
@@ -172,7 +177,7 @@ def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
         "swings. Effects below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower "
         "the speed or stiffen the grip: stick-slip changes with both."
         for c in record.get("coordinates") or ()
-        if record["verdict"] == "unknown" and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
+        if record["verdict"] == Verdict.UNKNOWN and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
     ]
 
 
@@ -196,7 +201,7 @@ def coordinates(data: DiagnosisData) -> list[dict[str, str]]:
 def limits_words(data: DiagnosisData) -> str:
     """Say what is not excluded where nothing was found."""
     open_ = [c for c in data.record.get("coordinates") or () if number(c.get("probability")) >= LIMIT]
-    if data.record["verdict"] != "adequate" or not open_:
+    if data.record["verdict"] != Verdict.ADEQUATE or not open_:
         return ""
     named = (f"{over_words(c['coordinate'])} ({percent(c['probability'])})" for c in open_)
     return f"Not excluded: a dependence on {', '.join(named)}."
@@ -231,7 +236,7 @@ def p_words(p: Any) -> str:
 def chance_words(record: Mapping[str, Any]) -> str:
     """Say how probable such a misfit is by chance; nothing where something else than that decided the verdict."""
     p = number(record["p_value"])
-    return "" if record["verdict"] != "adequate" and p >= LIMIT else p_words(p)
+    return "" if record["verdict"] != Verdict.ADEQUATE and p >= LIMIT else p_words(p)
 
 
 def cards(data: DiagnosisData) -> list[dict[str, str]]:
@@ -261,7 +266,7 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
 
 def misfit_in_noise(data: DiagnosisData) -> bool:
     """Whether the noise floor of the record holds misfit that nothing in the law takes up."""
-    return bool(data.record["verdict"] == "unknown")
+    return bool(data.record["verdict"] == Verdict.UNKNOWN)
 
 
 def effects(data: DiagnosisData) -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from shj_bayes._util.files import read_json, write_text
 from shj_bayes.errors import ReportError
+from shj_bayes.mismatch.schema import Verdict
 
 if TYPE_CHECKING:
     from shj_bayes.report.data import DeviceData
@@ -24,7 +25,7 @@ FILE, SCHEMA = "residual.json", "shj-bayes/residual/2"
 FEWEST_CYCLES = 3  # what comes again twice may be shape; what is there once or twice may be chance
 FAIR_PERCENT = 2.0  # of Fy: a load cell's own drift stays below
 POOR_PERCENT = 5.0  # of Fy: more than nominally identical devices differ by
-DIAGNOSED = ("adequate", "named", "family", "unknown")
+DIAGNOSED = tuple(Verdict)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from shj_bayes.inference.record import Remark
+from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
@@ -22,11 +23,11 @@ FIT = {
     "poor": ("poor fit", "unusable"),
     "undecided": ("fit undecided", "tentative"),
 }
-DIAGNOSED_WORDS = {
-    "adequate": "The diagnosis of these recordings found nothing beyond noise.",
-    "named": "The diagnosis of these recordings says what the law leaves out.",
-    "family": "The diagnosis of these recordings found that the law leaves something out, and what it may be.",
-    "unknown": "The diagnosis of these recordings found that the law leaves something out that has no name.",
+DIAGNOSED_WORDS: dict[str, str] = {
+    Verdict.ADEQUATE: "The diagnosis of these recordings found nothing beyond noise.",
+    Verdict.NAMED: "The diagnosis of these recordings says what the law leaves out.",
+    Verdict.FAMILY: "The diagnosis of these recordings found that the law leaves something out, and what it may be.",
+    Verdict.UNKNOWN: "The diagnosis of these recordings found that the law leaves something out that has no name.",
 }
 _DETERMINES = {
     "K": "small cycles, or more samples where the force turns",

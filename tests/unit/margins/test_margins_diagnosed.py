@@ -4,6 +4,7 @@ import pytest
 
 from shj_bayes.inference.record import KINDS, SCHEMA
 from shj_bayes.margins.diagnosed import Diagnosed, find_diagnosis, words_of
+from shj_bayes.mismatch.schema import Verdict
 
 
 def write(folder, **change):
@@ -61,7 +62,9 @@ def test_what_was_found_is_said_device_by_device(tmp_path):
     key = ("Zinc 70", "1")
     assert words_of({}, 5, ["y: not used"]) == (words_of({}, 5)[0], "y: not used")
     assert words_of({}, 5)[0].startswith("No device has a diagnosis")
-    assert words_of({key: Diagnosed("adequate", (), tmp_path)}, 5)[0].startswith("1 of 5 devices have a diagnosis")
-    assert words_of({key: Diagnosed("named", ("Prying",), tmp_path)}, 5)[0] == "Zinc 70, 1: Prying"
-    assert "not told apart" in words_of({key: Diagnosed("family", ("prying", "velocity"), tmp_path)}, 5)[0]
-    assert "without a posterior" in words_of({key: Diagnosed("unknown", ())}, 5)[0]
+    assert words_of({key: Diagnosed(Verdict.ADEQUATE, (), tmp_path)}, 5)[0].startswith(
+        "1 of 5 devices have a diagnosis"
+    )
+    assert words_of({key: Diagnosed(Verdict.NAMED, ("Prying",), tmp_path)}, 5)[0] == "Zinc 70, 1: Prying"
+    assert "not told apart" in words_of({key: Diagnosed(Verdict.FAMILY, ("prying", "velocity"), tmp_path)}, 5)[0]
+    assert "without a posterior" in words_of({key: Diagnosed(Verdict.UNKNOWN, ())}, 5)[0]
