@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,14 +30,13 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.foresight import foresee
+from shj_bayes.planning.foresight import quantity_of
 from shj_bayes.planning.known import Key as Set
-from shj_bayes.planning.known import class_of, common_scales, know
+from shj_bayes.planning.known import Known, class_of, common_scales, know
 from shj_bayes.planning.plan import make_plan, proposals
 from shj_bayes.planning.proposals import within
 from shj_bayes.planning.protocol import Block, Protocol, Waveform
 from shj_bayes.planning.questions import quantity_named
-from shj_bayes.planning.rehearsal import weighed
 from shj_bayes.planning.rig import Rig
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key, development_keys, stated_key
@@ -162,12 +161,11 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
         [known], rig, protocols, given=[expert], question=question, quantities=quantities, seed=number, rehearsals=0
     )
     out: dict[str, Any] = before | {"outcome": "counted", "tests": {}}
-    tests = {"planned": plan.best[0].protocol, "table 1": protocols[0], "expert": expert}
-    for name, protocol in tests.items():
-        recording = _second(key, protocol)
-        seen = foresee(known, protocol, RATE_HZ, number + 1000, quantity, 72)
+    for name, r in zip(TESTS, (plan.best[0], *plan.compared), strict=True):
+        recording, seen = _second(key, r.protocol), r.foreseen[0]
         one: dict[str, Any] = {
-            "minutes": protocol.duration_s / 60.0,
+            "protocol": r.protocol.name,
+            "minutes": r.protocol.duration_s / 60.0,
             "foreseen": seen.of_truth,
             "right_foreseen": seen.right,
         }
@@ -177,13 +175,14 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
             one |= {"verdict": record["verdict"], "truth": sum(p for c, p in sets if c & truth)}
             one["right"] = bool(sets and sets[0][0] & truth)
         else:
-            p, variance = weighed(known, recording, quantity)
+            then = _weighed([first[0].recording, recording], device, rivals, scales)
+            p = then.probabilities
             one["truth"] = sum(v for k, v in p.items() if k & truth)
             one["right"] = bool(max(p, key=lambda k: p[k]) & truth)
             if quantity is not None:
                 one |= {
                     "sd_foreseen": seen.sd,
-                    "sd": float(np.sqrt(variance)),
+                    "sd": quantity_of(then, question, quantity.unit, quantity.value).now(then.beliefs)[1],
                     "sd_before": quantity.now(known.beliefs)[1],
                 }
         out["tests"][name] = one
@@ -208,16 +207,25 @@ def paper(sizes: Sequence[float] = (0.005, 0.01, 0.02, 0.05), minutes: float = 2
         print(f"prying of {100 * size:.1f} %: after Table 1 {prying:.1f} %, gamma {mean:.5f} +- {sd:.5f} s/mm")
         plan = make_plan([known], rig, protocols, question="gamma", quantities=(gamma,), rehearsals=0)
         for r in (*plan.best[:1], *plan.compared):
-            p, variance = weighed(known, _second(key, r.protocol), gamma)
-            named, seen = 100 * p.get(class_of("prying"), 0.0), r.foreseen[0].sd
+            then = _weighed([recording, _second(key, r.protocol)], device, rivals, scales)
+            named, seen = 100 * then.probabilities.get(class_of("prying"), 0.0), r.foreseen[0].sd
+            after = quantity_of(then, "gamma", gamma.unit, gamma.value).now(then.beliefs)[1]
             print(
                 f"  {r.protocol.name}, {r.protocol.duration_s / 60:.1f} min: prying {named:.1f} %, sd of gamma "
-                f"{variance**0.5:.6f} s/mm (foreseen {seen:.6f})"
+                f"{after:.6f} s/mm (foreseen {seen:.6f})"
             )
             print(
                 "   ",
                 ", ".join(f"{b.amplitude_mm:g} mm {b.speed_mm_s:.3g} mm/s {b.cycles}x" for b in r.protocol.blocks),
             )
+
+
+def _weighed(
+    recordings: Sequence[Recording], device: DeviceModel, rivals: Sequence[tuple[Set, float]], scales: Mapping[str, Any]
+) -> Known:
+    """Fit the rivals to both tests, in the ways that fit them both."""
+    device = replace(device, n_runs=len(recordings))
+    return know(runs_of(recordings), device, rivals, scales, hidden=frozenset({"velocity"}), even=True)
 
 
 def _classes(key: Key) -> tuple[tuple[str, str], ...]:

@@ -19,8 +19,10 @@ from scipy.special import logsumexp
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.planning.known import Belief, Key, Known
+from shj_bayes.planning.known import PLANNED, Belief, Key, Known
 from shj_bayes.planning.protocol import Protocol
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.recording import Recording
 
 BoolArray = NDArray[np.bool_]
 
@@ -76,6 +78,9 @@ class Foreseen:
         Largest force, two standard deviations above what is predicted.
     by_set : dict of frozenset to float
         Expected probability of each set where it is the true one.
+    told : float
+        Mean of `by_set` over the contenders, each counted alike: which of them is the more probable so far hangs on the
+        form that each was given.
     """
 
     entropy: float
@@ -84,6 +89,7 @@ class Foreseen:
     sd: float | None
     force_kN: float
     by_set: dict[Key, float]
+    told: float
 
 
 def entropy_of(probabilities: FloatArray) -> FloatArray:
@@ -118,28 +124,30 @@ def foresee(
     n : int
         Outcomes drawn from each rival.
     """
-    time, motion = protocol.sampled(rate_Hz)
-    scene = known.scene(time, motion)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    scene, misread = as_read(known, protocol, rate_Hz, rng)
     beliefs = known.beliefs
     first = beliefs[0]
     slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
     metric = Metric(scene, known.setting, slope)
-    means, designs, forces = [], [], []
+    columns, forces = [metric.whitened(misread[:, None])[0], metric.other], []
     for b in beliefs:
         force, jacobian = _linear(scene, b)
         told = _drawn(b)
         own = np.linalg.inv(b.precision)[: b.z.size, : b.z.size]
         sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian * told, own, jacobian * told))
         forces.append(float(np.max(np.abs(force) + SURE * sd)))
-        white = metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian]))[0]
-        old_zeros = np.zeros((white.shape[0], b.mean.size - b.z.size - metric.other.shape[1]))
-        design = np.concatenate([white[:, 1:], metric.other, old_zeros], axis=1)
-        designs.append(design)
-        means.append(white[:, 0] + design @ b.mean)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+        columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian]))[0])
+    means, designs = [], []
+    wrong, other, *own_columns = _reduced(columns)
+    for b, white in zip(beliefs, own_columns, strict=True):
+        old_zeros = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
+        designs.append(np.concatenate([white[:, 1:], other, old_zeros], axis=1))
+        means.append(white[:, 0] + designs[-1] @ b.mean)
     outcomes = np.concatenate(
         [_outcomes(b, m, a, n, rng) for b, m, a in zip(beliefs, means, designs, strict=True)], axis=1
     )
+    outcomes += wrong
     logs, values, variances = [], [], []
     for i, (b, m, a) in enumerate(zip(beliefs, means, designs, strict=True)):
         after = cho_factor(b.precision + a.T @ a, lower=True)
@@ -147,12 +155,13 @@ def foresee(
         along = a.T @ away
         moved = cho_solve(after, along)
         grown = float(np.log(np.diag(after[0])).sum()) - 0.5 * float(np.linalg.slogdet(b.precision)[1])
-        logs.append(np.log(b.share) - 0.5 * (np.sum(away**2, axis=0) - np.sum(along * moved, axis=0)) - grown)
+        logs.append(-0.5 * (np.sum(away**2, axis=0) - np.sum(along * moved, axis=0)) - grown)
         if quantity is not None:
             values.append(quantity.values[i] + quantity.slopes[i] @ moved)
             variances.append(float(quantity.slopes[i] @ cho_solve(after, quantity.slopes[i])))
-    weights = np.array(logs)
-    p = np.exp(weights - logsumexp(weights, axis=0)).T  # (n_outcomes, n_beliefs)
+    with np.errstate(divide="ignore"):  # a way does not weigh its own outcomes
+        weights = np.array(logs).T + np.repeat(np.log(known.judges), n, axis=0)
+    p = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))  # (n_outcomes, n_beliefs)
     shares = np.array([b.share for b in beliefs])
     chance = np.repeat(shares / n, n)
     keys = known.keys
@@ -163,14 +172,47 @@ def foresee(
     sd = None
     if quantity is not None:
         sd = math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
+    by_set = {key: float(np.average(own[truth == k], weights=chance[truth == k])) for k, key in enumerate(keys)}
     return Foreseen(
         float(chance @ entropy_of(by_key)),
         float(chance @ own),
         float(chance @ (by_key.argmax(axis=1) == truth)),
         sd,
         max(forces),
-        {key: float(np.average(own[truth == k], weights=chance[truth == k])) for k, key in enumerate(keys)},
+        by_set,
+        float(np.mean([by_set[key] for key in known.contenders])),
     )
+
+
+def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> tuple[Scene, FloatArray]:
+    """Give a planned run as the readers will see it, and what they will get wrong of it.
+
+    Every rival is held against the motion that is found in the samples. Where this is not the motion that was run, as
+    at the corners of a fast triangle, the force differs in a way that none of them holds.
+
+    Parameters
+    ----------
+    known : Known
+        The device.
+    protocol : Protocol
+        The candidate.
+    rate_Hz : float
+        Sampling rate, Hz.
+    rng : numpy.random.Generator
+        Noise of the displacement.
+
+    Returns
+    -------
+    Scene
+        The model held against the run.
+    array, shape (n_blocks,)
+        Force of the base law along the motion that was run less that along the motion that is found, kN.
+    """
+    time, motion = protocol.sampled(rate_Hz)
+    found = motion_of(Recording(time, known.wobbling(motion.displacement_mm, rng), np.zeros(time.size), source=PLANNED))
+    run, read = (known.base_force(time, m) for m in (motion, found))
+    scene = known.scene(time, found, run)
+    return scene, scene.blocks([(run - read)[:, None]])[:, 0]
 
 
 def quantity_of(known: Known, name: str, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> Quantity:
@@ -200,6 +242,14 @@ def _linear(scene: Scene, b: Belief) -> tuple[FloatArray, FloatArray]:
     """Force of a planned run and its derivatives, shapes (n,) and (n, n_law)."""
     residual = scene.residual(b.model, b.z[None])[0]
     return (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
+
+
+def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Columns in coordinates of the space that they span: their products, all that outcomes depend on, are the same."""
+    whole = np.concatenate(columns, axis=1)
+    values, vectors = np.linalg.eigh(whole.T @ whole)
+    reduced = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    return np.split(reduced, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 
 def _drawn(b: Belief) -> BoolArray:

@@ -23,7 +23,7 @@ from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
-from shj_bayes.mismatch.search import ODDS, Hypothesis, Search, noise_beside
+from shj_bayes.mismatch.search import DOUBT, ODDS, Hypothesis, Search, noise_beside
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
@@ -40,6 +40,7 @@ KINDS = 3  # ways to write a class, by smoothness or as an effect, that are fitt
 NEAR = 7.0  # nats behind the best way, beyond which a way is left out
 MOST_BELIEFS, LEAST_SHARE = 12, 1e-4  # of the most probable
 SMOOTHNESS = 0.5  # length of a curve that no test has been seen of, as a share of the range
+PLANNED = Source("planned")
 Key = frozenset[str]
 
 
@@ -124,12 +125,50 @@ class Known:
         """Probability of each set of classes."""
         return self.by_set([b.share for b in self.beliefs])
 
+    @property
+    def contenders(self) -> tuple[Key, ...]:
+        """Fewest sets that together hold 95 %, most probable first."""
+        below = np.cumsum([self.probabilities[key] for key in self.keys]) < 1.0 - DOUBT
+        return self.keys[: 1 + int(below.sum())]
+
+    @property
+    def judges(self) -> FloatArray:
+        """Shares with which the beliefs weigh an outcome of each of them, shape (n_beliefs, n_beliefs).
+
+        A device follows none of the formulas exactly. An outcome of one way to write a set is therefore weighed with
+        the other ways of this set, which together have its probability; a set with one way alone keeps it.
+        """
+        shares = np.array([b.share for b in self.beliefs])
+        same = np.array([[b.key == c.key for c in self.beliefs] for b in self.beliefs])
+        others = same & ~np.eye(shares.size, dtype=bool)
+        left = others @ shares
+        grown = (same @ shares) / np.where(left > 0.0, left, 1.0)
+        of_own = np.where(left[:, None] > 0.0, others * grown[:, None], same)
+        return np.asarray(shares * np.where(same, of_own, 1.0))
+
     def by_set(self, shares: Iterable[float]) -> dict[Key, float]:
         """Sum the shares of the beliefs over each set of classes."""
         out: dict[Key, float] = {}
         for b, share in zip(self.beliefs, shares, strict=True):
             out[b.key] = out.get(b.key, 0.0) + float(share)
         return out
+
+    @property
+    def base_law(self) -> tuple[DeviceModel, FloatArray]:
+        """Base law of one run and its parameters in their units, noise at any value."""
+        alone = replace(self.device, n_runs=1, effects=())
+        values = self.device.law_values(self.z)
+        return alone, np.array([values.get(n, 1.0) for n in alone.names])
+
+    def base_force(self, time_s: FloatArray, motion: Motion) -> FloatArray:
+        """Force of the base law in one run, shape (n,), kN."""
+        alone, theta = self.base_law
+        return np.asarray(alone.force(theta[None], histories([time_s], [motion])[0], 0.0)[0])
+
+    def wobbling(self, displacement_mm: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Displacement as it would be measured, with the noise of the old tests."""
+        noise = max((run.motion.noise_mm for run in self.runs), default=0.0)
+        return displacement_mm + noise * rng.standard_normal(displacement_mm.size)
 
     def scene(
         self, time_s: FloatArray, motion: Motion, force_kN: FloatArray | None = None, coarser: float = COARSER
@@ -147,12 +186,10 @@ class Known:
         coarser : float
             Blocks than those of a fit.
         """
-        alone = replace(self.device, n_runs=1, effects=())
-        values = self.device.law_values(self.z)
-        theta = np.array([values.get(n, 1.0) for n in alone.names])
+        alone, theta = self.base_law
         if force_kN is None:
-            force_kN = alone.force(theta[None], histories([time_s], [motion])[0], 0.0)[0]
-        run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=Source("planned")), motion)
+            force_kN = self.base_force(time_s, motion)
+        run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=PLANNED), motion)
 
         def bends(history: History, start_force_kN: float) -> FloatArray:
             still = theta.copy()
@@ -298,10 +335,10 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
     setting = NoiseSetting((0.0,) * n_noise, MODEL_ERROR * device.law_values(z)["Fy"])
     odds = PRESENT / (1.0 - PRESENT)
     rows: list[tuple[Key, float, DeviceModel]] = [(frozenset(), 1.0, device)]
-    size = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL)))
+    size, words = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL))), _words()
     for action, coordinate in CURVES:
         curve = Curve(action, "heat2" if coordinate == "heat" else coordinate, SMOOTHNESS, False, size)
-        rows.append((frozenset({f"{action} over {coordinate}"}), odds, device.with_effects((curve.effect(),))))
+        rows.append((frozenset({words[action, coordinate]}), odds, device.with_effects((curve.effect(),))))
     total = sum(p for _, p, _ in rows)
     beliefs = []
     for key, p, model in rows:
@@ -313,8 +350,8 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
 
 def mechanisms_of(key: Key) -> tuple[str, ...]:
     """Mechanisms of the catalogue that a set of classes may be, in the order of its classes."""
-    known = catalogue().values()
-    acting = (e.mechanism for name in sorted(key) for e in known if tuple(name.split(" over ")) in e.acts)
+    acts = {word: pair for pair, word in _words().items()}
+    acting = (e.mechanism for word in sorted(key) for e in catalogue().values() if acts.get(word) in e.acts)
     return tuple(dict.fromkeys(acting))
 
 
@@ -331,7 +368,12 @@ def class_of(mechanism: str) -> Key:
     known = catalogue()
     if mechanism not in known:
         raise PlanError(f"'{mechanism}' is no mechanism; known are {', '.join(known)}{did_you_mean(mechanism, known)}")
-    return frozenset({" over ".join(known[mechanism].acts[0])})
+    return frozenset({_words()[known[mechanism].acts[0]]})
+
+
+def _words() -> dict[tuple[str, str], str]:
+    """Words of all classes by action and coordinate."""
+    return {(c.action, c.coordinate): c.id for c in classes()}
 
 
 def _rough_noise(device: DeviceModel, size_kN: float) -> NoiseSetting:

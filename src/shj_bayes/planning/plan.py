@@ -18,10 +18,9 @@ from shj_bayes.planning.protocol import Protocol
 from shj_bayes.planning.rehearsal import Rehearsal, rehearse
 from shj_bayes.planning.rig import Rig
 
-DRAWN, ROUNDS, PARENTS, CHILDREN = 16, 3, 5, 6
-FINAL = 8  # protocols that are foreseen again with fresh outcomes: the best of many is partly luck
+DRAWN, ROUNDS, PARENTS, CHILDREN = 8, 1, 4, 4
+FINAL = 6  # protocols that are foreseen again with fresh outcomes: the best of many is partly luck
 SHOWN, REHEARSALS = 3, 8
-ALIKE = 0.95  # of the largest gain: among such protocols the shortest is the best
 LITTLE = 0.1  # of what is not known: a test that is expected to settle less is not worth its time
 WHICH, FORCE = "which", "force"
 
@@ -57,6 +56,15 @@ class Row:
     gain: float
     broken: tuple[str, ...] = ()
     rehearsal: Rehearsal | None = None
+
+    @property
+    def order(self) -> tuple[float, float]:
+        """By what protocols are ranked, larger is better: for ``which`` how well contenders are told, else the gain.
+
+        Entropy alone would praise a test that makes sure of a wrong set.
+        """
+        which = self.foreseen[0].sd is None
+        return float(np.mean([s.told for s in self.foreseen])) if which else self.gain, self.gain
 
     @property
     def gain_per_minute(self) -> float:
@@ -160,15 +168,15 @@ def make_plan(
     rows = [row(p, seed) for p in (*first, *given)]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     for k in range(ROUNDS):
-        parents = _leading(ranked(rows), PARENTS)
+        parents = ranked(rows)[:PARENTS]
         children = [new for r in parents for _ in range(CHILDREN) if (new := changed(r.protocol, rig, rng)) is not None]
         tell(f"improving the best, {k + 1} of {ROUNDS}: {len(children)} further protocols")
         rows += [row(p, seed) for p in children]
     tell("weighing the best again, with fresh outcomes")
     different = list({r.protocol.blocks or r.protocol: r for r in reversed(ranked(rows))}.values())[::-1]
-    finalists = [r.protocol for r in _leading(different, FINAL) if r.protocol not in compared]
+    finalists = [r.protocol for r in different[:FINAL] if r.protocol not in compared]
     again = [row(p, seed + 1, 3 * OUTCOMES) for p in (*finalists, *compared)]
-    best = _shortest_first(ranked(again))[:SHOWN]
+    best = ranked(again)[:SHOWN]
     others = [r for r in again if r.protocol in compared]
 
     def rehearsed(r: Row) -> Row:
@@ -183,20 +191,8 @@ def make_plan(
 
 
 def ranked(rows: Sequence[Row]) -> list[Row]:
-    """Protocols that the rig allows, largest gain first."""
-    return sorted((r for r in rows if not r.broken), key=lambda r: -r.gain)
-
-
-def _leading(rows: list[Row], n: int) -> list[Row]:
-    """Half of them the best, the others the shortest of those that are as good."""
-    short = _shortest_first(rows)[: n - n // 2]
-    return [*short, *(r for r in rows if r not in short)][:n]
-
-
-def _shortest_first(rows: list[Row]) -> list[Row]:
-    """Put the shortest of those that are as good as the best in front."""
-    good = [] if not rows else [r for r in rows if r.gain >= ALIKE * rows[0].gain]
-    return [*sorted(good, key=lambda r: r.protocol.duration_s), *(r for r in rows if r not in good)]
+    """Protocols that the rig allows, best first."""
+    return sorted((r for r in rows if not r.broken), key=lambda r: r.order, reverse=True)
 
 
 def _entropy(known: Known) -> float:

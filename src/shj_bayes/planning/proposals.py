@@ -35,6 +35,11 @@ DESIGNS: dict[str, tuple[tuple[float, float, int, Waveform, float], ...]] = {
         (1.0, 1.0, 2, SINE, 0.0), (0.75, 1.0, 2, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0), (0.25, 1.0, 2, SINE, 0.0),
         (0.1, 1.0, 2, SINE, 0.0),
     ),
+    "rising and falling, slow and fast": (
+        (0.08, 0.25, 3, SINE, 0.0), (0.25, 0.25, 3, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0), (1.0, 1.0, 2, SINE, 0.0),
+        (1.0, 0.25, 1, SINE, 0.0), (0.5, 0.25, 1, SINE, 0.0), (0.25, 1.0, 3, SINE, 0.0), (0.08, 0.25, 3, SINE, 0.0),
+        (0.25, 0.06, 1, SINE, 0.0), (1.0, 0.5, 2, SINE, 60.0), (0.25, 0.25, 3, SINE, 0.0),
+    ),
 }  # fmt: skip
 
 
@@ -58,8 +63,10 @@ def first_protocols(rig: Rig, rng: np.random.Generator, n_drawn: int) -> list[Pr
     out = [table_1_protocol(rig.max_stroke_mm, rig.max_speed_mm_s)]
     for name, rows in DESIGNS.items():
         blocks = [Block(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, n, w, r) for a, v, n, w, r in rows]
-        if kept := within(blocks, rig):
-            out.append(Protocol(name, kept))
+        once = within(blocks, rig)
+        again = within(blocks * math.ceil(60.0 * rig.max_minutes / sum(b.duration_s for b in blocks)), rig)
+        out += [Protocol(name, once)] if once else []
+        out += [Protocol(f"{name}, again", again)] if again != once else []
     for _ in range(n_drawn):
         drawn: list[Block] = []
         seconds = rng.uniform(0.3, 1.0) * 60.0 * rig.max_minutes

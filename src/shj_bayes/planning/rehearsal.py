@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -12,14 +13,15 @@ from shj_bayes.inference.reduction import zero_noise_kN
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts
 from shj_bayes.mismatch.scene import Metric, Scene
-from shj_bayes.mismatch.state import find_noise, settle
+from shj_bayes.mismatch.state import settle
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.planning.foresight import Quantity, entropy_of, spread_of
-from shj_bayes.planning.known import Belief, Key, Known
+from shj_bayes.planning.known import PLANNED, Belief, Key, Known
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.recording import Recording, Source
+from shj_bayes.recording.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -61,24 +63,26 @@ def rehearse(
     rate_Hz : float
         Sampling rate, Hz.
     n : int
-        Tests to simulate; the true rivals are taken in their shares.
+        Tests to simulate, spread evenly over the sets, within a set over the ways to write it in their shares.
     seed : int
         Same seed, same numbers.
     quantity : Quantity, optional
         What should become narrow.
     """
-    shares = np.cumsum([b.share for b in known.beliefs])
-    of_truth, right, entropy, variances = [], 0, [], []
+    shares, judges, keys = np.array([b.share for b in known.beliefs]), known.judges, known.keys
+    rows = []
     for k, stream in enumerate(np.random.SeedSequence(seed, spawn_key=(5,)).spawn(n)):
-        true = known.beliefs[min(int(np.searchsorted(shares, (k + 0.5) / n)), len(known.beliefs) - 1)]
-        recording = recorded(known, true, protocol, rate_Hz, np.random.default_rng(stream))
-        after, variance = weighed(known, recording, quantity, noise_known=True)
-        variances.append(variance)
-        of_truth.append(after[true.key])
-        right += max(after, key=lambda key: after[key]) == true.key
-        entropy.append(float(entropy_of(np.array(list(after.values())))))
-    sd = None if quantity is None else float(np.sqrt(np.mean(variances)))
-    return Rehearsal(n, float(np.mean(of_truth)), right, float(np.mean(entropy)), sd)
+        key, turn, turns = keys[k % len(keys)], k // len(keys), -(-(n - k % len(keys)) // len(keys))
+        within = np.cumsum(np.where([b.key == key for b in known.beliefs], shares, 0.0))
+        i = int(np.searchsorted(within, (turn + 0.5) / turns * within[-1]))
+        recording = recorded(known, known.beliefs[i], protocol, rate_Hz, np.random.default_rng(stream))
+        after, variance = weighed(known, recording, judges[i], quantity)
+        right = max(after, key=lambda key: after[key]) == key
+        rows.append((within[-1] / turns, after[key], right, entropy_of(np.array(list(after.values()))), variance))
+    weight, of_truth, right_of, entropy, variances = np.array(rows, dtype=np.float64).T
+    mean = partial(np.average, weights=weight)
+    sd = None if quantity is None else float(np.sqrt(mean(variances)))
+    return Rehearsal(n, float(mean(of_truth)), int(right_of.sum()), float(mean(entropy)), sd)
 
 
 def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> Recording:
@@ -91,15 +95,14 @@ def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng
     noise = {name: float(v[0]) for name, v in true.model.noise_values(theta).items()}
     force = force + simulate(true.model.noise, noise, time, np.arange(time.size) == 0, rng)
     force += zero_noise_kN(force) * rng.standard_normal()
-    wobble = max((run.motion.noise_mm for run in known.runs), default=0.0) * rng.standard_normal(time.size)
-    return Recording(time, motion.displacement_mm + wobble, force, source=Source("rehearsal"))
+    return Recording(time, known.wobbling(motion.displacement_mm, rng), force, source=PLANNED)
 
 
 @one_blas_thread
 def weighed(
-    known: Known, recording: Recording, quantity: Quantity | None = None, *, noise_known: bool = False
+    known: Known, recording: Recording, shares: FloatArray, quantity: Quantity | None = None
 ) -> tuple[dict[Key, float], float]:
-    """Weigh the rivals on one further recording, each fitted to old and new together.
+    """Weigh the rivals on one further recording, each fitted to old and new together under the noise of the old.
 
     Parameters
     ----------
@@ -107,10 +110,10 @@ def weighed(
         The device before it.
     recording : Recording
         The further test.
+    shares : array, shape (n_beliefs,)
+        Probabilities of the beliefs before the test.
     quantity : Quantity, optional
         What should have become narrow.
-    noise_known : bool
-        Whether the noise is that of the old tests, not to be found anew on all of them.
 
     Returns
     -------
@@ -130,17 +133,15 @@ def weighed(
     first = known.beliefs[0]
     slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
     metric = Metric(scene, known.setting, slope)
-    if not noise_known:
-        best = max((settle(scene, metric, b.model, b.z) for b in known.beliefs), key=lambda s: s.evidence)
-        setting = find_noise(scene, best, np.zeros((best.residual.size, 0)), known.setting)
-        metric = Metric(scene, setting, best.slope)
     logs, values, variances = [], [], []
     for i, b in enumerate(known.beliefs):
         state = settle(scene, metric, b.model, b.z)
-        logs.append(np.log(b.share) + state.evidence - b.evidence)
+        logs.append(state.evidence - b.evidence)
         if quantity is not None:
             g = quantity.slopes[i][: b.z.size]
             values.append(quantity.value(b.model, state.z))
             variances.append(float(g @ state.covariance @ g))
-    p = np.exp(np.array(logs) - logsumexp(logs))
+    with np.errstate(divide="ignore"):
+        weights = np.log(shares) + logs
+    p = np.exp(weights - logsumexp(weights))
     return known.by_set(p), 0.0 if quantity is None else float(spread_of(p, np.array(values), np.array(variances)))

@@ -12,7 +12,7 @@ import numpy as np
 from shj_bayes.model.history import histories
 from shj_bayes.planning.devices import ASSURANCE, WITHIN
 from shj_bayes.planning.known import Belief, Known, mechanisms_of
-from shj_bayes.planning.plan import ALIKE, FORCE, WHICH, Plan, Worth
+from shj_bayes.planning.plan import FORCE, WHICH, Plan, Worth
 from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.page import Picture, write_page
 
@@ -102,14 +102,12 @@ def lines(record: Mapping[str, Any]) -> list[str]:
             )
         else:
             out.append(f"{table['name']} ({table['minutes']:.1f} minutes) takes it to {table['sd']:.3g}.")
-        if table["gain_nats"] >= ALIKE * best["gain_nats"] and not table["limits_broken"]:
-            longer = table["minutes"] / best["minutes"]
-            out.append(f"{table['name']} tells as much, in {longer:.2g} times the time.")
         if best["simulated"]:
             s = best["simulated"]
             out.append(
-                f"In {s['n']} full simulations of it the most probable set was the true one {s['right']} times, with a "
-                f"mean probability of {100 * s['of_truth']:.3g} %."
+                f"In {s['n']} full simulations of it, as many of each rival, the most probable set was the true one "
+                f"{s['right']} times. With each rival counted by its probability, the true one had a mean of "
+                f"{100 * s['of_truth']:.3g} %."
             )
     return out
 
