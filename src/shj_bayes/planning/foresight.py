@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.planning.known import PLANNED, Belief, Key, Known
 from shj_bayes.planning.protocol import Protocol
@@ -210,7 +211,7 @@ def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Gen
     """
     time, motion = protocol.sampled(rate_Hz)
     found = motion_of(Recording(time, known.wobbling(motion.displacement_mm, rng), np.zeros(time.size), source=PLANNED))
-    run, read = (known.base_force(time, m) for m in (motion, found))
+    run, read = (known.base_force(histories([time], [m])[0]) for m in (motion, found))
     scene = known.scene(time, found, run)
     return scene, scene.blocks([(run - read)[:, None]])[:, 0]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -140,11 +141,10 @@ class Known:
         """
         shares = np.array([b.share for b in self.beliefs])
         same = np.array([[b.key == c.key for c in self.beliefs] for b in self.beliefs])
-        others = same & ~np.eye(shares.size, dtype=bool)
-        left = others @ shares
-        grown = (same @ shares) / np.where(left > 0.0, left, 1.0)
-        of_own = np.where(left[:, None] > 0.0, others * grown[:, None], same)
-        return np.asarray(shares * np.where(same, of_own, 1.0))
+        others = np.where(same & ~np.eye(shares.size, dtype=bool), shares, 0.0)
+        left = others.sum(axis=1, keepdims=True)
+        own = np.divide(others * (same @ shares)[:, None], left, out=same * shares, where=left > 0.0)
+        return np.asarray(np.where(same, own, shares))
 
     def by_set(self, shares: Iterable[float]) -> dict[Key, float]:
         """Sum the shares of the beliefs over each set of classes."""
@@ -153,26 +153,19 @@ class Known:
             out[b.key] = out.get(b.key, 0.0) + float(share)
         return out
 
-    @property
-    def base_law(self) -> tuple[DeviceModel, FloatArray]:
-        """Base law of one run and its parameters in their units, noise at any value."""
+    def base_force(self, history: History, start_force_kN: float = 0.0, share_of_speed: float = 1.0) -> FloatArray:
+        """Force of the base law in one run with a share of its dependence on speed, shape (n,), kN."""
         alone = replace(self.device, n_runs=1, effects=())
         values = self.device.law_values(self.z)
-        return alone, np.array([values.get(n, 1.0) for n in alone.names])
-
-    def base_force(self, time_s: FloatArray, motion: Motion) -> FloatArray:
-        """Force of the base law in one run, shape (n,), kN."""
-        alone, theta = self.base_law
-        return np.asarray(alone.force(theta[None], histories([time_s], [motion])[0], 0.0)[0])
+        theta = np.array([values.get(n, 1.0) * (share_of_speed if n == "gamma" else 1.0) for n in alone.names])
+        return np.asarray(alone.force(theta[None], history, start_force_kN)[0])
 
     def wobbling(self, displacement_mm: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Displacement as it would be measured, with the noise of the old tests."""
         noise = max((run.motion.noise_mm for run in self.runs), default=0.0)
         return displacement_mm + noise * rng.standard_normal(displacement_mm.size)
 
-    def scene(
-        self, time_s: FloatArray, motion: Motion, force_kN: FloatArray | None = None, coarser: float = COARSER
-    ) -> Scene:
+    def scene(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray, coarser: float = COARSER) -> Scene:
         """Hold the model against one further run.
 
         Parameters
@@ -181,21 +174,13 @@ class Known:
             Times from 0, s.
         motion : Motion
             Displacement from the middle of the stroke.
-        force_kN : array, shape (n,), optional
-            Measured force; that of the base law where there is none yet.
+        force_kN : array, shape (n,)
+            Measured force.
         coarser : float
             Blocks than those of a fit.
         """
-        alone, theta = self.base_law
-        if force_kN is None:
-            force_kN = self.base_force(time_s, motion)
         run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=PLANNED), motion)
-
-        def bends(history: History, start_force_kN: float) -> FloatArray:
-            still = theta.copy()
-            still[3:4] *= 0.0 if self.device.speed else 1.0  # gamma: its share of the force is straight
-            return np.asarray(alone.force(still[None], history, start_force_kN)[0])
-
+        bends = partial(self.base_force, share_of_speed=0.0)  # what the speed adds is straight
         part = reduce_runs((run,), bends, coarser=coarser)[0]
         runs = (*self.runs, run)
         posterior = Posterior(runs, self.device, (replace(part, history=self.placed(part.history)),))
