@@ -55,7 +55,8 @@ class Finding:
         Its place among the effects of that model.
     names : tuple of (str, float)
         Mechanisms of the catalogue that may have the curve, with their probabilities within the class, most probable
-        first and as many as hold 95 %; none where no formula follows it.
+        first and as many as hold 95 %; what was measured beside the force is its own name. None where no formula
+        follows the curve.
     """
 
     member: Candidate
@@ -69,9 +70,8 @@ class Finding:
 
     @property
     def named(self) -> bool:
-        """Whether it has a name: that of a mechanism of the catalogue, or of what was measured beside the force."""
-        curve = self.member.variant.curve
-        return curve is None or curve.over.measured
+        """Whether it has a name."""
+        return bool(self.names)
 
     @property
     def period(self) -> float | None:
@@ -231,6 +231,7 @@ def _findings(
             continue
         at = next((i for i, m in enumerate(curves.members) if m.of.id == member.of.id), None)
         curve = curves.members[at] if at is not None and curves.members[at].variant.curve is not None else None
+        written = member.variant.curve
         found.append(
             Finding(
                 member,
@@ -240,7 +241,7 @@ def _findings(
                 curve,
                 curves.state if curve is not None else None,
                 at if curve is not None and at is not None else place,
-                () if member.variant.curve is not None else _names(out, h, place),
+                _names(out, h, place) if written is None or written.over.measured else (),
             )
         )
     return tuple(sorted(found, key=lambda f: -f.size)), h
