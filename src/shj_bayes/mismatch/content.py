@@ -359,8 +359,10 @@ def next_test(out: Search, answer: Answer, *, quick: bool) -> str | None:
     }
     members = [member["id"] for member in family(out, answer)]
     said = dict.fromkeys(known[name].next_test for name in members[:2])
-    first = "diagnose without --quick, then " if quick else ""
-    return " ".join([*said, f"Computed for this device and rig: {first}shj-bayes plan RESULTS -o next."])
+    if answer.reason is Reason.SEVERAL:  # a plan weighs sets of coordinates, not formulas over one
+        first = "diagnose without --quick, then " if quick else ""
+        said[f"Computed for this device and rig: {first}shj-bayes plan RESULTS -o next."] = None
+    return " ".join(said)
 
 
 def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
