@@ -23,7 +23,8 @@ from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.commands.comparison import compare_sets
 from shj_bayes.commands.next_test import plan_next
 from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
-from shj_bayes.commands.summary import summarise_campaign, summarise_tables
+from shj_bayes.commands.pooled import summarise_tables
+from shj_bayes.commands.summary import summarise_campaign
 from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, PlanError, ReportError
 from shj_bayes.inference.quiet_arviz import az

@@ -369,7 +369,7 @@ def _run_campaign(
 def tables(out: Path, seed: int, output: Output) -> None:
     """Bands and comparisons from the published, rounded parameter tables alone."""
     make_writable(out)
-    from shj_bayes.commands.summary import summarise_tables
+    from shj_bayes.commands.pooled import summarise_tables
     from shj_bayes.commands.validation import paper_claims
 
     result = summarise_tables(out, paper_claims(), seed=seed, progress=output.speaks)
@@ -415,7 +415,7 @@ def tables(out: Path, seed: int, output: Output) -> None:
 def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any) -> None:
     """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
     need_population(folder)
-    from shj_bayes.commands.design import design_margins
+    from shj_bayes.commands.margin_sheet import design_margins
     from shj_bayes.margins.request import Request
 
     design = design_margins(folder, Request(sets=sets, **request), progress=output.speaks)

@@ -2,7 +2,9 @@
 
 import importlib
 import json
+import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from shj_bayes.commands.comparison import compare_sets
 from shj_bayes.commands.summary import summarise_campaign
 from shj_bayes.errors import CampaignError
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 
@@ -78,6 +81,78 @@ def test_summary_pools_compares_and_writes_a_page(campaign):
     force = next(row for row in record["contrasts"] if row["quantity"] == "Fy")
     assert force["q50"] == pytest.approx(82.5 / 60, rel=0.15)
     assert "no effect" not in text
+
+
+def _alter(path, old="", new=" "):
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("changed", "touched"),
+    [
+        ({"name": "another"}, None),
+        ({"simulated": True}, None),
+        ({"devices": slice(1, 3)}, None),
+        ({"devices": slice(0, 4)}, None),  # the broken one is new
+        ({"tags": Tags(corroded=True)}, None),
+        ({"seed": 2}, None),
+        ({"package": "another"}, None),
+        ({}, lambda out: _alter(out / "report.html")),
+        ({}, lambda out: (out / "margins.html").unlink()),
+        ({}, lambda out: _alter(out / "loops.csv")),  # left by another command: it must not stay unnoticed either
+        ({}, lambda out: _alter(next(out.glob("devices/*/residual.json")))),
+        ({}, lambda out: _alter(out / "made.json", "bands", "lies")),
+    ],
+)
+def test_a_summary_stands_until_something_that_it_rests_on_or_wrote_changes(
+    campaign, tmp_path, monkeypatch, changed, touched
+):
+    manifest, out, _ = campaign
+    out = Path(shutil.copytree(out, tmp_path / "out"))
+    (out / "loops.csv").write_text("old", encoding="utf-8")
+    calls = []
+
+    def pooled(usable, folder, **_options):
+        calls.append(len(usable))
+        for name in ("report.html", "margins.html"):
+            (folder / name).write_text("a page", encoding="utf-8")
+        return {"record": {"population": 1.5}, "lines": ["bands"]}
+
+    monkeypatch.setattr("shj_bayes.commands.pooled.pooled_campaign", pooled)
+
+    def run(devices=slice(0, 3), tags=NO_TAGS, seed=1, package="one", **more):
+        monkeypatch.setattr("shj_bayes._util.made.package", lambda: package)
+        chosen = tuple(replace(device, tags=tags) for device in manifest.devices[devices])
+        given = replace(manifest, devices=chosen, **more)
+        return summarise_campaign(given, run_campaign(given, out, workers=1, diagnose="off"), out, seed=seed)
+
+    first, again = run(), run()
+    assert len(calls) == 1
+    assert (again.text, again.record) == (first.text, first.record)
+    if touched:
+        touched(out)
+    run(**changed)
+    assert len(calls) == 2
+    assert {(out / name).read_text(encoding="utf-8") for name in ("report.html", "margins.html")} == {"a page"}
+
+
+def test_a_page_made_again_needs_no_new_draws(campaign, monkeypatch):
+    """A page that is gone is written as before from the population that stands; other devices are pooled anew."""
+    manifest, out, _ = campaign
+    outcomes = run_campaign(manifest, out, workers=1, diagnose="off")
+    first = summarise_campaign(manifest, outcomes, out, seed=1)
+    pages = {path: path.read_bytes() for path in (out / "report.html", out / "margins.html")}
+    (out / "report.html").unlink()
+
+    def never(*_given, **_options):
+        raise AssertionError("pooled again")
+
+    monkeypatch.setattr("shj_bayes.commands.pooled.fit_population", never)
+    again = summarise_campaign(manifest, outcomes, out, seed=1)
+    assert {path: path.read_bytes() for path in pages} == pages
+    assert again.record == first.record
+    with pytest.raises(AssertionError, match="pooled again"):
+        summarise_campaign(manifest, outcomes[1:], out, seed=1)
 
 
 @pytest.mark.parametrize(

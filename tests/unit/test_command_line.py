@@ -88,7 +88,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, monke
     def denied(*_, **__):
         raise PermissionError(13, "Permission denied", "tmpabc")
 
-    monkeypatch.setattr("shj_bayes.commands.summary.fit_population", never)
+    monkeypatch.setattr("shj_bayes.commands.pooled.fit_population", never)
     (tmp_path / "file").write_text("x", encoding="utf-8")
     done = run("tables", "-o", tmp_path / "file" / "below")
     assert (done.exit_code, "rights" in done.output) == (1, True)

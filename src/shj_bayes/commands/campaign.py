@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -33,6 +33,7 @@ from shj_bayes._util.files import (
     write_text,
 )
 from shj_bayes._util.lock import alone_in
+from shj_bayes._util.made import digests, made
 from shj_bayes.commands.finished import DeviceResult, kept_result
 from shj_bayes.commands.mistaken import repeated
 from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
@@ -42,9 +43,6 @@ from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.report.campaign import WITH_SET
 from shj_bayes.report.device import is_simulated, render_device
 from shj_bayes.report.residual_file import DIAGNOSIS
-
-if TYPE_CHECKING:  # only a campaign with diagnoses needs it
-    from shj_bayes.mismatch.together import Together
 
 SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
@@ -257,38 +255,50 @@ def run_campaign(
         devices = tuple(replace(device, diagnose=diagnose) for device in devices)
     crew = _Crew(folder, workers or os.cpu_count() or 1, cluster, progress)
     outcomes = crew.run("fits", _fit_one, devices, [_kept(device, folder) for device in devices])
-    outcomes, together = _together(outcomes, folder)
-    outcomes = _fitted_with_sets(crew, outcomes, together, folder)
-    write_text(folder / "campaign.json", json.dumps(campaign_record(manifest, outcomes, together), indent=1))
+    outcomes, found = _together(outcomes, folder)
+    outcomes = _fitted_with_sets(crew, outcomes, found.enter, folder)
+    record = campaign_record(manifest, outcomes, found.together)
+    write_text(folder / "campaign.json", json.dumps(record, indent=1))
     return outcomes
 
 
-def _together(outcomes: Sequence[Outcome], folder: Path) -> tuple[list[Outcome], tuple[Together, ...]]:
+def _together(outcomes: Sequence[Outcome], folder: Path) -> tuple[list[Outcome], _Found]:
     """Add up what the diagnosed devices of each set, and all of them, have in common."""
-    out, devices = [], []
-    for o in outcomes:
-        if o.status == FAILED or o.diagnosis in ("off", FAILED):
-            out.append(o)
-            continue
+    diagnosed = [o for o in outcomes if o.status != FAILED and o.diagnosis not in ("off", FAILED)]
+    if not diagnosed:
+        return list(outcomes), _Found()
+
+    def add_up() -> dict[str, Any]:
         from shj_bayes.mismatch.together import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
 
-        try:
-            devices.append((o.device.set_name, read_diagnosed(folder / o.device.folder / DIAGNOSIS, o.device.folder)))
-            out.append(o)
-        except ShjError as error:
-            out.append(replace(o, diagnosis=FAILED, diagnosis_reason=str(error)))
-    return out, together(devices) if devices else ()
+        devices, unread = [], {}
+        for o in diagnosed:
+            place = o.device.folder
+            try:
+                devices.append((o.device.set_name, read_diagnosed(folder / place / DIAGNOSIS, place)))
+            except ShjError as error:
+                unread[place] = str(error)
+        groups = together(devices)
+        enter = {place: effects for one in groups if one.set_name for place, effects in one.effects.items()}
+        return {"together": [one.to_dict() for one in groups], "enter": enter, "unread": unread}
+
+    files = [(o.device.set_name, digests(folder, [f"{o.device.folder}/{DIAGNOSIS}/diagnosis.json"])) for o in diagnosed]
+    said = made(folder, "together", files, (), add_up)
+    out = []
+    for o in outcomes:
+        why = said["unread"].get(o.device.folder)
+        out.append(o if why is None else replace(o, diagnosis=FAILED, diagnosis_reason=why))
+    return out, _Found(said["together"], said["enter"])
 
 
 def _fitted_with_sets(
-    crew: _Crew, outcomes: Sequence[Outcome], found: Sequence[Together], folder: Path
+    crew: _Crew, outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]], folder: Path
 ) -> list[Outcome]:
     """Fit the devices whose own fit lacks what their set has; the outcomes of the campaign with those of these fits."""
-    wanted = {place: effects for one in found if one.set_name for place, effects in one.effects.items()}
     devices = []
     for o in outcomes:
-        if o.device.folder in wanted:
-            effects = (*o.device.options.effects, *wanted[o.device.folder])
+        if o.device.folder in enter:
+            effects = (*o.device.options.effects, *enter[o.device.folder])
             devices.append(replace(o.device, options=replace(o.device.options, effects=effects)))
     known = [_kept_with_set(device, folder) for device in devices]
     done = {o.device.folder: o for o in crew.run("with what the set has", _fit_with_set, devices, known)}
@@ -300,6 +310,14 @@ def _fitted_with_sets(
             o = replace(o, with_set=verdict, with_set_reason=new.reason)  # noqa: PLW2901
         out.append(o)
     return out
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What sets have in common, as it stands in ``campaign.json``, and by device what of it enters its model."""
+
+    together: Sequence[dict[str, Any]] = ()
+    enter: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -488,7 +506,9 @@ def _outcome(device: Device, result: DeviceResult) -> Outcome:
     )
 
 
-def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome], found: Sequence[Together] = ()) -> dict[str, Any]:
+def campaign_record(
+    manifest: Manifest, outcomes: Sequence[Outcome], together: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
     """Content of ``campaign.json``."""
     sets: dict[str, list[dict[str, str]]] = {}
     for o in outcomes:
@@ -506,7 +526,7 @@ def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome], found: Sequ
                 (f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs
             ),
             "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
-            "together": [one.to_dict() for one in found],
+            "together": list(together),
         }
     )
 

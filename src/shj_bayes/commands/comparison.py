@@ -12,7 +12,6 @@ import pandas as pd
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.commands.design import MOST_DRAWN, tested_devices
 from shj_bayes.margins.curves import CurveContrast, compare_curves
-from shj_bayes.margins.specimen import Specimen
 from shj_bayes.population.compare import ROPE, Comparison, compare
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.results import load_population
@@ -69,7 +68,7 @@ def curve_records(curves: Sequence[CurveContrast]) -> list[dict[str, Any]]:
     return [{**asdict(curve), "sentence": curve_words(curve)} for curve in curves]
 
 
-def curves_of_pairs(folder: Path, result: PopulationResult, specimens: Sequence[Specimen]) -> tuple[CurveContrast, ...]:
+def curves_of_pairs(folder: Path, result: PopulationResult) -> tuple[CurveContrast, ...]:
     """Compare the curves of the pairs of sets that a campaign page names, and write ``comparison-curves.csv``.
 
     Parameters
@@ -77,11 +76,11 @@ def curves_of_pairs(folder: Path, result: PopulationResult, specimens: Sequence[
     folder : Path
         Campaign folder.
     result : PopulationResult
-        Its population.
-    specimens : sequence of Specimen
-        Its devices; nothing is said of more than `MOST_DRAWN`.
+        Its population; nothing is said of more devices than `MOST_DRAWN`.
     """
-    chosen = pairs(result) if len(specimens) <= MOST_DRAWN else ()
+    few = sum(len(group.devices) for group in result.sets) <= MOST_DRAWN
+    chosen = pairs(result) if few else ()
+    specimens = tested_devices(folder, result)[1] if chosen else ()
     found = tuple(c for pair in chosen for c in compare_curves(result, specimens, *pair, rope=ROPE))
     path = folder / "comparison-curves.csv"
     path.unlink(missing_ok=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.monte_carlo import draw_devices, draws_csv, draws_script
 from shj_bayes.margins.opensees import python_script, tcl_script
-from shj_bayes.margins.request import PLAIN, Request
+from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import Specimen, largest_ranges, read_specimen, specimens_of_table
 from shj_bayes.margins.trial import try_all
@@ -37,77 +37,15 @@ TABLES_NAME = "Published tables"
 MOST_DRAWN = 100  # devices whose loops are drawn and written
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
-    """Margins of a folder.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        The margins.
-    page : Path
-        The designer's sheet.
-    request : Request
-        What was asked for.
-    specimens : tuple of Specimen
-        The tested devices.
-    """
-
-    sheet: Sheet
-    page: Path
-    request: Request
-    specimens: tuple[Specimen, ...] = field(repr=False)
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """For machines: content of ``margins.json``."""
-        return to_json(self.sheet)
-
-    @property
-    def text(self) -> str:
-        """For people: the design table, what to mind, and where the sheet is."""
-        return "\n".join(
-            [
-                margin_text(self.sheet, self.request),
-                "",
-                *(f"- {line}" for line in (*self.sheet.diagnoses, *self.sheet.warnings)),
-                "",
-                f"margins: {self.page}",
-            ]
-        )
-
-
-def design_margins(
-    folder: Path,
-    request: Request = PLAIN,
-    *,
-    population: PopulationResult | None = None,
-    progress: bool = False,
-) -> Design:
-    """Draw up and write the margins of a folder that ``campaign`` or ``tables`` wrote.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    request : Request
-        Cycle and choices.
-    population : PopulationResult, optional
-        Its population; read from the folder when not given.
-    progress : bool
-        Show a progress bar.
+def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[str, Any]:
+    """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
 
     Returns
     -------
-    Design
-
-    Raises
-    ------
-    PopulationError
-        If a set that was asked for is not there, or a cycle was not tested; nothing is written then.
+    dict
+        ``record``: content of ``margins.json``; ``words``: the design table and what to mind, for people.
     """
-    need_population(folder)
-    result = load_population(folder) if population is None else population
+    result = load_population(folder)
     request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
     campaign, specimens, words = tested_devices(folder, result)
     asked = asked_for(request, specimens) if specimens else None
@@ -119,8 +57,9 @@ def design_margins(
     write_loops(loop_bands, folder)
     name = str(campaign["name"]) if campaign else TABLES_NAME
     simulated = bool(campaign and campaign.get("simulated"))
-    page = render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
-    return Design(sheet, page, request, specimens)
+    render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
+    notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
+    return {"record": to_json(sheet), "words": "\n".join([margin_text(sheet, request), "", *notes])}
 
 
 def export_analysis(

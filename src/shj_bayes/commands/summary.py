@@ -1,31 +1,20 @@
-"""From finished devices, or from the published tables, to population, comparison and the page over them."""
+"""End of a campaign: what became of its devices, and what they say together; worked out again only where it changed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from shj_bayes._util.files import make_writable
 from shj_bayes._util.lock import alone_in
+from shj_bayes._util.made import made
 from shj_bayes.commands.campaign import FAILED, Manifest, Outcome
-from shj_bayes.commands.comparison import curve_records, curves_of_pairs
-from shj_bayes.commands.design import design_margins
-from shj_bayes.margins.curves import CurveContrast
-from shj_bayes.population.fits import device_from_fit, tested_by_fit
-from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import RUN_FORCES, never_tested_words, new_device_table, sets_suffice
-from shj_bayes.population.published import Claim, published_devices
-from shj_bayes.population.results import to_json, write_population
-from shj_bayes.population.tested import PUBLISHED, common
-from shj_bayes.report.campaign import render_campaign, render_tables
+from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.campaign_physics import statements
-from shj_bayes.report.sets import name_of
 
-SHOWN = ("Fy", *RUN_FORCES, *RUN_FORCES.values(), "K", "gamma")
+WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,31 +59,21 @@ def summarise_campaign(
     -------
     Summary
     """
-    usable = [o for o in outcomes if o.status != "failed" and o.verdict != "unusable"]
-    lines = [_line(o) for o in outcomes]
+    usable = [o for o in outcomes if o.status != FAILED and o.verdict != "unusable"]
     record = read_campaign(folder)
-    lines += [*record["warnings"], *statements(record)]
-    population = None
-    curves: tuple[CurveContrast, ...] = ()
+    lines = [*map(_line, outcomes), *record["warnings"], *statements(record)]
+
+    def pool() -> dict[str, Any]:
+        # Population, margins and pictures need most of scipy, which a campaign in which nothing changed need not load.
+        from shj_bayes.commands.pooled import pooled_campaign  # noqa: PLC0415
+
+        return pooled_campaign(usable, folder, seed=seed, progress=progress)
+
+    who = [(o.device.folder, o.device.name, o.device.set_name, asdict(o.device.tags)) for o in usable]
+    said = made(folder, "summary", [seed, who, campaign_inputs(folder)], WRITES, pool)
     if usable:
-        places = [folder / o.device.folder for o in usable]
-        devices = [
-            device_from_fit(place, o.device.name, o.device.set_name, o.device.tags)
-            for place, o in zip(places, usable, strict=True)
-        ]
-        ranges = [tested_by_fit(place) for place in places]
-        population = replace(
-            fit_population(devices, seed=seed, progress=progress),
-            tested=common([r for r in ranges if r]) if all(ranges) else None,
-        )
-        write_population(population, folder)
-        design = design_margins(folder, population=population, progress=progress)
-        curves = curves_of_pairs(folder, population, design.specimens)
-        record["population"], record["margins"] = to_json(population), design.record
-        record["curves"] = curve_records(curves)
-        lines += ["", band_text(population), "", design.text]
-    page = render_campaign(folder, population, curves)
-    return Summary(record, "\n".join([*lines, f"report: {page}"]), bool(usable))
+        lines += ["", *said["lines"], "", f"margins: {folder / PAGE}"]
+    return Summary(record | said["record"], "\n".join([*lines, f"report: {folder / 'report.html'}"]), bool(usable))
 
 
 def _line(o: Outcome) -> str:
@@ -105,32 +84,3 @@ def _line(o: Outcome) -> str:
     if o.with_set:
         parts.append(f"with what its set has: {o.with_set}{f' ({o.with_set_reason})' if o.with_set == FAILED else ''}")
     return f"{o.device.set_name}, {o.device.name}: {', '.join(parts)}"
-
-
-@alone_in("folder")
-def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progress: bool = False) -> Summary:
-    """Pool the published tables and write their page with the paper's claims; the rest as for `summarise_campaign`."""
-    make_writable(folder)
-    population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
-    write_population(population, folder)
-    design = design_margins(folder, population=population, progress=progress)
-    page = render_tables(folder, population, claims)
-    answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
-    text = "\n".join([band_text(population), "", *answers, "", design.text, f"report: {page}"])
-    record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
-    return Summary(record, text)
-
-
-def band_text(population: PopulationResult) -> str:
-    """Bands of a new device, one line per set and quantity."""
-    table = new_device_table(population)
-    lines = ["A NEW device of each set: 5 %, 50 %, 95 %"]
-    enough = sets_suffice(len(population.sets))
-    if not enough:
-        table = table[table["set"] != ANY_SET]
-    for row in table[table["quantity"].isin(SHOWN)].itertuples():
-        unit = "" if row.unit == "1" else f" {row.unit}"
-        numbers = f"{row.q05:10.4g} {row.q50:10.4g} {row.q95:10.4g}{unit}"
-        devices = f"{row.n_devices} device{'' if row.n_devices == 1 else 's'}"
-        lines.append(f"  {name_of(str(row.set)):34.34}{devices:12}{row.quantity:10}{numbers}")
-    return "\n".join(lines if enough else [*lines, f"  {never_tested_words(len(population.sets))}"])

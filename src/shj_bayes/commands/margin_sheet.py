@@ -1,0 +1,92 @@
+"""The margins of a folder: drawn up, or as they stand where nothing that they rest on changed."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from shj_bayes._util.files import file_digest, need_population
+from shj_bayes._util.made import digests, made
+from shj_bayes.margins.request import PLAIN, Request
+from shj_bayes.report.campaign_file import read_campaign
+
+POPULATION = ("population.csv", "population.json", "population.npz")
+PAGE = "margins.html"
+MARGINS = ("margins.csv", "margins.xlsx", "margins.json", "margins-devices.csv", "loops.csv", PAGE)
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Margins of a folder.
+
+    Parameters
+    ----------
+    record : dict
+        For machines: content of ``margins.json``.
+    words : str
+        For people: the design table, and what to mind.
+    page : Path
+        The designer's sheet.
+    """
+
+    record: dict[str, Any]
+    words: str
+    page: Path
+
+    @property
+    def text(self) -> str:
+        """For people: the same, and where the sheet is."""
+        return f"{self.words}\n\nmargins: {self.page}"
+
+
+def design_margins(folder: Path, request: Request = PLAIN, *, progress: bool = False) -> Design:
+    """Draw up and write the margins of a folder that ``campaign`` or ``tables`` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    request : Request
+        Cycle and choices.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    PopulationError
+        If a set that was asked for is not there, or a cycle was not tested; nothing is written then.
+    """
+    need_population(folder)
+
+    def draw_up() -> dict[str, Any]:
+        # Virtual tests, codes and pictures need most of scipy, which margins that stand need not load.
+        from shj_bayes.commands.design import drawn_up  # noqa: PLC0415
+
+        return drawn_up(folder, request, progress=progress)
+
+    chosen = asdict(request)
+    if request.history is not None:
+        chosen["history"] = [str(request.history), file_digest(request.history)]
+    rests_on = [chosen, digests(folder, POPULATION), campaign_inputs(folder)]
+    return Design(**made(folder, "margins", rests_on, MARGINS, draw_up), page=folder / PAGE)
+
+
+def campaign_inputs(folder: Path) -> dict[str, Any]:
+    """Give all that the pages of a campaign rest on: what ``campaign.json`` says, and the files of its devices.
+
+    A device that was kept is one that was done. The published tables have no devices.
+    """
+    if not (folder / "campaign.json").exists():
+        return {}
+    record = read_campaign(folder)
+    record.pop("digest", None)
+    devices = [device for group in record["sets"] for device in group["devices"]]
+    for device in devices:
+        device["status"] = {"kept": "done"}.get(device["status"], device["status"])
+    files = {device["folder"]: digests(folder, [f"{device['folder']}/**/*"]) for device in devices}
+    return {"campaign": record, "files": files}
