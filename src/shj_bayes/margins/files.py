@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from shj_bayes._util.files import write_text
+from shj_bayes._util.files import replacing, write_text
 from shj_bayes.margins.quantities import TABLE
 from shj_bayes.margins.row import COLUMNS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import Sheet
@@ -23,6 +23,8 @@ SCHEMA = "shj-bayes/margins/1"
 STEM = "margins"
 HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
 """Columns whose name in a file says more than the one in the code."""
+WIDTH_ROWS, WIDEST = 200, 60
+"""Rows of a workbook that the width of a column is taken from, and most of it in characters."""
 Key = tuple[str, str, str, str]
 
 
@@ -77,21 +79,32 @@ def device_table(sheet: Sheet) -> pd.DataFrame:
 
 def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
     """One page for design, one with every margin (filter it), one with what to mind."""
-    part = path.with_name(f"{path.stem}.part.xlsx")
-    notes = [*sheet.warnings, *sheet.diagnoses]
-    # Strings are never turned into formulas or links, whatever a set is called.
-    with pd.ExcelWriter(part, engine="openpyxl") as book:
-        design_table(sheet).map(safe_cell).to_excel(book, sheet_name="Design", index=False)
-        table.to_excel(book, sheet_name="All margins", index=False)
-        pd.DataFrame({"to mind": notes or ["nothing"]}).map(safe_cell).to_excel(book, sheet_name="To mind", index=False)
-        for name in ("Design", "All margins", "To mind"):
-            page = book.sheets[name]
-            page.freeze_panes = "A2"
-            page.auto_filter.ref = page.dimensions
-            for column in page.columns:
-                longest = max(len(str(cell.value or "")) for cell in column[:200])
-                page.column_dimensions[column[0].column_letter].width = min(60, longest + 2)
-    part.replace(path)
+    from openpyxl import Workbook  # noqa: PLC0415  (margins that stand need not load it)
+    from openpyxl.utils import get_column_letter  # noqa: PLC0415
+
+    notes = pd.DataFrame({"to mind": [*sheet.warnings, *sheet.diagnoses] or ["nothing"]})
+    book = Workbook(write_only=True)  # row by row: half the time of a book that is filled cell by cell
+    pages = {"Design": design_table(sheet).map(safe_cell), "All margins": table, "To mind": notes.map(safe_cell)}
+    for name, content in pages.items():
+        page = book.create_sheet(name)
+        rows = [[*content.columns], *(list(map(_cell, row)) for row in content.itertuples(index=False, name=None))]
+        letters = [get_column_letter(number) for number in range(1, len(rows[0]) + 1)]
+        page.freeze_panes = "A2"
+        page.auto_filter.ref = f"A1:{letters[-1]}{len(rows)}"
+        for place, letter in enumerate(letters):
+            longest = max(len(str(row[place] or "")) for row in rows[:WIDTH_ROWS])
+            page.column_dimensions[letter].width = min(WIDEST, longest + 2)
+        for row in rows:
+            page.append(row)
+    with replacing(path) as part:
+        book.save(part)
+
+
+def _cell(value: Any) -> Any:
+    """Value of a cell: what does not apply is empty, and infinity a word, which a workbook has no number for."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value
 
 
 CHOSEN: tuple[tuple[str, str, str], ...] = (
