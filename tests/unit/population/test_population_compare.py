@@ -10,7 +10,7 @@ from scipy import stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.classical import behrens_fisher, classical, holm, permutation, variance_ratio, welch
 from shj_bayes.population.compare import compare
-from shj_bayes.population.correlation import correlation_draws, scatter
+from shj_bayes.population.correlation import correlation_draws, inverse_wishart, scatter
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.power import MOST, assurance, devices_needed
@@ -267,3 +267,12 @@ def test_assurance_averages_over_the_spread_and_is_never_nan():
         for n in (2, 3, 30, 5000):
             found = assurance(shift, np.geomspace(1e-9, 1e3, 50), n, n)
             assert 0.0 <= found <= 1.0 + 1e-9
+
+
+def test_draws_of_the_inverse_wishart_law_have_its_means():
+    """E X = S / (v - k - 1) and E X^-1 = v S^-1; five Monte-Carlo errors, so 12 comparisons fail by chance in 1e-5."""
+    scale, degrees = np.array([[2.0, 0.3, -0.5], [0.3, 1.0, 0.2], [-0.5, 0.2, 0.7]]), 14.5
+    drawn = inverse_wishart(degrees, scale, 40_000, np.random.default_rng(3))
+    for values, mean in ((drawn, scale / (degrees - 4)), (np.linalg.inv(drawn), degrees * np.linalg.inv(scale))):
+        error = values.std(axis=0) / np.sqrt(len(values))
+        assert np.all(np.abs(values.mean(axis=0) - mean) < 5 * error)
