@@ -323,3 +323,18 @@ def test_interrupted_fit_says_how_to_go_on(recordings, tmp_path):
     if process.returncode != 0:  # a very fast machine may finish first
         assert process.returncode == 1
         assert "goes on from the last checkpoint" in error
+
+
+@pytest.mark.parametrize(
+    ("module", "unneeded"),
+    [
+        ("margin_sheet", {"scipy", "numba", "pandas", "xarray", "matplotlib"}),
+        ("summary", {"scipy.stats", "matplotlib", "openpyxl"}),
+        ("comparison", {"scipy.stats", "matplotlib", "openpyxl", "xarray"}),
+        ("design", {"scipy.stats", "matplotlib", "openpyxl", "xarray"}),
+    ],
+)
+def test_commands_do_not_wait_for_libraries_that_they_may_not_need(module, unneeded):
+    code = f"import sys, shj_bayes.commands.{module}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not unneeded & set(done.stdout.split())

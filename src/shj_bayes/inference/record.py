@@ -15,6 +15,7 @@ from shj_bayes.errors import InferenceError
 from shj_bayes.model.parameters import FloatArray
 
 SCHEMA, READABLE = "shj-bayes/fit/2", ("shj-bayes/fit/1", "shj-bayes/fit/2")
+EXTRA = "extra_"  # before the names of further channels in posterior.nc
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
 KINDS: dict[str, type] = {
     **{"device": str, "verdict": str, "reasons": list, "versions": dict, "model": dict},

@@ -22,7 +22,7 @@ import shj_bayes
 from shj_bayes._util.files import file_digest, replacing, reserve, sealed, write_text
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
-from shj_bayes.inference.record import FILES, SCHEMA, whole
+from shj_bayes.inference.record import EXTRA, FILES, SCHEMA, whole
 from shj_bayes.inference.run import Run, measured_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
@@ -53,7 +53,6 @@ MEANINGS = {  # unit and meaning of what is not a parameter, by name
     "force_of_half_cycle": ("kN", "mean force of the half-cycle's evidence in the direction of motion"),
     "lp": ("1", "log posterior density of the unbounded parameters, up to a constant"),
 }
-EXTRA = "extra_"  # before the names of further channels
 AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the record's cycles, widening is above 1"
 
 

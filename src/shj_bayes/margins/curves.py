@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from shj_bayes.inference.shared import n_threads
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
@@ -251,7 +252,8 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
                 for group in result.sets
             ]
             labels = [zlib.crc32(text.encode()) for text in ("curve", word, name, label)]
-            out[name] = fit_quantity(name, data, own, np.random.SeedSequence([result.seed, *labels]), SWEEPS)
+            stream = np.random.SeedSequence([result.seed, *labels])
+            out[name] = fit_quantity(name, data, own, stream, SWEEPS, workers=n_threads(0))
         return out
 
     return PopulationResult(

@@ -11,8 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.inference.record import read_record, whole
-from shj_bayes.inference.store import EXTRA
+from shj_bayes.inference.record import EXTRA, read_record, whole
 from shj_bayes.model.parameters import FloatArray
 
 IntArray = NDArray[np.int64]

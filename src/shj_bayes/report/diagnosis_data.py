@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from shj_bayes._util.files import read_json
@@ -128,6 +127,8 @@ def diagnosis_record(folder: Path) -> dict[str, Any]:
 
 
 def _read_channels(folder: Path) -> Channels:
+    import xarray as xr  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
+
     try:
         with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
             channels = Channels(

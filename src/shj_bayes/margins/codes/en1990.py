@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from scipy import stats
+from scipy import special
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
@@ -40,7 +40,7 @@ FEWEST = {CHARACTERISTIC: 3, DESIGN: 4}
 def factor_known(n: float, fractile: float = CHARACTERISTIC) -> float:
     """k_n, k_d,n with the coefficient of variation known beforehand: z sqrt(1 + 1/n)."""
     _check(n, math.inf)
-    return float(stats.norm.isf(fractile) * math.sqrt(1.0 + 1.0 / n))
+    return float(-special.ndtri(fractile) * math.sqrt(1.0 + 1.0 / n))
 
 
 def factor_unknown(n: float, fractile: float = CHARACTERISTIC, degrees: float | None = None) -> float:
@@ -58,7 +58,7 @@ def factor_unknown(n: float, fractile: float = CHARACTERISTIC, degrees: float | 
     """
     nu = n - 1 if degrees is None else degrees
     _check(n, nu)
-    return float(stats.t.isf(fractile, nu) * math.sqrt(1.0 + 1.0 / n))
+    return float(-special.stdtrit(nu, fractile) * math.sqrt(1.0 + 1.0 / n))
 
 
 def floored(way: Spread) -> Spread:

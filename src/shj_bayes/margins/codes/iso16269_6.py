@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
@@ -62,7 +62,7 @@ def one_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     """
     nu = n - 1 if degrees is None else degrees
     _check(n, nu, coverage, confidence)
-    return float(stats.nct.ppf(confidence, nu, stats.norm.ppf(coverage) * math.sqrt(n)) / math.sqrt(n))
+    return float(special.nctdtrit(nu, special.ndtri(coverage) * math.sqrt(n), confidence) / math.sqrt(n))
 
 
 @cache
