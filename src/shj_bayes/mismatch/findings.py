@@ -225,13 +225,17 @@ def _findings(
     for place, member in enumerate(h.members):
         if member.variant.curve is not None and member.of.id in top:
             h = _followed(out, h, place)
+    names: dict[int, tuple[tuple[str, float], ...]] = {}
+    for place, member in enumerate(h.members):
+        written = member.variant.curve
+        if member.of.id in top and (written is None or written.over.measured):
+            h, names[place] = _named(out, h, place)
     found = []
     for place, member in enumerate(h.members):
         if member.of.id not in top:
             continue
         at = next((i for i, m in enumerate(curves.members) if m.of.id == member.of.id), None)
         curve = curves.members[at] if at is not None and curves.members[at].variant.curve is not None else None
-        written = member.variant.curve
         found.append(
             Finding(
                 member,
@@ -241,7 +245,7 @@ def _findings(
                 curve,
                 curves.state if curve is not None else None,
                 at if curve is not None and at is not None else place,
-                _names(out, h, place) if written is None or written.over.measured else (),
+                names.get(place, ()),
             )
         )
     return tuple(sorted(found, key=lambda f: -f.size)), h
@@ -266,25 +270,30 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
     return best
 
 
-def _names(out: Search, h: Hypothesis, place: int) -> tuple[tuple[str, float], ...]:
-    """Mechanisms of a class whose formulas fit in a place, by their evidence: as many as hold all but `DOUBT`."""
+def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tuple[str, float], ...]]:
+    """Weigh the formulas that fit in a place by their evidence.
+
+    Give the hypothesis with the best formula of the most probable mechanism, and the mechanisms that hold all but
+    `DOUBT` of the probability.
+    """
     own = h.members[place]
     acting = {e.mechanism for e in catalogue().values() if (own.of.action, own.of.coordinate) in e.acts}
     if len(acting - out.hidden) < 2:
-        return ((own.variant.effect.mechanism, 1.0),)
-    forms = {own.variant.effect.id: (own.variant.effect.mechanism, h.log_weight)}
+        return h, ((own.variant.effect.mechanism, 1.0),)
+    forms = {own.variant.effect.id: h}
     for form in out.forms(h, place):
-        new = out.fitted(replaced(h, place, form), form.start)
-        effect = form.variant.effect
-        if new is None or new.log_weight <= forms.get(effect.id, ("", -math.inf))[1]:
+        new, name = out.fitted(replaced(h, place, form), form.start), form.variant.effect.id
+        if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
             continue
-        if effect.id in forms or size_of(out, new, place) >= MATTERS:
-            forms[effect.id] = (effect.mechanism, new.log_weight)
-    whole = float(logsumexp([weight for _, weight in forms.values()]))
-    shares: dict[str, float] = {}
-    for name, weight in forms.values():
-        shares[name] = shares.get(name, 0.0) + math.exp(weight - whole)
-    return _most(tuple(sorted(shares.items(), key=lambda item: -item[1])))
+        if name in forms or size_of(out, new, place) >= MATTERS:
+            forms[name] = new
+    whole = float(logsumexp([one.log_weight for one in forms.values()]))
+    by_mechanism: dict[str, list[Hypothesis]] = {}
+    for one in forms.values():
+        by_mechanism.setdefault(one.members[place].variant.effect.mechanism, []).append(one)
+    shares = {name: sum(math.exp(one.log_weight - whole) for one in ones) for name, ones in by_mechanism.items()}
+    ranked = sorted(shares.items(), key=lambda item: -item[1])
+    return max(by_mechanism[ranked[0][0]], key=lambda one: one.log_weight), _most(tuple(ranked))
 
 
 def _most(ranked: tuple[tuple[T, float], ...]) -> tuple[tuple[T, float], ...]:
