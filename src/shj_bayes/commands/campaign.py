@@ -183,10 +183,6 @@ def read_manifest(path: Path) -> Manifest:
         TOML file with ``schema``, ``name``, optional ``diagnose``, ``[defaults]`` and ``[[set]]`` tables, each with a
         ``name`` and ``[[set.device]]`` tables of ``name`` and ``recordings`` (paths relative to the manifest).
 
-    Returns
-    -------
-    Manifest
-
     Raises
     ------
     CampaignError

@@ -85,10 +85,6 @@ def earlier(where: str) -> Earlier:
     where : str
         Folder of a fit; or of a campaign, with ``#SET`` behind it where it has several sets.
 
-    Returns
-    -------
-    Earlier
-
     Raises
     ------
     PriorError

@@ -96,10 +96,6 @@ def kept_result(
         Fields of `shj_bayes.commands.pipeline.Options`, all of them.
     name : str, optional
         Name of the device; the first file's name without ending by default.
-
-    Returns
-    -------
-    DeviceResult or None
     """
     if not (folder / "fit.json").is_file() or stale(folder) or options["priors_from"] is not None:
         return None
@@ -131,10 +127,6 @@ def key_of(
         Name of the device.
     speed : bool
         The law depends on speed.
-
-    Returns
-    -------
-    str
     """
     # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
     chosen = {**options, "priors": Path(options["priors"]).name, "effects": sorted(options["effects"])}

@@ -52,10 +52,6 @@ def design_margins(folder: Path, request: Request = PLAIN, *, progress: bool = F
     progress : bool
         Show a progress bar.
 
-    Returns
-    -------
-    Design
-
     Raises
     ------
     PopulationError

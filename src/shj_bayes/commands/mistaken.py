@@ -33,10 +33,6 @@ def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[
         Its runs.
     free : sequence of str
         Parameters that each run has for itself.
-
-    Returns
-    -------
-    list of Recording
     """
     if len(recordings) == 1 and free:
         message = f"{', '.join(free)} cannot differ between runs where there is one run: --free has no effect"

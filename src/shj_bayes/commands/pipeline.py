@@ -204,10 +204,6 @@ def fit_device(
     page : bool
         Draw the page.
 
-    Returns
-    -------
-    DeviceResult
-
     Raises
     ------
     RecordingError
@@ -293,10 +289,6 @@ def diagnose_device(
         A first look without sampling the posterior.
     tell : callable
         Gets one line for each step.
-
-    Returns
-    -------
-    DiagnosisResult
     """
     # Naming what is missing needs half of scipy, which a fit need not wait for.
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415

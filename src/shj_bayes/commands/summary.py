@@ -54,10 +54,6 @@ def summarise_campaign(
         Same seed and devices, same numbers.
     progress : bool
         Show a progress bar.
-
-    Returns
-    -------
-    Summary
     """
     usable = [o for o in outcomes if o.status != FAILED and o.verdict != "unusable"]
     record = read_campaign(folder)

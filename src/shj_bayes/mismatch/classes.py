@@ -169,10 +169,6 @@ def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candid
         The smaller model.
     of : tuple of Class
         What to add, one at a time.
-
-    Returns
-    -------
-    list of Candidate
     """
     out = []
     for one in of:

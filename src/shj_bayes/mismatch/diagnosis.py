@@ -90,10 +90,6 @@ def diagnose(
         by parameter and the verdict on them; without it, and in a first look, a Gaussian stands for the posterior.
     tell : callable
         Gets one line for each step.
-
-    Returns
-    -------
-    Diagnosis
     """
     begin = time.perf_counter()
     device = replace(device, speed="velocity" not in without)

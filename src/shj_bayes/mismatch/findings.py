@@ -122,10 +122,6 @@ def answer_of(out: Search) -> Answer:
     ----------
     out : Search
         A finished search.
-
-    Returns
-    -------
-    Answer
     """
     ranked = sorted(out.found.values(), key=lambda h: -h.log_weight)
     weights = np.array([h.log_weight for h in ranked])

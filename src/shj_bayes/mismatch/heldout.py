@@ -62,10 +62,6 @@ def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:
         Its noise; the discrepancy is left out, as it is no prediction.
     state : State
         The model.
-
-    Returns
-    -------
-    HeldOut
     """
     cycles = cycles_of(scene)
     order = scene.used > 0

@@ -66,10 +66,6 @@ def regions_of(scene: Scene, metric: Metric, base: State) -> list[Region]:
         Noise and discrepancy.
     base : State
         The base law.
-
-    Returns
-    -------
-    list of Region
     """
     sense, run = scene.channel("direction"), run_of(scene)
     cuts, columns = [], []

@@ -381,10 +381,6 @@ def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:
         Consecutive runs.
     device : DeviceModel
         The base model.
-
-    Returns
-    -------
-    Scene
     """
     posterior = make_posterior(runs, device)
     z = law_starts(posterior)[0]

@@ -28,10 +28,6 @@ def screen(metric: Metric, state: State, candidates: Sequence[Candidate]) -> lis
         The model that they would be added to.
     candidates : sequence of Candidate
         As from `classes.candidates`.
-
-    Returns
-    -------
-    list of Candidate
     """
     wide = state.beside(*(c.columns for c in candidates))
     along, inner = beside(metric.products(wide), state.z.size)

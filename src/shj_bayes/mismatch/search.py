@@ -318,10 +318,6 @@ def search(
         Mechanisms whose formulas are not to be tried.
     tell : callable
         Gets one line for each step.
-
-    Returns
-    -------
-    Search
     """
     tell("fitting the base law")
     start = NoiseSetting(tuple(_middle(scene)), 0.003 * scene.scale_kN)

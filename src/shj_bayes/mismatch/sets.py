@@ -272,10 +272,6 @@ def common_to(devices: Sequence[DeviceEvidence]) -> Common:
     ----------
     devices : sequence of DeviceEvidence
         Devices of a set, or of a campaign.
-
-    Returns
-    -------
-    Common
     """
     out = _Weighing(devices)
     best = out.grow()

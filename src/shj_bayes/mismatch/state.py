@@ -68,10 +68,6 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> S
         What is fitted.
     z : array, shape (n_law,)
         Where to start.
-
-    Returns
-    -------
-    State
     """
 
     def height(residual: FloatArray, at: FloatArray) -> float:
@@ -153,10 +149,6 @@ def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSett
         Further functions with standard normal coefficients.
     start : NoiseSetting, optional
         Where to begin; by default the best of a grid.
-
-    Returns
-    -------
-    NoiseSetting
     """
     wide = state.beside(columns)
     unit = MODEL_ERROR * scene.scale_kN

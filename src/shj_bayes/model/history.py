@@ -249,10 +249,6 @@ def histories(
         Motion of each run.
     measured : sequence of mapping of str to Measured
         Further channels of each run; none where not given.
-
-    Returns
-    -------
-    tuple of History
     """
     further = measured or ({},) * len(motions)
     low = min(float(m.displacement_mm.min()) for m in motions)

@@ -220,10 +220,6 @@ def read_priors(which: str | Path = "afc") -> Priors:
     which : str or Path
         Name of a shipped family (``afc``, ``general``) or path of a TOML file.
 
-    Returns
-    -------
-    Priors
-
     Raises
     ------
     PriorError

@@ -100,10 +100,6 @@ def simulate_device(
         Reversal rule.
     name : str
         Stem for the recordings' names.
-
-    Returns
-    -------
-    tuple of Recording
     """
     if not 1 <= n_runs <= 9:
         raise ModelError(f"{n_runs} runs asked for; simulate makes 1 to 9")
