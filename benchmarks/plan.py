@@ -4,8 +4,8 @@
 probability below 95 % among the rivals of its group) and gives each a planned second test, Table 1 again and an
 expert's fixed second test, in the same minutes: the name that is then the most probable, the probability of the
 truth, and the probability that was foreseen. ``python benchmarks/plan.py gamma -n 20`` compares the foreseen standard
-deviation of gamma with the one after the test, ``least`` that of the smallest plateau force. Rivals are fitted to
-both tests together, as the plan fits them; ``--diagnose`` runs the whole diagnosis (first look) instead. Every trial
+deviation of gamma with the one after the test, ``least`` that of the smallest plateau force. Rivals are fitted anew to
+both tests together, in the ways that fit both; ``--diagnose`` runs the whole diagnosis (first look) instead. Each trial
 is a line of ``build/plan/*.jsonl``; ``--first`` goes on behind trials that are done, ``--table`` prints what is
 there, or the trials of a file, and draws what was foreseen against what came (``reports/plan.png``). ``paper`` takes
 the paper's case: speed or prying, after one run of Table 1, and what 20 more minutes are worth.
@@ -189,7 +189,7 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
     return out
 
 
-def paper(sizes: Sequence[float] = (0.005, 0.01, 0.02, 0.05), minutes: float = 20.0) -> None:
+def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None:
     """Print whether it is speed or prying after one run of Table 1, and what further minutes are worth."""
     for size in sizes:
         key = stated_key("prying", size, seed=4, rate_Hz=RATE_HZ, gamma=0.0)
