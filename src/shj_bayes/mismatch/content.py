@@ -10,6 +10,7 @@ import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.alias import Alias
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import HeldOut, cycles_of
 from shj_bayes.mismatch.regions import Region, run_of
@@ -380,7 +381,7 @@ def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
     kept = {f.member.variant.effect.mechanism: f for f in answer.findings if f.named}
     rows = []
     for effect in catalogue().values():
-        name = next((f"{a} over {c}" for a, c in effect.acts if f"{a} over {c}" in gains), None)
+        name = next((name for name in (str(ClassId(*acts)) for acts in effect.acts) if name in gains), None)
         if effect.form or effect.id in out.hidden or name is None:
             continue
         rows.append(

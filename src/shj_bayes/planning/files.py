@@ -14,6 +14,7 @@ import pandas as pd
 from shj_bayes._util.files import read_json, write_text
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.store import versions
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.planning.devices import Further
 from shj_bayes.planning.known import Known, mechanisms_of
 from shj_bayes.planning.plan import Plan, Row
@@ -115,7 +116,7 @@ def _device(known: Known) -> dict[str, Any]:
     held = [
         {"coordinate": name, "unit": one.unit, "value": one.reference}
         for name, one in measured.items()
-        if any(f"capacity over {name}" in key for key in known.keys)
+        if any(str(ClassId("capacity", name)) in key for key in known.keys)
     ]
     return {"name": known.name, "n_runs": len(known.runs), "sets": rows, "channels": held}
 

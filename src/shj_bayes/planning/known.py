@@ -22,6 +22,7 @@ from shj_bayes.errors import PlanError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import DOUBT, ODDS, Hypothesis, Search, noise_beside
@@ -320,10 +321,10 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
     setting = NoiseSetting((0.0,) * n_noise, MODEL_ERROR * device.law_values(z)["Fy"])
     odds = PRESENT / (1.0 - PRESENT)
     rows: list[tuple[Key, float, DeviceModel]] = [(frozenset(), 1.0, device)]
-    size, words = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL))), _words()
+    size = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL)))
     for action, coordinate in CURVES:
         curve = Curve(action, "heat2" if coordinate == "heat" else coordinate, SMOOTHNESS, False, size)
-        rows.append((frozenset({words[action, coordinate]}), odds, device.with_effects((curve.effect(),))))
+        rows.append((frozenset({str(ClassId(action, coordinate))}), odds, device.with_effects((curve.effect(),))))
     total = sum(p for _, p, _ in rows)
     beliefs = []
     for key, p, model in rows:
@@ -335,8 +336,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
 
 def mechanisms_of(key: Key) -> tuple[str, ...]:
     """Mechanisms of the catalogue that a set of classes may be, in the order of its classes."""
-    acts = {word: pair for pair, word in _words().items()}
-    acting = (e.mechanism for word in sorted(key) for e in catalogue().values() if acts.get(word) in e.acts)
+    acting = (e.mechanism for word in sorted(key) for e in catalogue().values() if ClassId.read(word) in e.acts)
     return tuple(dict.fromkeys(acting))
 
 
@@ -353,12 +353,7 @@ def class_of(mechanism: str) -> Key:
     known = catalogue()
     if mechanism not in known:
         raise PlanError(f"'{mechanism}' is no mechanism; known are {', '.join(known)}{did_you_mean(mechanism, known)}")
-    return frozenset({_words()[known[mechanism].acts[0]]})
-
-
-def _words() -> dict[tuple[str, str], str]:
-    """Words of all classes by action and coordinate."""
-    return {(c.action, c.coordinate): c.id for c in classes()}
+    return frozenset({str(ClassId(*known[mechanism].acts[0]))})
 
 
 def _rough_noise(device: DeviceModel, size_kN: float) -> NoiseSetting:
