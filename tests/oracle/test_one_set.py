@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from shj_bayes.population.hierarchy import fit_quantity
+from shj_bayes.population.hierarchy import Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.priors import other_priors, population_prior
 
@@ -24,7 +24,7 @@ LEVELS = (0.05, 0.5, 0.95)
 def test_the_sampler_finds_what_quadrature_finds(label):
     exact = np.quantile(draws_of_one_set(VALUES, ERRORS, PRIORS[label], read=False), LEVELS)
     devices = [Likelihood(False, np.array([y]), np.array([e]), np.ones(1)) for y, e in zip(VALUES, ERRORS, strict=True)]
-    fit = fit_quantity("least", [devices], PRIORS[label], np.random.SeedSequence(1), n_keep=4000)
+    fit = fit_quantity("least", [devices], PRIORS[label], np.random.SeedSequence(1), Sweeps(n_keep=4000))
     noise = np.random.default_rng(0).standard_normal(fit.mu.shape[0])
     drawn = np.quantile(fit.mu[:, 0] + fit.tau[:, 0] * noise, LEVELS)
     assert drawn == pytest.approx(exact, abs=0.06 * (exact[2] - exact[0]))

@@ -55,7 +55,7 @@ def made(folder: Path, stage: str, rests_on: Any, writes: Sequence[str], make: C
     if known and known["rests_on"] == inputs and known["files"] == digests(folder, writes):
         said: Said = known["said"]
         return said
-    said = make()
+    said = json.loads(json.dumps(make()))  # as it will be read
     # Read again: `make` may have run stages of its own.
     stages = _read(folder) | {stage: {"rests_on": inputs, "files": digests(folder, writes), "said": said}}
     write_text(folder / FILE, json.dumps(sealed({"schema": SCHEMA, "stages": stages})))

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.recording.limits import CHANNEL_CELLS, CHANNEL_FOLLOWS, CHANNEL_GAP, CHANNEL_NOISE
@@ -94,6 +93,9 @@ def channel_of(extra: Extra, time_s: FloatArray, force_kN: FloatArray) -> Channe
 
 def _smoothed(values: FloatArray) -> tuple[FloatArray, float]:
     """Smooth evenly spaced values; give them and the variance of the noise that is left in them."""
+    # Most recordings have no further channel, and every command reads recordings.
+    from scipy.signal import savgol_coeffs, savgol_filter  # noqa: PLC0415
+
     best, out = np.inf, (values, 0.0)
     width = float(SHORTEST)
     while width <= max(values.size / 3, SHORTEST) and values.size >= SHORTEST:

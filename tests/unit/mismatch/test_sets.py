@@ -13,16 +13,18 @@ from shj_bayes.mismatch.together import Diagnosed, together
 
 N = 401  # points of the brute force, over each share
 
+A, B = "capacity over travel", "capacity over speed"
+
 
 def device(evidence, *, own=(), sizes=None):
     """A device of classes a and b from the log Bayes factors of a, b and both."""
-    classes = ("a", "b")
-    sets = [(), ("a",), ("b",), ("a", "b")]
+    classes = (A, B)
+    sets = [(), (A,), (B,), (A, B)]
     holds = np.array([[c in s for c in classes] for s in sets])
     nats = np.array([0.0, *evidence]) + ODDS * holds.sum(axis=1)
     names = dict.fromkeys(own, "effect")
     rest = {c: f"curve {c}" for c in classes if c not in own}
-    return DeviceEvidence(classes, holds, nats, ODDS, names, rest, sizes or {"a": 2.0, "b": 2.0})
+    return DeviceEvidence(classes, holds, nats, ODDS, names, rest, sizes or {A: 2.0, B: 2.0})
 
 
 def by_brute_force(devices):
@@ -84,16 +86,16 @@ def test_two_classes_agree_with_brute_force(evidence):
     common = common_to(devices)
     found = dict(common.combinations)
     for combination, p in exact.items():
-        key = frozenset(c for c, has in zip("ab", combination, strict=True) if has)
+        key = frozenset(c for c, has in zip((A, B), combination, strict=True) if has)
         assert found.get(key, 0.0) == pytest.approx(p, abs=0.03)
-    a = next(one for one in common.shared if one.id == "a")
+    a = next(one for one in common.shared if one.id == A)
     assert a.devices == pytest.approx(exact_devices, abs=0.03)
 
 
 def test_weak_in_each_and_certain_in_eight():
     assert not any(one.enters for one in common_to([device((1.2, -1.0, 0.2))]).shared)
     common = common_to([device((1.2, -1.0, 0.2))] * 8)
-    a, b = (next(one for one in common.shared if one.id == name) for name in "ab")
+    a, b = (next(one for one in common.shared if one.id == name) for name in (A, B))
     assert a.probability > 0.95
     assert a.enters
     assert all(a.holders)
@@ -103,8 +105,8 @@ def test_weak_in_each_and_certain_in_eight():
 
 
 def test_one_device_in_eight_is_not_its_set():
-    common = common_to([device((300.0, 0.0, 300.0), own=("a",)), *[device((-3.0, -1.0, -4.0))] * 7])
-    a = next(one for one in common.shared if one.id == "a")
+    common = common_to([device((300.0, 0.0, 300.0), own=(A,)), *[device((-3.0, -1.0, -4.0))] * 7])
+    a = next(one for one in common.shared if one.id == A)
     assert a.probability < 0.5
     assert a.holders == (True, *[False] * 7)
     assert a.alone == (True, *[False] * 7)
@@ -112,25 +114,25 @@ def test_one_device_in_eight_is_not_its_set():
 
 def test_two_words_for_one_thing_are_not_counted_twice():
     common = common_to([device((4.0, 3.9, 4.0))] * 8)
-    a, b = (next(one for one in common.shared if one.id == name) for name in "ab")
+    a, b = (next(one for one in common.shared if one.id == name) for name in (A, B))
     assert a.probability + b.probability == pytest.approx(1.0, abs=0.1)
     assert a.enters
-    assert a.rivals == ("b",)
+    assert a.rivals == (B,)
     assert not b.enters
 
 
 def test_what_is_too_small_to_be_followed_does_not_enter():
-    common = common_to([device((3.0, -1.0, 2.0), sizes={"a": 0.3, "b": 2.0})] * 8)
-    a = next(one for one in common.shared if one.id == "a")
+    common = common_to([device((3.0, -1.0, 2.0), sizes={A: 0.3, B: 2.0})] * 8)
+    a = next(one for one in common.shared if one.id == A)
     assert a.probability > 0.95
     assert not a.enters
 
 
 def test_devices_that_say_nothing_of_a_class_do_not_count():
-    silent = DeviceEvidence(("b",), np.array([[False], [True]]), np.array([0.0, ODDS - 1.0]), ODDS)
+    silent = DeviceEvidence((B,), np.array([[False], [True]]), np.array([0.0, ODDS - 1.0]), ODDS)
     lone = common_to([device((1.2, -1.0, 0.2))] * 8)
     with_silent = common_to([*[device((1.2, -1.0, 0.2))] * 8, silent])
-    p, q = (next(one for one in c.shared if one.id == "a").probability for c in (lone, with_silent))
+    p, q = (next(one for one in c.shared if one.id == A).probability for c in (lone, with_silent))
     assert p == pytest.approx(q, abs=0.01)
 
 
@@ -141,17 +143,17 @@ def test_the_order_of_devices_does_not_matter():
 
 
 RECORD = {
-    "classes": ["a", "b"], "log_odds": ODDS, "own": {"a": "x"}, "written": {"b": "y"}, "size_percent": {"a": 1.0},
-    "change_percent": {"a": -1.0},
+    "classes": [A, B], "log_odds": ODDS, "own": {A: "x"}, "written": {B: "y"}, "size_percent": {A: 1.0},
+    "change_percent": {A: -1.0},
     "sets": [[], [0], [0, 1]], "nats": [0.0, 3.0, -1.0], "fitted": 2,
 }  # fmt: skip
 
 
 def test_a_record_is_read_as_it_was_written():
     one = device_evidence(RECORD)
-    assert one.classes == ("a", "b")
+    assert one.classes == (A, B)
     assert one.holds.tolist() == [[False, False], [True, False], [True, True]]
-    assert one.log_factor("a", {"a": ODDS, "b": -50.0}) == pytest.approx(3.0 - ODDS)
+    assert one.log_factor(A, {A: ODDS, B: -50.0}) == pytest.approx(3.0 - ODDS)
 
 
 @pytest.mark.parametrize(
@@ -169,12 +171,12 @@ def held(folder, *, own=(), sampled=False, evidence=(1.2, -1.0, 0.2)):
 
 def test_what_enters_is_fitted_with_what_the_device_shows_alone():
     """A class of the set that only the set makes certain is added; nothing is fitted that a fit holds already."""
-    own = {"own": ("a",), "evidence": (30.0, -1.0, 29.0)}
+    own = {"own": (A,), "evidence": (30.0, -1.0, 29.0)}
     rest = [("bare", held(f"weak {i}")) for i in range(6)]
     found = together([*rest, ("bare", held("quick", **own)), ("bare", held("full", **own, sampled=True))])
     (one,) = found
-    assert one.effects == {f"weak {i}": ("curve a",) for i in range(6)} | {"quick": ("effect",)}
-    assert one.to_dict()["classes"][0]["effects"] == ["curve a"] * 6 + ["effect"] * 2
+    assert one.effects == {f"weak {i}": (f"curve {A}",) for i in range(6)} | {"quick": ("effect",)}
+    assert one.to_dict()["classes"][0]["effects"] == [f"curve {A}"] * 6 + ["effect"] * 2
 
 
 def test_a_device_that_has_it_not_is_left_as_it_is():
