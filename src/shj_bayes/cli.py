@@ -596,6 +596,7 @@ def completion(shell: str) -> None:
     "--recordings", type=click.Path(path_type=Path, file_okay=False), help="Real recordings, answer withheld."
 )
 @click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")
+@click.option("--open-now", is_flag=True, help="Open a stopped proof and score the trials diagnosed so far.")
 @WORKERS
 @_with_output
 def prove(
@@ -605,6 +606,7 @@ def prove(
     checked: Path | None,
     recordings: Path | None,
     full: bool,
+    open_now: bool,
     workers: int | None,
     output: Output,
 ) -> None:
@@ -625,7 +627,8 @@ def prove(
         return
     from shj_bayes.commands.validation import prove as run_proof
 
-    proof = run_proof(out, n=n, seed=seed, workers=workers or 2, quick=not full, progress=output.speaks)
+    chosen = {"quick": not full, "open_now": open_now}
+    proof = run_proof(out, n=n, seed=seed, workers=workers or 2, progress=output.speaks, **chosen)
     output.show(proof.score, proof.text)
 
 

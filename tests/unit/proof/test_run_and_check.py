@@ -104,6 +104,32 @@ def test_a_stopped_proof_goes_on_under_the_same_commitment(canned, answer, tmp_p
     check(folder, workers=1)
 
 
+def test_a_stopped_proof_can_be_opened_with_its_first_trials(canned, answer, tmp_path, monkeypatch):
+    """Trials count from the first on without a gap, so that nobody can choose; all keys are opened."""
+
+    def stops(tasks, workers, done):
+        own = list(tasks)
+        done(own[0], answer)
+        done(own[2], answer)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "in_parallel", stops)
+    folder = tmp_path / "proof"
+    with pytest.raises(KeyboardInterrupt):
+        prove(folder, n=N, seed=SEED, workers=1)
+    proof = prove(folder, n=N, seed=SEED, workers=1, open_now=True)
+    assert (proof.score["n"], proof.score["sealed"], len(proof.score["trials"])) == (1, N, 1)
+    assert "1 diagnoses, of the first trials," in check(folder, workers=1)[2]
+    _edit(folder / "diagnoses" / "0001.json", lambda record: record.update(verdict="named"))
+    with pytest.raises(ProofError, match="has been changed"):
+        check(folder, workers=1)
+
+
+def test_nothing_is_opened_before_anything_is_diagnosed(canned, tmp_path):
+    with pytest.raises(ProofError, match="nothing to open"):
+        prove(tmp_path / "proof", n=N, seed=SEED, workers=1, open_now=True)
+
+
 def test_keys_stay_sealed_until_every_diagnosis_is_done(canned, tmp_path, monkeypatch):
     seen = []
 

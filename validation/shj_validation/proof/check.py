@@ -13,7 +13,7 @@ from shj_bayes._util.files import read_json
 from shj_bayes.errors import ProofError
 from shj_validation.proof import seal
 from shj_validation.proof.cases import Key, draw_keys
-from shj_validation.proof.run import SCORE, TRANSCRIPT, names, score_rows, write_recordings
+from shj_validation.proof.run import SCORE, TRANSCRIPT, diagnosed, names, score_rows, write_recordings
 from shj_validation.proof.summary import summarise
 
 
@@ -50,15 +50,16 @@ def check(folder: Path, *, workers: int = 2, progress: bool = False) -> list[str
         raise ProofError(f"{seal.COMMITMENT} is not the one under which the diagnosis ran")
     _keys(sealed["trials"], seed, keys, nonces)
     n_files = _recordings(folder, sealed, keys, progress)
-    _diagnoses(folder, transcript, len(keys))
-    rows = json.loads(json.dumps(score_rows(folder, keys, workers, progress)))
+    n = diagnosed(folder)
+    _diagnoses(folder, transcript, min(n, len(keys)))
+    rows = json.loads(json.dumps(score_rows(folder, keys[:n], workers, progress)))
     recorded = read_json(folder / SCORE, ProofError)
     if recorded["trials"] != rows or recorded["targets"] != json.loads(json.dumps(summarise(rows)))["targets"]:
         raise ProofError(f"{SCORE} is not what keys and diagnoses give")
     return [
         f"{len(keys)} keys follow from seed {seed} and are those that were sealed before the diagnosis",
         f"{n_files} recordings made again from the keys, the same to the byte",
-        f"{len(keys)} diagnoses are those made before the keys were opened",
+        f"{n} diagnoses, of the first trials, are those made before the keys were opened",
         "all scores follow from keys and diagnoses",
     ]
 

@@ -6,6 +6,7 @@ import json
 import subprocess
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,16 @@ class Proof:
 
 
 @alone_in("folder")
-def prove(folder: Path, *, n: int, seed: int, workers: int = 2, quick: bool = True, progress: bool = False) -> Proof:
+def prove(
+    folder: Path,
+    *,
+    n: int,
+    seed: int,
+    workers: int = 2,
+    quick: bool = True,
+    open_now: bool = False,
+    progress: bool = False,
+) -> Proof:
     """Run (or go on with) a proof.
 
     Parameters
@@ -70,19 +80,27 @@ def prove(folder: Path, *, n: int, seed: int, workers: int = 2, quick: bool = Tr
         Processes.
     quick : bool
         Whether the search uses fewer samples, and only the posterior of what was found is sampled.
+    open_now : bool
+        Whether to open a proof that was stopped, with the trials that are diagnosed without a gap from the first on.
     progress : bool
         Show progress bars.
 
     Returns
     -------
     Proof
+
+    Raises
+    ------
+    ProofError
+        If the folder holds another proof, or one without a diagnosis that is to be opened.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / seal.OPENED).exists():
         secret = seal.write_secret(folder, seed, n)
         keys = draw_keys(seed, n)
         _commit(folder, keys, secret["nonces"], progress)
-        _diagnose(folder, keys, workers, quick, progress)
+        if not open_now:
+            _diagnose(folder, keys, workers, quick, progress)
         _transcribe(folder, n)
         keys = seal.open_seal(folder)
     else:
@@ -106,12 +124,14 @@ def names(n: int) -> list[str]:
 
 def score(folder: Path, keys: list[Key], seed: int, workers: int, progress: bool) -> Proof:
     """Score an opened proof and write page, table and JSON."""
-    rows = score_rows(folder, keys, workers, progress)
+    n = diagnosed(folder)
+    rows = score_rows(folder, keys[:n], workers, progress)
     commitment = read_json(folder / seal.COMMITMENT, ProofError)
     result = summarise(rows) | {
         "schema": seal.SCHEMA,
         "seed": seed,
-        "n": len(keys),
+        "n": n,
+        "sealed": len(keys),
         "commitment_sha256": seal.sha256(folder / seal.COMMITMENT),
         "transcript_sha256": seal.sha256(folder / TRANSCRIPT),
         "committed": commitment["made"],
@@ -120,6 +140,11 @@ def score(folder: Path, keys: list[Key], seed: int, workers: int, progress: bool
     }
     write_text(folder / SCORE, json.dumps(result, indent=1, allow_nan=False))
     return Proof(folder, result, render(folder, result))
+
+
+def diagnosed(folder: Path) -> int:
+    """Give the number of trials that were diagnosed before the keys were opened: the first ones."""
+    return len(read_json(folder / TRANSCRIPT, ProofError)["diagnoses"])
 
 
 def score_rows(folder: Path, keys: list[Key], workers: int, progress: bool) -> list[dict[str, Any]]:
@@ -223,14 +248,15 @@ def _diagnose(folder: Path, keys: list[Key], workers: int, quick: bool, progress
 
 
 def _transcribe(folder: Path, n: int) -> None:
-    """Write the digests of all diagnoses, before the keys are opened."""
+    """Write the digests of all diagnoses without a gap from the first on, before the keys are opened."""
+    done = list(takewhile(lambda name: (folder / "diagnoses" / f"{name}.json").exists(), names(n)))
+    if not done:
+        raise ProofError(f"nothing in {folder.name} is diagnosed yet: there is nothing to open")
     record = {
         "schema": seal.SCHEMA,
         "commitment_sha256": seal.sha256(folder / seal.COMMITMENT),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-        "diagnoses": [
-            {"name": name, "sha256": seal.sha256(folder / "diagnoses" / f"{name}.json")} for name in names(n)
-        ],
+        "diagnoses": [{"name": name, "sha256": seal.sha256(folder / "diagnoses" / f"{name}.json")} for name in done],
     }
     write_text(folder / TRANSCRIPT, json.dumps(record, indent=1))
 
