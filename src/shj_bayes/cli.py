@@ -627,8 +627,9 @@ def prove(
         return
     from shj_bayes.commands.validation import prove as run_proof
 
-    chosen = {"quick": not full, "open_now": open_now}
-    proof = run_proof(out, n=n, seed=seed, workers=workers or 2, progress=output.speaks, **chosen)
+    proof = run_proof(
+        out, n=n, seed=seed, workers=workers or 2, quick=not full, open_now=open_now, progress=output.speaks
+    )
     output.show(proof.score, proof.text)
 
 

@@ -63,8 +63,7 @@ class LawOnly:
 
     def residuals(self, z: FloatArray) -> FloatArray:
         """Residual of all blocks beside a constant of each run, for many parameter sets, (m, n_law) to (m, n), kN."""
-        rest = np.zeros((z.shape[0], len(self.model.names) - z.shape[1]))
-        theta = self.model.natural(np.concatenate([z, rest], axis=1))
+        theta = self.model.natural_of_law(z)
         out = []
         for run, part in enumerate(self.posterior.averages, start=1):
             own = self.posterior.residual_and_slope(theta, run)[0]

@@ -359,10 +359,10 @@ def next_test(out: Search, answer: Answer, *, quick: bool) -> str | None:
         c.of.coordinate: c.variant.effect for c in out.looked if c.of.coordinate in out.scene.measured
     }
     members = [member["id"] for member in family(out, answer)]
-    said = dict.fromkeys(known[name].next_test for name in members[:2])
+    said = list(dict.fromkeys(known[name].next_test for name in members[:2]))
     if answer.reason is Reason.SEVERAL:  # a plan weighs sets of coordinates, not formulas over one
         first = "diagnose without --quick, then " if quick else ""
-        said[f"Computed for this device and rig: {first}shj-bayes plan RESULTS -o next."] = None
+        said.append(f"Computed for this device and rig: {first}shj-bayes plan RESULTS -o next.")
     return " ".join(said)
 
 
@@ -433,8 +433,7 @@ def draws_of(state: State, seed: int, n: int = 2000) -> dict[str, FloatArray]:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
     root = np.linalg.cholesky(state.covariance + 1e-14 * np.eye(state.z.size))
     z = state.z + rng.standard_normal((n, state.z.size)) @ root.T
-    whole = np.concatenate([z, np.zeros((n, len(state.model.names) - z.shape[1]))], axis=1)
-    theta = state.model.natural(whole)
+    theta = state.model.natural_of_law(z)
     return dict(zip(state.model.law_names, theta.T[: state.z.size], strict=True))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeVar
@@ -256,8 +257,7 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
     allowed = max(MATTERS, (1.0 - EXPLAINED) * size_of(out, h, place))
     best, score = h, out.best_within(h.key - {h.members[place].of.id})
     for form in out.forms(h, place):
-        members = (*h.members[:place], form, *h.members[place + 1 :])
-        new = out.fitted(members, form.start)
+        new = out.fitted(replaced(h, place, form), form.start)
         if new is None:
             continue
         away = float(np.percentile(np.abs((new.state.residual - before)[out.scene.used > 0]), 99)) / out.scene.scale_kN
@@ -289,11 +289,11 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
         by_mechanism.setdefault(one.members[place].variant.effect.mechanism, []).append(one)
     shares = {name: sum(math.exp(one.log_weight - whole) for one in ones) for name, ones in by_mechanism.items()}
     ranked = sorted(shares.items(), key=lambda item: -item[1])
-    return max(by_mechanism[ranked[0][0]], key=lambda one: one.log_weight), _most(tuple(ranked))
+    return max(by_mechanism[ranked[0][0]], key=lambda one: one.log_weight), most_probable(ranked)
 
 
-def _most(ranked: tuple[tuple[T, float], ...]) -> tuple[tuple[T, float], ...]:
-    """First of a ranked list that hold all but `DOUBT` of the probability."""
+def most_probable(ranked: Sequence[tuple[T, float]]) -> tuple[tuple[T, float], ...]:
+    """First items of a list, most probable first, that hold all but `DOUBT` of the probability."""
     before = np.cumsum([0.0, *(p for _, p in ranked)])[:-1]
     return tuple(item for item, sum_before in zip(ranked, before, strict=True) if sum_before < 1.0 - DOUBT)
 
@@ -308,7 +308,7 @@ def _p_value(out: Search) -> float:
 
 def rivals_of(answer: Answer) -> tuple[tuple[frozenset[str], float], ...]:
     """Find the smallest list of sets that holds all but `DOUBT` of the probability, most probable first."""
-    return _most(answer.sets)
+    return most_probable(answer.sets)
 
 
 def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | None:

@@ -95,7 +95,7 @@ class Scene:
 
     def finer_at(self, model: DeviceModel, z: FloatArray) -> Scene:
         """Give the same recordings in blocks as fine as those of a fit of a model, which has bends of its own."""
-        theta = model.natural(np.append(z, np.zeros(len(model.names) - z.size))[None])[0]
+        theta = model.natural_of_law(z[None])[0]
         averages = replace(self.posterior, model=model).refined(theta).averages
         return replace(self, posterior=replace(self.posterior, averages=averages))
 
@@ -110,8 +110,7 @@ class Scene:
 
     def residual_and_slope(self, model: DeviceModel, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured less modelled force of all blocks (kN) and its slope (kN/mm), shape (m, n_law) to (m, n)."""
-        rest = np.zeros((z.shape[0], len(model.names) - z.shape[1]))
-        theta = model.natural(np.concatenate([z, rest], axis=1))
+        theta = model.natural_of_law(z)
         pairs = [
             part.residual_and_slope(model.force(theta, part.history, part.start_force_kN))
             for part in self.posterior.averages
@@ -174,9 +173,9 @@ class Scene:
         """Force under Masing's rule less that of the base law, kN, shape (n, 1).
 
         Both rules are in use for cycles that turn before the device slides; a device may follow either, or lie between.
+        Under the published rule it also holds the jump of Eq. (1) behind each reversal, which Masing's rule has not.
         """
-        rest = np.zeros(len(self.device.names) - self.z.size)
-        theta = self.device.natural(np.append(self.z, rest)[None])
+        theta = self.device.natural_of_law(self.z[None])
         columns = []
         for part in self.posterior.averages:
             motion, start = part.history.motion, part.start_force_kN
@@ -384,5 +383,5 @@ def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:
     """
     posterior = make_posterior(runs, device)
     z = law_starts(posterior)[0]
-    theta = device.natural(np.append(z, np.zeros(len(device.names) - z.size))[None])[0]
+    theta = device.natural_of_law(z[None])[0]
     return Scene(posterior.refined(theta, coarser=COARSER), z)

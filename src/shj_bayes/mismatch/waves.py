@@ -131,7 +131,7 @@ def _response(scene: Scene, state: State, action: str) -> list[FloatArray]:
     step = 1e-3
     at = list(state.model.law_names).index("Fy")
     z = state.z + step * np.eye(state.z.size)[at][None]
-    theta = state.model.natural(np.pad(np.vstack([state.z, z]), ((0, 0), (0, len(state.model.names) - z.size))))
+    theta = state.model.natural_of_law(np.vstack([state.z, z]))
     rise = float(theta[1, at] / theta[0, at] - 1.0)
     forces = [state.model.force(theta, p.history, p.start_force_kN) for p in scene.posterior.averages]
     return [np.asarray((f[1] - f[0]) / rise) for f in forces]

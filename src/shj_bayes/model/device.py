@@ -122,6 +122,10 @@ class DeviceModel:
         """Unbounded vectors, shape (m, d), to parameters in natural units, shape (m, d)."""
         return np.stack([prior.from_free(z[:, i]) for i, prior in enumerate(self.laws_of_parameters)], axis=1)
 
+    def natural_of_law(self, z: FloatArray) -> FloatArray:
+        """Unbounded vectors of the law alone, shape (m, n_law), to all, shape (m, d), noise at its median."""
+        return self.natural(np.pad(z, ((0, 0), (0, len(self.names) - z.shape[1]))))
+
     def unbounded(self, theta: FloatArray) -> FloatArray:
         """Parameters in natural units, shape (m, d), to unbounded vectors."""
         return np.stack([prior.to_free(theta[:, i]) for i, prior in enumerate(self.laws_of_parameters)], axis=1)

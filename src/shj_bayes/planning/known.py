@@ -24,8 +24,9 @@ from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
+from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
-from shj_bayes.mismatch.search import DOUBT, ODDS, Hypothesis, Search, noise_beside
+from shj_bayes.mismatch.search import ODDS, Hypothesis, Search, noise_beside
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
@@ -130,8 +131,7 @@ class Known:
     @property
     def contenders(self) -> tuple[Key, ...]:
         """Fewest sets that together hold 95 %, most probable first."""
-        below = np.cumsum([self.probabilities[key] for key in self.keys]) < 1.0 - DOUBT
-        return self.keys[: 1 + int(below.sum())]
+        return tuple(key for key, _ in most_probable([(key, self.probabilities[key]) for key in self.keys]))
 
     @property
     def judges(self) -> FloatArray:

@@ -58,6 +58,6 @@ class _SmallestPlateau:
         return float(of_readings(self._read(model, z), self.least)["least"][0])
 
     def _read(self, model: DeviceModel, z: FloatArray) -> Readings:
-        theta = model.natural(np.append(z, np.zeros(len(model.names) - z.size))[None])
+        theta = model.natural_of_law(z[None])
         force = model.force(theta, self.history, 0.0)
         return read_off(force, self.history.motion, self.history.travel_m)

@@ -235,7 +235,7 @@ def _devices(record: Mapping[str, Any]) -> list[Picture]:
 
 
 def _force(b: Belief, history: Any) -> Any:
-    theta = b.model.natural(np.append(b.z, np.zeros(len(b.model.names) - b.z.size))[None])
+    theta = b.model.natural_of_law(b.z[None])
     return b.model.force(theta, history, 0.0)[0]
 
 

@@ -13,7 +13,7 @@ from shj_bayes._util.files import read_json
 from shj_bayes.errors import ProofError
 from shj_validation.proof import seal
 from shj_validation.proof.cases import Key, draw_keys
-from shj_validation.proof.run import SCORE, TRANSCRIPT, diagnosed, names, score_rows, write_recordings
+from shj_validation.proof.run import SCORE, TRANSCRIPT, names, score_rows, write_recordings
 from shj_validation.proof.summary import summarise
 
 
@@ -50,7 +50,7 @@ def check(folder: Path, *, workers: int = 2, progress: bool = False) -> list[str
         raise ProofError(f"{seal.COMMITMENT} is not the one under which the diagnosis ran")
     _keys(sealed["trials"], seed, keys, nonces)
     n_files = _recordings(folder, sealed, keys, progress)
-    n = diagnosed(folder)
+    n = len(transcript["diagnoses"])
     _diagnoses(folder, transcript, min(n, len(keys)))
     rows = json.loads(json.dumps(score_rows(folder, keys[:n], workers, progress)))
     recorded = read_json(folder / SCORE, ProofError)
