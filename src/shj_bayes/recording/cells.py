@@ -65,7 +65,15 @@ def fill(time_s: FloatArray, values: FloatArray, name: str) -> tuple[FloatArray,
         return (
             bridged,
             filled,
-            [Finding("empty-cells", "unusable", f"{message}; allowed are {BAD_CELL_SHARE:.0%}", count)],
+            [
+                Finding(
+                    "empty-cells",
+                    "unusable",
+                    f"{message}; allowed are {BAD_CELL_SHARE:.0%}; fill them in, or take these rows out of the file "
+                    "(steps of time may differ)",
+                    count,
+                )
+            ],
         )
     return bridged, filled, [Finding("empty-cells", "repaired", message, count)]
 

@@ -30,7 +30,7 @@ def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple
     try:
         recordings = settle([read(path, **reading)], runs)
     except RecordingError as error:
-        name = plain_text(path.name)
+        name = plain_text(path.name or str(path))
         reason = str(error).removeprefix(f"{name}: ")
         return [({"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}")]
     return [_checked(recording) for recording in recordings]

@@ -11,7 +11,7 @@ import numpy as np
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.formula import Value, evaluate
-from shj_bayes.recording.limits import MAX_EXTRA_NAME, MAX_EXTRAS, MIN_SAMPLES, RATE_AGREES
+from shj_bayes.recording.limits import BAD_CELL_SHARE, MAX_EXTRA_NAME, MAX_EXTRAS, MIN_SAMPLES, RATE_AGREES
 from shj_bayes.recording.recording import Extra, Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
 from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units, role_of
@@ -99,10 +99,14 @@ def choose(
     arrays: dict[Role, FloatArray] = {}
     if rate_Hz is not None:
         arrays["time"], used["time"], chosen["time"] = np.arange(n) / rate_Hz, "s", f"sample number / {rate_Hz:g} Hz"
-        message = f"no time column is read: a constant rate of {rate_Hz:g} Hz is assumed, as given"
+        message = (
+            f"no time column is read: a constant rate of {rate_Hz:g} Hz is assumed, as given; speeds are as good as it"
+        )
         findings.append(Finding("rate-given", "assumed", message))
     for role in roles:
-        used[role] = unit = _unit(role, values[role], given, findings, table)
+        used[role] = unit = _unit(
+            role, values[role], given, findings, f"{table.name} gives no unit for {chosen[role]!r}"
+        )
         scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
     others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
@@ -140,7 +144,20 @@ def _columns(
             values[role], chosen[role] = Value(column.values, (column,), True), column.header or column.name
         else:
             values[role], chosen[role] = _no(table, role, asked), ""
+        findings += _text_in(role, values[role])
     return values, chosen
+
+
+def _text_in(role: Role, value: Value) -> Iterator[Finding]:
+    """Refuse a channel of which more cells hold text than may be left out."""
+    for column in value.columns:
+        n_rows = column.values.size
+        if column.n_words > BAD_CELL_SHARE * n_rows:
+            message = (
+                f"{role}: {column.n_words} of {n_rows} cells hold text; allowed are {BAD_CELL_SHARE:.0%}; write all "
+                "numbers with one decimal sign, and take words out"
+            )
+            yield Finding("text-cells", "unusable", message, column.n_words)
 
 
 def _extra(name: str, value: Value, n: int, table: Table) -> Extra:
@@ -223,7 +240,8 @@ def _no(table: Table, role: Role, asked: dict[str, str]) -> Value:
         return Value(np.asarray(table.scalars["wf_increment"]))
     what = "no time column" if role == "time" else f"no {role} column"
     header = "" if table.has_header else " and no header"
-    rate = "; if it was sampled at a constant rate, give it with --rate HZ" if role == "time" else ""
+    step = ", or name the single number that is the interval" if table.scalars else ""
+    rate = f"; if it was sampled at a constant rate, give it with --rate HZ{step}" if role == "time" else ""
     likely = [f"{r}={n}" for r in ROLES if r not in asked and not _named(table, r) and (n := _by_unit(table, r))]
     perhaps = f"; going by the units, perhaps --columns {','.join(likely)}" if likely else ""
     raise RecordingError(f"{table.name}: {what}{header} found; {table.summary}; name it with {_HOW}{rate}{perhaps}")
@@ -312,8 +330,8 @@ def _steps(scaled: FloatArray, n: int, name: str, findings: list[Finding]) -> Fl
     return np.asarray(np.arange(n) * step, dtype=np.float64)
 
 
-def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Finding], table: Table) -> str:
-    """Take the unit by option, else by header, else the tool's own, which is said aloud."""
+def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Finding], missing: str) -> str:
+    """Take the unit by option, else by header, else the tool's own, which is said aloud: `missing` begins the words."""
     header = value.columns[0].unit if value.plain else None
     if role in given:
         if header is not None and header != given[role] and not _same(header, given[role], role):
@@ -327,14 +345,8 @@ def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Findi
         return given[role]
     if header is not None:
         return header
-    name = value.columns[0].name if value.columns else role
-    findings.append(
-        Finding(
-            "unit-assumed",
-            "assumed",
-            f"{role}: {table.name} gives no unit for {name!r}; {TARGET[role]} is assumed; if not, use --units",
-        )
-    )
+    message = f"{role}: {missing}; {TARGET[role]} is assumed; if not, use --units"
+    findings.append(Finding("unit-assumed", "assumed", message))
     return TARGET[role]
 
 
@@ -380,7 +392,7 @@ def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None,
 def _note_ignored(table: Table, values: Sequence[Value], run: Column | None, findings: list[Finding]) -> None:
     """List the columns that were not used."""
     used = {id(column) for value in values for column in value.columns} | {id(run)}
-    rest = [c.header or c.name for c in table.columns if id(c) not in used]
+    rest = [(c.header if table.has_header else "") or c.name for c in table.columns if id(c) not in used]
     if rest:
         more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
         findings.append(Finding("columns-ignored", "note", f"columns not used: {', '.join(rest[:8])}{more}"))

@@ -38,9 +38,9 @@ def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> lis
         (varies < MIN_FORCE_KN, "force-flat", f"force varies by {varies:.3g} kN only; at least {MIN_FORCE_KN:g} kN is "
          "needed; check its column and unit"),
         (stroke > MAX_STROKE_MM, "displacement-unit", f"displacement spans {stroke:.6g} mm; at most "
-         f"{MAX_STROKE_MM:g} mm is plausible; check its column and unit"),
+         f"{MAX_STROKE_MM:g} mm is plausible; check its column, or state the unit, such as --units displacement=mm"),
         (stroke < MIN_STROKE_MM, "displacement-flat", f"displacement spans {stroke:.3g} mm; at least "
-         f"{MIN_STROKE_MM:g} mm is needed; is it in m or in? Use --units"),
+         f"{MIN_STROKE_MM:g} mm is needed; is it in m or in? Use --units displacement=m"),
     )  # fmt: skip
     return [Finding(code, "unusable", message) for found, code, message in checks if found]
 
@@ -134,8 +134,7 @@ def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[Fl
         message = (
             f"displacement and force seem swapped: the loop gives energy back (area {area:+.2f} of a friction loop; "
             f"above {-SIGN_SHARE:g} is allowed), and the displacement is rougher than the force, jumps more and "
-            f"turns more often ({half_cycles(displacement_mm)} half-cycles, the force {half_cycles(force_kN)}); "
-            "exchange them with --columns, and give --units mm,kN,s where the header names units"
+            f"turns more often ({half_cycles(displacement_mm)} half-cycles, the force {half_cycles(force_kN)})"
         )
         return force_kN, [Finding("swapped-columns", "unusable", message)]
     message = (

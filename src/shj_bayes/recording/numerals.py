@@ -105,7 +105,7 @@ class _Column:
 
 def numbers(
     lines: Iterable[str], dialect: Dialect, names: list[str], file: str
-) -> tuple[list[FloatArray], list[Finding]]:
+) -> tuple[list[FloatArray], list[int], list[Finding]]:
     """Parse rows in blocks, so that memory holds the numbers and one block of text.
 
     Parameters
@@ -123,6 +123,8 @@ def numbers(
     -------
     list of array, shape (n_rows,)
         One for each column; NaN where there is no number.
+    n_words : list of int
+        Cells of each column that hold text.
     findings : list of Finding
 
     Raises
@@ -158,7 +160,7 @@ def numbers(
         findings.append(Finding("broken-rows", "repaired", f"{lost} rows with too many cells left out", lost))
     for column, label in zip(columns, labels, strict=True):
         findings += column.findings(label)
-    return [_joined(column) for column in columns], findings
+    return [_joined(column) for column in columns], [column.n_words for column in columns], findings
 
 
 def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:

@@ -6,6 +6,9 @@ saying it settles the matter.
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import replace
+
 import numpy as np
 
 from shj_bayes.recording.columns import Channels
@@ -20,7 +23,9 @@ from shj_bayes.recording.limits import (
 )
 from shj_bayes.recording.loops import burstiness, changes, roughness
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.units import TARGET, Role
+from shj_bayes.recording.units import TARGET, Role, factor
+
+_OTHERS: dict[Role, tuple[str, ...]] = {"displacement": ("m", "cm", "in"), "force": ("N", "MN"), "time": ("ms", "min")}
 
 
 def plausibility_findings(
@@ -49,7 +54,7 @@ def plausibility_findings(
             message = (
                 f"nobody stated the unit of the {role}, and {words.format(value)} is unusual in {TARGET[role]} (usual "
                 f"is {low:g} to {high:g} {unit}); state it: --units {role}={TARGET[role]} if it is right, else the "
-                "unit that is"
+                f"unit that is{_usual(role, value, low, high)}"
             )
             findings.append(Finding("unit-unlikely", "unusable", message))
     if "time" not in channels.assumed and speed < ASSUMED_SPEED_MM_S[0] and duration > LONG_TEST_S:
@@ -59,6 +64,13 @@ def plausibility_findings(
         )
         findings.append(Finding("time-long", "warning", message))
     return findings + _swapped(channels, displacement_mm, force_kN)
+
+
+def _usual(role: Role, value: float, low: float, high: float) -> str:
+    """Name the other units in which a size would be usual; a speed is the smaller, the longer the unit of time."""
+    power = -1 if role == "time" else 1
+    fit = [name for name in _OTHERS[role] if low <= value * factor(name, role) ** power <= high]
+    return f" (it would be usual in {' or '.join(fit)})" if fit else ""
 
 
 def _swapped(channels: Channels, displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
@@ -75,8 +87,17 @@ def _swapped(channels: Channels, displacement_mm: FloatArray, force_kN: FloatArr
     message = (
         f"displacement and force seem swapped: the displacement jumps like a friction force ({ratio:.1f} times as "
         f"bursty and {rough:.1f} times as rough as the force; below {SWAPPED_BURSTS:g} and {SWAPPED_SMOOTH:g} is "
-        "usual) and the force runs as smoothly as a driven displacement; name both with "
-        "--columns displacement=...,force=... and their --units"
+        "usual) and the force runs as smoothly as a driven displacement"
     )
     told = {"displacement", "force"} <= channels.named
     return [Finding("swapped-columns", "warning" if told else "unusable", message)]
+
+
+def with_exchange(finding: Finding, channels: Channels) -> Finding:
+    """Add to a finding of swapped columns the options that exchange them."""
+    if finding.code != "swapped-columns":
+        return finding
+    columns, units = channels.columns, channels.units
+    option = shlex.quote(f"displacement={columns['force']},force={columns['displacement']}")
+    exchange = f"--columns {option} --units displacement={units['displacement']},force={units['force']}"
+    return replace(finding, message=f"{finding.message}; if they are, exchange them: {exchange}")

@@ -10,7 +10,7 @@ import numpy as np
 from shj_bayes.recording.clock import follow_on, restarts
 from shj_bayes.recording.columns import Channels, choose
 from shj_bayes.recording.further import at_samples
-from shj_bayes.recording.plausible import plausibility_findings
+from shj_bayes.recording.plausible import plausibility_findings, with_exchange
 from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.recording import Extra, Finding, FloatArray, Recording, RunStart, Source
 from shj_bayes.recording.tables import Table, read_table
@@ -62,6 +62,7 @@ def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: 
     known = {finding.code for finding in findings}
     unlikely = plausibility_findings(channels, time_s, displacement_mm, force_kN)
     findings += tuple(finding for finding in unlikely if finding.code not in known)
+    findings = tuple(with_exchange(finding, channels) for finding in findings)
     samples = {int(np.searchsorted(time_s, first)): shift for first, shift in begins}
     recording = Recording(
         time_s=time_s,

@@ -41,12 +41,15 @@ class Column:
         Unit as written in the file.
     header : str
         Header as written, name and unit together.
+    n_words : int
+        Cells that hold text and no number.
     """
 
     name: str
     values: FloatArray
     unit: str | None = None
     header: str = ""
+    n_words: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +152,7 @@ def _kind(path: Path) -> str:
     if kind is None or (path.suffix.lower() == ".gz" and kind != "csv"):
         raise RecordingError(
             f"{path.name}: ending {''.join(path.suffixes[-2:]) or '(none)'!r} is not supported; allowed are "
-            f"{', '.join(FORMATS)}, and .gz after the text formats"
+            f"{', '.join(FORMATS)}, and .gz after the text formats; export it as one of these"
         )
     return kind
 

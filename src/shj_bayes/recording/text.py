@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.dialect import LOOK, find_dialect, header_of
+from shj_bayes.recording.dialect import LOOK, Dialect, find_dialect, header_of
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE
 from shj_bayes.recording.numerals import numbers
 from shj_bayes.recording.recording import Finding
@@ -45,14 +45,29 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
     names, units, headers = header_of(head[: dialect.first], dialect)
     if not any(names) and comments:  # numpy and gnuplot write the header as a comment
         names, units, headers = header_of([line.lstrip("#% ") for line in comments], dialect)
+    if not any(names):
+        _refuse_split_numbers(head[: dialect.first], dialect, name)
     bounded_columns(names, name)
-    values, findings = numbers(chain(head[dialect.first :], stream), dialect, names, name)
+    values, n_words, findings = numbers(chain(head[dialect.first :], stream), dialect, names, name)
     if any("simulated" in line.lower() for line in comments):
         findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
     if dialect.decimal == ",":
         findings.append(Finding("decimal-comma", "assumed", "a comma is read as the decimal sign (0,5 is one half)"))
-    columns = tuple(Column(label or f"#{i + 1}", values[i], units[i], headers[i]) for i, label in enumerate(names))
+    columns = tuple(
+        Column(label or f"#{i + 1}", values[i], units[i], headers[i], n_words[i]) for i, label in enumerate(names)
+    )
     return Table(name, kind, sha256, columns, has_header=any(names), findings=(*notes, *findings))
+
+
+def _refuse_split_numbers(above: list[str], dialect: Dialect, name: str) -> None:
+    """Refuse rows of twice as many cells as the header has: each number was taken apart at its decimal comma."""
+    width = len(dialect.cells(above[-1])) if above else 0
+    if dialect.separator == "," and 2 * width == dialect.width:
+        raise RecordingError(
+            f"{name}: the header has {width} cells and the rows of numbers {dialect.width}, so commas seem to be the "
+            "decimal sign and to stand between the columns; export with semicolons between the columns, or with "
+            "decimal points"
+        )
 
 
 def _rows(lines: Iterable[str], comments: list[str], name: str) -> Iterator[str]:

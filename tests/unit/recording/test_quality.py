@@ -231,6 +231,24 @@ def test_a_chattering_force_taken_for_the_displacement_is_refused(clean, tmp_pat
     assert "swapped-columns" not in run(t, x, sign * chatter)[0]
 
 
+def test_swapped_columns_come_with_the_options_that_exchange_them(clean, tmp_path):
+    t, x, f = arrays(clean)
+    path = tmp_path / "run.csv"
+    header = "time_s,displacement_mm,force_kN"
+    np.savetxt(path, np.column_stack([t, f, x]), header=header, delimiter=",", comments="")
+    (said,) = [finding.message for finding in read(path).findings if finding.code == "swapped-columns"]
+    columns, units = said.partition("--columns ")[2].split(" --units ")
+    assert read(path, columns=columns, units=units).usable
+
+
+def test_an_unlikely_unit_comes_with_those_that_would_be_usual(clean, tmp_path):
+    t, x, f = arrays(clean)
+    path = tmp_path / "run.csv"
+    np.savetxt(path, np.column_stack([1e3 * t, x, f]), header="time,stroke_mm,force_kN", delimiter=",", comments="")
+    (said,) = [finding.message for finding in read(path).findings if finding.code == "unit-unlikely"]
+    assert said.endswith("(it would be usual in ms)")
+
+
 def test_offsets(clean):
     t, x, f = arrays(clean)
     assert {c: g.severity for c, g in run(t, x + 10, f + 15)[0].items()} == {

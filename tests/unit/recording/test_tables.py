@@ -146,6 +146,26 @@ def test_text_cells_are_counted_and_named(tmp_path, small):
     assert "row 101" in cell.message
 
 
+def test_a_channel_that_is_mostly_text_is_refused(tmp_path, small):
+    """A decimal comma from the hundredth row on: what is left would pass for a short recording."""
+    body = lines(small, ";").splitlines()
+    path = tmp_path / "run.csv"
+    path.write_text(
+        HEAD.replace(",", ";") + "\n" + "\n".join([*body[:100], *(b.replace(".", ",") for b in body[100:])])
+    )
+    recording = read(path)
+    assert not recording.usable
+    refused = [f.message for f in recording.findings if f.severity == "unusable"]
+    assert any("force" in said and "allowed are 5%" in said and "one decimal sign" in said for said in refused)
+
+
+def test_numbers_that_are_taken_apart_at_their_decimal_commas_are_refused(tmp_path, small):
+    path = tmp_path / "run.csv"
+    path.write_text(HEAD + "\n" + "\n".join(",".join(f"{v:.3f}".replace(".", ",") for v in row) for row in rows(small)))
+    with pytest.raises(RecordingError, match=r"header has 3 cells and the rows of numbers 6.*export with semicolons"):
+        read(path)
+
+
 def test_workbook(tmp_path, small):
     book = openpyxl.Workbook()
     book.active.title = "Notes"
