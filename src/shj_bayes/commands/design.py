@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from shj_bayes.population.results import load_population
 from shj_bayes.report.campaign import WITH_SET
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.campaign_physics import statements
+from shj_bayes.report.margins_numbers import tested_sets
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 
@@ -59,7 +61,8 @@ def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[
     simulated = bool(campaign and campaign.get("simulated"))
     render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
-    return {"record": to_json(sheet), "words": "\n".join([margin_text(sheet, request), "", *notes])}
+    lines = [margin_text(sheet, request), "", *notes, "", *two_numbers(sheet, request)]
+    return {"record": to_json(sheet), "words": "\n".join(lines)}
 
 
 def export_analysis(
@@ -164,6 +167,8 @@ def tested_devices(
         better = diagnosis.fit if diagnosis is not None and diagnosis.verdict is not Verdict.ADEQUATE else None
         if with_set:
             better = folder / place / WITH_SET
+            if diagnosis is not None:  # a first look that was fitted after all
+                found[of_set, name] = replace(diagnosis, fit=better)
         out.append(read_specimen(folder / place, name, of_set, better))
     return campaign, tuple(out), (*statements(campaign), *words_of(found, len(places), notes))
 
@@ -187,16 +192,13 @@ def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[st
 def margin_text(sheet: Sheet, request: Request) -> str:
     """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
     table = design_table(sheet)
-    names = list(dict.fromkeys(row.set_name for row in sheet.rows))
-    tested = [name for name in names if name != ANY_SET]
+    tested = tested_sets(sheet)
     enough = sets_suffice(len(tested))
     lines = []
-    for name in request.sets or (names if enough else tested):
+    for name in _shown(sheet, request):
         shown = "(all devices)" if name == ANY_SET else name
         part = table[table["set"] == shown]
-        count = int(part["devices"].max())
-        behind = f"from {len(tested)} tested sets" if name == ANY_SET else f"{count} device{'' if count == 1 else 's'}"
-        lines += ["", f"{name_of(name)}: {behind}"]
+        lines += ["", f"{name_of(name)}: {_behind(sheet, name)}"]
         lines.append(f"  {first_words(sheet, name)}")
         lines.append(f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}")
         complete = True
@@ -217,6 +219,28 @@ def margin_text(sheet: Sheet, request: Request) -> str:
     if not (request.sets or enough):
         lines += ["", never_tested_words(len(tested))]
     return "\n".join(lines[1:])
+
+
+def two_numbers(sheet: Sheet, request: Request) -> list[str]:
+    """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
+    lines = ["Two numbers of each set, of the devices that were tested:"]
+    for name in _shown(sheet, request):
+        lines.append(f"  {name_of(name)}, {_behind(sheet, name)}: {first_words(sheet, name)}")
+    return lines
+
+
+def _shown(sheet: Sheet, request: Request) -> Sequence[str]:
+    """Choose the sets to tell of: those asked for, else all tested ones, and where these suffice an untested one."""
+    tested = tested_sets(sheet)
+    return request.sets or ([*tested, ANY_SET] if sets_suffice(len(tested)) else tested)
+
+
+def _behind(sheet: Sheet, name: str) -> str:
+    """Say on how many devices, or sets, the margins of a set rest."""
+    if name == ANY_SET:
+        return f"from {len(tested_sets(sheet))} tested sets"
+    count = max(row.n_devices for row in sheet.rows if row.set_name == name)
+    return f"{count} device{'' if count == 1 else 's'}"
 
 
 def _known(ends: tuple[float, float]) -> bool:

@@ -33,8 +33,9 @@ def agreement(rows: Sequence[Margin]) -> Agreement:
     """Compare the bounds of every set with each other and with the bands of a new device."""
     names = list(dict.fromkeys(row.set_name for row in rows))
     found = [text for name in names for text in _of_set(name, [row for row in rows if row.set_name == name])]
+    sets = f"{len(names)} set{'s' * (len(names) != 1)}"
     words = (
-        f"Compared in {len(names)} sets: each lower bound force (ASCE 7, LBDP) with the 5 % ends, and each upper bound "
+        f"Compared in {sets}: each lower bound force (ASCE 7, LBDP) with the 5 % ends, and each upper bound "
         "force (ASCE 7, UBDP) with the 95 % ends, of the smallest plateau, mean plateau, third cycle and largest force "
         "of every run; lower with upper bounds; low, middle and high value of every other margin. "
         + (f"{len(found)} contradict." if found else "None contradict.")

@@ -81,7 +81,8 @@ def _how_many(diagnosed: int, devices: int) -> str:
         return (
             "No device has a diagnosis: the margins rest on the law as published (shj-bayes diagnose looks beyond it)."
         )
-    return f"{diagnosed} of {devices} devices have a diagnosis; the others rest on the law as published."
+    others = "; the others rest on the law as published" if diagnosed < devices else ""
+    return f"{diagnosed} of {devices} devices have a diagnosis{others}."
 
 
 def _words(name: str, diagnosis: Diagnosed) -> str:

@@ -58,7 +58,8 @@ def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, s
     if not found or any(set(a) & set(b) for a, b in found):
         raise PopulationError(
             f"no two sets differ in '{first}' against '{second}' alone; the tags of the sets (material, coating, "
-            "coverage_percent, corroded in the manifest) say what each is"
+            "coverage_percent, corroded in the manifest) say what each is; or name two sets: "
+            f"{', '.join(map(repr, result.set_names[:12]))}"
         )
     return first, second, found
 

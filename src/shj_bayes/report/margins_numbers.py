@@ -67,13 +67,14 @@ def band_table(sheet: Sheet) -> list[dict[str, Any]]:
     return rows
 
 
-def first_table(sheet: Sheet) -> list[dict[str, str]]:
-    """One row per set: the one number for drift and the one for capacity design, kN."""
+def first_table(sheet: Sheet) -> list[dict[str, Any]]:
+    """One row per set: tested devices, the one number for drift and the one for capacity design, kN."""
     index = _index(sheet)
     rows = []
     for name in shown_sets(sheet):
         low, high = index[name, "force", DRIFT, LOW], index[name, "force", CAPACITY, HIGH]
-        rows.append({"name": name_of(name), "drift": digits(low.value), "capacity": digits(high.value)})
+        numbers = {"drift": digits(low.value), "capacity": digits(high.value)}
+        rows.append({"name": name_of(name), "n": _devices(index, name)} | numbers)
     return rows
 
 

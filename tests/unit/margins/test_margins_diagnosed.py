@@ -1,7 +1,9 @@
 import json
+from types import SimpleNamespace
 
 import pytest
 
+from shj_bayes.commands import design
 from shj_bayes.inference.record import KINDS, SCHEMA
 from shj_bayes.margins.diagnosed import Diagnosed, find_diagnosis, words_of
 from shj_bayes.mismatch.schema import Verdict
@@ -68,3 +70,18 @@ def test_what_was_found_is_said_device_by_device(tmp_path):
     assert words_of({key: Diagnosed(Verdict.NAMED, ("Prying",), tmp_path)}, 5)[0] == "Zinc 70, 1: Prying"
     assert "not told apart" in words_of({key: Diagnosed(Verdict.FAMILY, ("prying", "velocity"), tmp_path)}, 5)[0]
     assert "without a posterior" in words_of({key: Diagnosed(Verdict.UNKNOWN, ())}, 5)[0]
+
+
+def test_a_first_look_that_was_fitted_with_its_set_rests_on_that_fit(fitted, monkeypatch):
+    write(fitted / "device" / "diagnosis", quick=True)
+    (fitted / "fit.json").replace(fitted / "device" / "fit.json")
+    (fitted / "campaign.json").touch()
+    device = {"folder": "device", "name": "A1", "with_set": "reliable"}
+    campaign = {"sets": [{"name": "bare", "devices": [device]}]}
+    monkeypatch.setattr(design, "read_campaign", lambda folder: campaign)
+    monkeypatch.setattr(design, "statements", lambda campaign: ())
+    monkeypatch.setattr(design, "read_specimen", lambda folder, name, of_set, better: better)
+    population = SimpleNamespace(sets=[SimpleNamespace(name="bare", devices=["A1"])])
+    _, specimens, words = design.tested_devices(fitted, population)
+    assert specimens == (fitted / "device" / "with-set",)
+    assert words == ("bare, A1: Prying", "1 of 1 devices have a diagnosis.")
