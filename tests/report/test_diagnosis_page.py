@@ -203,3 +203,25 @@ def test_a_chance_that_did_not_decide_is_not_told_beside_the_verdict(tmp_path: P
         first = DiagnosisResult(folder, changed, folder / "diagnosis.html").text.splitlines()[0]
         assert ("if nothing were missing" in page.text) == ("if nothing were missing" in first) == told
         assert (why in first) != told
+
+
+def test_what_is_not_determined_and_what_does_not_carry_over_is_said(tmp_path: Path) -> None:
+    changed = record("named", "seal") | {"modelled": {}}
+    changed["modelled"] = {"effects": ["prying"]}
+    changed["shift"] = {
+        "Fy": {"before": {"mean": 0.0053, "sd": 0.0002}, "after": {"mean": 0.0046, "sd": 0.0003}},
+        "K": {"before": {"mean": 5e5, "sd": 1.6e7}, "after": {"mean": 0.12, "sd": 0.02}},
+    }
+    changed["after"] = changed["after"] | {"heldout_rmse_kN": 33.34}
+    changed["heldout"] = changed["heldout"] | {"elpd_gain": -76.0}
+    folder = write(tmp_path, "named", "seal")
+    (folder / "diagnosis.json").write_text(json.dumps(changed), encoding="utf-8")
+    told = DiagnosisResult(folder, changed, folder / "diagnosis.html").text
+    page = Page(render_diagnosis(folder)).text
+    (stiffness,) = [line for line in told.splitlines() if line.startswith("  K ")]
+    assert "not determined" in stiffness
+    assert stiffness.endswith("N/mm")
+    assert "5.3 +-" in told  # newtons, as on the page of the fit
+    assert "does not carry over" in told
+    assert all(words in page for words in ("not determined", "does not carry over", "predictions are worse"))
+    assert "500000" not in page

@@ -18,7 +18,7 @@ from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
 from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
-from shj_bayes.model.device import DeviceModel, effects_named, meaning_of
+from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.parameters import FloatArray
@@ -139,6 +139,7 @@ class DiagnosisResult:
         from shj_bayes.report.diagnosis_words import (  # noqa: PLC0415  (for a diagnosis only)
             chance_words,
             sentences,
+            shift_lines,
             verdict_words,
         )
 
@@ -147,16 +148,7 @@ class DiagnosisResult:
         why = f"chance of such a misfit if nothing were missing: {chance}" if chance else str(record.get("reason", ""))
         lines = [f"{record['device']}: {record['verdict']} ({why})"]
         lines += [f"  {sentence}" for sentence in (verdict_words(record)[2], *sentences(record))]
-        # Where nothing was added to the law there is one law and one set of numbers.
-        stages = ("before", "after") if record["modelled"] else ("after",)
-        rough = ", a first look: approximate, and not the numbers of a fit" if record.get("quick") else ""
-        lines += ["", f"  {' -> '.join(stages) if len(stages) > 1 else 'base law'}{rough}"]
-        for name, row in record["shift"].items():
-            shown = " -> ".join(f"{row[stage]['mean']:11.5g} +- {row[stage]['sd']:<9.2g}" for stage in stages)
-            lines.append(f"  {name:8}{shown} {meaning_of(name).unit}")
-        errors = " -> ".join(f"{record[stage]['heldout_rmse_kN']:.3g}" for stage in stages)
-        lines.append(f"  error on held-out cycles {errors} kN")
-        return "\n".join([*lines, "", f"report: {self.page}"])
+        return "\n".join([*lines, "", *shift_lines(record), "", f"report: {self.page}"])
 
 
 def step_told(line: str) -> None:

@@ -19,6 +19,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
+from shj_bayes.report.force_unit import unit_for
 from shj_bayes.report.residual_file import FEWEST_CYCLES
 
 # Word and sign first; the colour only repeats them.
@@ -62,6 +63,7 @@ COORDINATES = {
     "reversal": "the rule at reversals",
     "stick-slip": "stick and slip",
 }
+NOT_DETERMINED = "not determined"
 LIKELY, LIMIT = 0.5, 0.05  # probabilities from which a dependence is stated, and mentioned
 SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a normal law
 
@@ -137,8 +139,9 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
         )
         out.append(spaced(f"{lead}{e['statement']}{cause}"))
     if verdict == Verdict.FAMILY:
+        lead = "Not excluded" if found and len(record["family"]) == 1 else "These recordings cannot tell"
         members = [f"{title_of(m.get('id')).lower()} ({percent(m.get('probability'))})" for m in record["family"]]
-        out.append(f"These recordings cannot tell: {', or '.join(members)}.")
+        out.append(f"{lead}: {', or '.join(members)}.")
     for c in record.get("coordinates") or ():
         if not c.get("matches") and number(c.get("probability")) >= LIKELY:
             out.append(f"{curve_words(c)} No known mechanism has this curve.")
@@ -157,6 +160,37 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     if record.get("next_test"):
         out.append(f"Next test: {record['next_test']}")
     return out
+
+
+def shift_lines(record: Mapping[str, Any]) -> list[str]:
+    """Say, as lines of a terminal, what the parameters are without and with what was found, and the held-out error."""
+    # Where nothing was added to the law there is one law and one set of numbers.
+    stages = ("before", "after") if record["modelled"] else ("after",)
+    rough = ", a first look: approximate, and not the numbers of a fit" if record.get("quick") else ""
+    lines = [f"  {' -> '.join(stages) if len(stages) > 1 else 'base law'}{rough}"]
+    forces = unit_for(record["shift"].get("Fy", {}).get("after", {}).get("mean"))
+    for name, row in record["shift"].items():
+        unit, factor = forces.of(meaning_of(name).unit)
+        shown = " -> ".join(
+            f"{NOT_DETERMINED:24}"
+            if undetermined(name, row[stage])
+            else f"{row[stage]['mean'] * factor:11.5g} +- {row[stage]['sd'] * factor:<9.2g}"
+            for stage in stages
+        )
+        lines.append(f"  {name:8}{shown} {unit}")
+    errors = " -> ".join(words.short(record[stage]["heldout_rmse_kN"] * forces.factor) for stage in stages)
+    return [*lines, f"  error on held-out cycles {errors} {forces.name}.{worse_words(record)}"]
+
+
+def undetermined(name: str, row: Mapping[str, Any]) -> bool:
+    """Whether a parameter that is above zero is known to no better than its own size."""
+    return name.partition("_")[0] in ("K", "Fy", "beta") and number(row.get("sd")) >= abs(number(row.get("mean")))
+
+
+def worse_words(record: Mapping[str, Any]) -> str:
+    """Warn of what describes the recording and predicts cycles that were left out worse than the law alone."""
+    before, after = (number(record[stage].get("heldout_rmse_kN")) for stage in ("before", "after"))
+    return " Larger: what was found does not carry over to cycles that it did not see." if after > before else ""
 
 
 def curve_words(c: Mapping[str, Any]) -> str:
@@ -255,6 +289,7 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     floor = words.short(number(data.record["after"].get("noise_kN")))
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
     noise = "This holds what no effect explains, beside the noise." if misfit_in_noise(data) else f"Noise: {floor} kN."
+    noise += worse_words(data.record)
     out.append(_card("Error on cycles that were held out", words.short(before), words.short(after), "kN", noise))
     if not data.channels.changed:
         out = [card | {"before": ""} for card in out]
@@ -328,18 +363,19 @@ def shift(data: DiagnosisData) -> list[dict[str, str]]:
     out = []
     for name, row in data.record["shift"].items():
         before, after = row["before"], row["after"]
-        moved = number(after.get("mean")) - number(before.get("mean"))
+        unsure = undetermined(name, before), undetermined(name, after)
+        moved = math.nan if any(unsure) else number(after.get("mean")) - number(before.get("mean"))
         out.append(
             {
                 "name": name,
                 "meaning": _meaning(name),
                 "unit": _unit(name),
-                "before": value(before),
+                "before": NOT_DETERMINED if unsure[0] else value(before),
                 "before_exact": repr(number(before.get("mean"))),
-                "before_sd": spread(before),
-                "after": value(after),
+                "before_sd": "" if unsure[0] else spread(before),
+                "after": NOT_DETERMINED if unsure[1] else value(after),
                 "after_exact": repr(number(after.get("mean"))),
-                "after_sd": spread(after),
+                "after_sd": "" if unsure[1] else spread(after),
                 "before_dep": dep(before) if name.partition("_")[0] == "gamma" else "",
                 "after_dep": dep(after) if name.partition("_")[0] == "gamma" else "",
                 "change": _change(moved, number(before.get("mean")), gamma=name.partition("_")[0] == "gamma"),
@@ -432,6 +468,11 @@ def heldout_words(data: DiagnosisData) -> str:
         return text
     if not data.channels.changed:
         return f"{text} Nothing was added to the law, so there is nothing to gain."
+    if gain < 0:
+        return (
+            f"{text} With what was found these predictions are worse: log predictive density {gain:.0f}, standard "
+            f"error {error:.0f}. It describes these recordings and may not hold beyond them."
+        )
     sure = "far more" if gain > 5 * error else "more" if gain > 2 * error else "not clearly more"
     return (
         f"{text} With what was found these predictions are better, by {sure} than chance: log predictive density "

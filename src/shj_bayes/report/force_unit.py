@@ -42,5 +42,9 @@ KN, N = ForceUnit("kN", 1.0), ForceUnit("N", 1000.0)
 
 def force_unit(record: Mapping[str, Any]) -> ForceUnit:
     """Choose the unit for a device by its sliding force in ``fit.json``."""
-    sliding = [row["q50"] for row in record["parameters"] if row["name"] == "Fy"]
-    return N if sliding and sliding[0] is not None and abs(sliding[0]) < SMALL_KN else KN
+    return unit_for(next((row["q50"] for row in record["parameters"] if row["name"] == "Fy"), None))
+
+
+def unit_for(sliding_kN: float | None) -> ForceUnit:
+    """Choose the unit for a device by its sliding force, which may not be known."""
+    return N if sliding_kN is not None and abs(sliding_kN) < SMALL_KN else KN

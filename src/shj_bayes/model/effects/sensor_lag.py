@@ -16,7 +16,7 @@ EFFECT = Effect(
     id="sensor_lag",
     family="start_of_stroke",
     title="Delay between the channels",
-    statement="Force is recorded {size:.3f} s after displacement (negative: before); correct the timing and fit again.",
+    statement="Force is {size:+.3f} s behind displacement (minus: ahead); where the recording is at fault, correct it.",
     equation="F_recorded(t) = F(t - tau)",
     cause="Filters or multiplexed sampling that treat the two channels differently.",
     shows="Reversals shifted along the stroke by tau times the speed there; grows with speed, unlike slack.",
