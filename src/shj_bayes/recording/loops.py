@@ -149,20 +149,22 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
     """Too few samples or half-cycles, offsets and lag."""
     findings = []
     if recording.n_samples < MIN_SAMPLES:
-        message = f"{recording.n_samples} samples; at least {MIN_SAMPLES} are needed"
+        message = (
+            f"{recording.n_samples} samples; at least {MIN_SAMPLES} are needed; export every row, or sample faster"
+        )
         findings.append(Finding("few-samples", "unusable", message))
     if motion.n_half < FEW_HALF_CYCLES:
         severe = motion.n_half < MIN_HALF_CYCLES
         message = (
             f"{motion.n_half} half-cycles; at least {MIN_HALF_CYCLES} are needed, "
-            f"{FEW_HALF_CYCLES} to see a change from cycle to cycle"
+            f"{FEW_HALF_CYCLES} to see a change from cycle to cycle; record more cycles"
         )
         findings.append(Finding("few-cycles", "unusable" if severe else "warning", message))
     per_half = recording.n_samples / motion.n_half
     if per_half < MIN_SAMPLES_PER_HALF_CYCLE:
         message = (
             f"{per_half:.1f} samples in a half-cycle; at least {MIN_SAMPLES_PER_HALF_CYCLE} are needed "
-            f"to see the stiffness"
+            f"to see the stiffness; sample faster"
         )
         findings.append(Finding("coarse-sampling", "warning", message))
     return [*findings, *_offsets(recording, motion), *_lag(recording, motion)]
