@@ -15,12 +15,12 @@ from page_tools import Page, check_safe, folded
 from shj_bayes.commands.finished import DeviceResult
 from shj_bayes.errors import ShjError
 from shj_bayes.report.data import read_device
-from shj_bayes.report.device import content, render_device
+from shj_bayes.report.device import badges, content, render_device
 from shj_bayes.report.device_numbers import numbers_of
 from shj_bayes.report.device_pictures import draw as draw_page
 from shj_bayes.report.figures import canvas
 from shj_bayes.report.force_unit import force_unit
-from shj_bayes.report.residual_file import left_over
+from shj_bayes.report.residual_file import LeftOver, left_over
 from shj_bayes.report.words import CONVERGENCE, rounded
 
 
@@ -44,6 +44,14 @@ def test_first_screen_holds_verdict_numbers_and_one_picture(page: Page, fitted: 
     assert "of Fy unexplained" in first
     assert first.count("<img") == 1
     assert all(f"{name}:" in first for name in ("K", "Fy", "beta", "ratio", "gamma"))
+
+
+def test_a_tentative_verdict_of_a_converged_fit_is_told_on_the_first_screen() -> None:
+    record = {"convergence": "reliable", "verdict": "tentative", "model": {}}
+    told = badges(record, LeftOver(24.0, 12, 3.2))[0]
+    assert told["name"] == "converged"
+    assert "The verdict is tentative" in told["words"]
+    assert "tentative" not in badges(record | {"verdict": "reliable"}, LeftOver(1.0, 12))[0]["words"]
 
 
 def test_what_is_not_looked_at_first_is_folded_away(page: Page) -> None:

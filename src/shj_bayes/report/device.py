@@ -131,6 +131,8 @@ def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
     """Two verdicts, since neither says anything of the other: of the calculation, and of the model."""
     word = str(record.get("convergence", record["verdict"]))
     name, colour, sentence = words.CONVERGENCE.get(word, (word, "unusable", ""))
+    if (word, record["verdict"]) == ("reliable", "tentative"):
+        sentence += words.SCATTER
     (grade, shade), said = words.FIT[left.grade], words.fit_words(left)
     model = words.left_words(left, record["model"].get("effects", ()))
     return [

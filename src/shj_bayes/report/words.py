@@ -16,6 +16,8 @@ CONVERGENCE = {
     "tentative": ("not quite converged", "tentative", "Take the intervals as a first look, and run it longer."),
     "unusable": ("not converged", "unusable", "The independent ensembles disagree: do not use the numbers below."),
 }
+# What makes the verdict of a finished calculation tentative.
+SCATTER = " The verdict is tentative: the cycles scatter more than the model and its noise allow."
 # Of the model: word of the badge, class of its colour.
 FIT = {
     "good": ("good fit", "reliable"),
