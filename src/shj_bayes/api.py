@@ -57,18 +57,10 @@ Recordings = OneRecording | Sequence[OneRecording]
 
 @dataclass(frozen=True, eq=False)
 class _Result:
-    """A folder of results.
+    """A folder of results."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        What the command of the same name prints with ``--json``.
-    """
-
-    folder: Path
-    record: dict[str, Any] = field(repr=False)
+    folder: Path  # where its files are
+    record: dict[str, Any] = field(repr=False)  # what the command of the same name prints with ``--json``
     _held: _Held | None = field(default=None, repr=False)
 
     @property

@@ -23,27 +23,13 @@ from shj_bayes.report.residual_file import LeftOver, read_residual
 
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
-    """A finished device.
+    """A finished device."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        Content of ``fit.json``.
-    fresh : bool
-        False when an earlier, unchanged result was found and kept.
-    left : LeftOver or None
-        What the model leaves over; None where no page was written.
-    note : str
-        Why an earlier result was not kept although it is of the same fit: which file was damaged.
-    """
-
-    folder: Path
-    record: dict[str, Any]
-    fresh: bool
-    left: LeftOver | None = None
-    note: str = ""
+    folder: Path  # where its files are
+    record: dict[str, Any]  # content of ``fit.json``
+    fresh: bool  # False when an earlier, unchanged result was found and kept
+    left: LeftOver | None = None  # what the model leaves over; None where no page was written
+    note: str = ""  # why an earlier result was not kept although it is of the same fit: which file was damaged
 
     @property
     def text(self) -> str:

@@ -32,21 +32,11 @@ DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A written plan.
+    """A written plan."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        Content of ``plan.json``.
-    page : Path
-        The page.
-    """
-
-    folder: Path
-    record: dict[str, Any]
-    page: Path
+    folder: Path  # where its files are
+    record: dict[str, Any]  # content of ``plan.json``
+    page: Path  # the page
 
     @property
     def text(self) -> str:

@@ -117,21 +117,11 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
-    """A finished diagnosis.
+    """A finished diagnosis."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        Content of ``diagnosis.json``.
-    page : Path
-        The page.
-    """
-
-    folder: Path
-    record: dict[str, Any]
-    page: Path
+    folder: Path  # where its files are
+    record: dict[str, Any]  # content of ``diagnosis.json``
+    page: Path  # the page
 
     @property
     def text(self) -> str:

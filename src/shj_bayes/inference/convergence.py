@@ -21,35 +21,19 @@ ACCEPTANCE_LIMIT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
-    """Convergence figures of each parameter (arrays of shape (d,)) and of each ensemble.
+    """Convergence figures of each parameter (arrays of shape (d,)) and of each ensemble."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Parameters.
-    tau : array, shape (d,)
-        Integrated autocorrelation time, steps (mean over ensembles).
-    rhat : array, shape (d,)
-        Rank-normalised split R-hat across ensembles.
-    ess_bulk, ess_tail : array, shape (d,)
-        Effective sample sizes, the smaller of both estimates for the bulk.
-    acceptance : array, shape (n_ensembles, n_walkers)
-        Accepted share of proposals of each walker.
-    n_steps, n_burn : int
-        Steps kept for the posterior, and dropped before them.
-    n_failed : int
-        Evaluations whose density was zero or overflowed.
-    """
-
-    names: tuple[str, ...]
-    tau: FloatArray
-    rhat: FloatArray
+    names: tuple[str, ...]  # parameters
+    tau: FloatArray  # shape (d,): integrated autocorrelation time, steps (mean over ensembles)
+    rhat: FloatArray  # shape (d,): rank-normalised split R-hat across ensembles
+    # ess_bulk, ess_tail: shape (d,): effective sample sizes, the smaller of both estimates for the bulk
     ess_bulk: FloatArray
     ess_tail: FloatArray
-    acceptance: FloatArray
+    acceptance: FloatArray  # shape (n_ensembles, n_walkers): accepted share of proposals of each walker
+    # n_steps, n_burn: steps kept for the posterior, and dropped before them
     n_steps: int
     n_burn: int
-    n_failed: int = 0
+    n_failed: int = 0  # evaluations whose density was zero or overflowed
 
     @property
     def lengths(self) -> float:

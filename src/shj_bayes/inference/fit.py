@@ -28,33 +28,15 @@ CHECKPOINT = "checkpoint.h5"
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A finished fit.
+    """A finished fit."""
 
-    Parameters
-    ----------
-    posterior : Posterior
-        What was asked.
-    data : xarray.DataTree
-        Posterior and what goes with it.
-    summary : pandas.DataFrame
-        One row for each parameter.
-    figures : Diagnostics
-        Convergence.
-    floor : Floor
-        How the intervals compare with the scatter from cycle to cycle.
-    verdict : Verdict
-        Can the numbers be used.
-    record : dict
-        Content of ``fit.json``.
-    """
-
-    posterior: Posterior
-    data: xr.DataTree
-    summary: pd.DataFrame
-    figures: Diagnostics
-    floor: Floor
-    verdict: Verdict
-    record: dict[str, Any]
+    posterior: Posterior  # what was asked
+    data: xr.DataTree  # posterior and what goes with it
+    summary: pd.DataFrame  # one row for each parameter
+    figures: Diagnostics  # convergence
+    floor: Floor  # how the intervals compare with the scatter from cycle to cycle
+    verdict: Verdict  # can the numbers be used
+    record: dict[str, Any]  # content of ``fit.json``
 
 
 def fit(

@@ -24,21 +24,11 @@ FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior density of one device.
+    """Posterior density of one device."""
 
-    Parameters
-    ----------
-    runs : tuple of Run
-        Consecutive runs.
-    model : DeviceModel
-        What is believed of the device.
-    averages : tuple of Averages
-        The runs in blocks.
-    """
-
-    runs: tuple[Run, ...]
-    model: DeviceModel
-    averages: tuple[Averages, ...]
+    runs: tuple[Run, ...]  # consecutive runs
+    model: DeviceModel  # what is believed of the device
+    averages: tuple[Averages, ...]  # the runs in blocks
 
     def __post_init__(self) -> None:
         """Check that the parts fit together and that the priors can hold the data."""

@@ -30,28 +30,15 @@ LEAST_ROUND, SURE = 10, 1.04  # steps; by how much the steps are taken longer th
 
 @dataclass(frozen=True)
 class Plan:
-    """How to sample.
+    """How to sample."""
 
-    Parameters
-    ----------
-    seed : int
-        Same seed and inputs, same numbers.
-    n_ensembles : int
-        Independent ensembles, at least 4.
-    n_walkers : int
-        Walkers of each; 0 for three per parameter (at least 20).
-    round_steps : int
-        Steps between two looks at convergence (and two checkpoints); a fifth of the steps so far where that is more,
-        fewer where the chain is seen to be long enough before.
-    max_steps : int
-        Steps after which to stop even if not converged.
-    """
-
-    seed: int = 1
-    n_ensembles: int = 4
-    n_walkers: int = 0
+    seed: int = 1  # same seed and inputs, same numbers
+    n_ensembles: int = 4  # independent ensembles, at least 4
+    n_walkers: int = 0  # walkers of each; 0 for three per parameter (at least 20)
+    # steps between two looks at convergence (and two checkpoints); a fifth of the steps so far where that is more,
+    # fewer where the chain is seen to be long enough before
     round_steps: int = 60
-    max_steps: int = 10_000
+    max_steps: int = 10_000  # steps after which to stop even if not converged
 
     def __post_init__(self) -> None:
         """Refuse plans from which no verdict can come."""

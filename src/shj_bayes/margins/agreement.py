@@ -15,18 +15,10 @@ SLACK = 0.02
 
 @dataclass(frozen=True)
 class Agreement:
-    """What was compared, and what contradicts.
+    """What was compared, and what contradicts."""
 
-    Parameters
-    ----------
-    words : str
-        What was compared with what, in one sentence.
-    contradictions : tuple of str
-        One sentence each, with both numbers; empty where everything agrees.
-    """
-
-    words: str
-    contradictions: tuple[str, ...]
+    words: str  # what was compared with what, in one sentence
+    contradictions: tuple[str, ...]  # one sentence each, with both numbers; empty where everything agrees
 
 
 def agreement(rows: Sequence[Margin]) -> Agreement:

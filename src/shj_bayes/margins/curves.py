@@ -43,41 +43,24 @@ SWEEPS = Sweeps(300, 1000)
 
 @dataclass(frozen=True)
 class CurveContrast:
-    """How the force of a over that of b changes along a coordinate.
+    """How the force of a over that of b changes along a coordinate."""
 
-    Parameters
-    ----------
-    set_a, set_b : str
-        Names.
-    coordinate, unit : str
-        What it depends on.
-    reference : float
-        Value at which both sides count as 1.
-    at : tuple of float
-        Stated values.
-    percent : tuple of (float, float, float)
-        5, 50 and 95 % of the factor of a over that of b, less 1, per cent, at each.
-    probability_other : float
-        Content of the smallest region of all values together that leaves no difference out; the least of the priors
-        of the spread.
-    probability_rope : float
-        Probability that the factors differ by less than practical equivalence at every stated value.
-    rope : float
-        Half-width of the region of practical equivalence, as a share of the force.
-    n_a, n_b : int
-        Devices.
-    """
-
+    # set_a, set_b: names
     set_a: str
     set_b: str
+    # coordinate, unit: what it depends on
     coordinate: str
     unit: str
-    reference: float
-    at: tuple[float, ...]
-    percent: tuple[Band, ...]
+    reference: float  # value at which both sides count as 1
+    at: tuple[float, ...]  # stated values
+    percent: tuple[Band, ...]  # 5, 50 and 95 % of the factor of a over that of b, less 1, per cent, at each
+    # content of the smallest region of all values together that leaves no difference out; the least of the priors of
+    # the spread
     probability_other: float
+    # probability that the factors differ by less than practical equivalence at every stated value
     probability_rope: float
-    rope: float
+    rope: float  # half-width of the region of practical equivalence, as a share of the force
+    # n_a, n_b: devices
     n_a: int
     n_b: int
 

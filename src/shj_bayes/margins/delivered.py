@@ -17,33 +17,19 @@ FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
 
 @dataclass(frozen=True)
 class Delivered:
-    """Force of a new device of one set, kN.
+    """Force of a new device of one set, kN."""
 
-    Parameters
-    ----------
-    third_low, third, third_high : float
-        5, 50 and 95 % of the third cycle of the first run.
-    first_low : float
-        5 % of the smallest plateau of the first run.
-    later_low : float or None
-        The same of the later runs; None without any.
-    low, high : float
-        5 % of the smallest plateau and 95 % of the largest force of all runs.
-    typical : Bounds
-        Smallest plateau and largest force of a typical device over its third cycle.
-    ratio : float or None
-        Second run over first of a typical device, mean plateau.
-    """
-
+    # third_low to third_high: 5, 50 and 95 % of the third cycle of the first run
     third_low: float
     third: float
     third_high: float
-    first_low: float
-    later_low: float | None
+    first_low: float  # 5 % of the smallest plateau of the first run
+    later_low: float | None  # the same of the later runs; None without any
+    # low, high: 5 % of the smallest plateau and 95 % of the largest force of all runs
     low: float
     high: float
-    typical: Bounds
-    ratio: float | None
+    typical: Bounds  # smallest plateau and largest force of a typical device over its third cycle
+    ratio: float | None  # second run over first of a typical device, mean plateau
 
     @property
     def words(self) -> str:

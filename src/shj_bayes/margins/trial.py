@@ -34,45 +34,27 @@ Loop = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A device after its virtual test.
+    """A device after its virtual test."""
 
-    Parameters
-    ----------
-    name, set_name : str
-        The device and its set.
-    table : tuple of dict
-        Per run and quantity of ``quantities.TABLE``: 5, 50 and 95 % of the best model's draws, and the measured value
-        (NaN where none).
-    values : mapping of str to float
-        Pooled quantities: value of this device, natural unit.
-    errors : mapping of str to float
-        Standard deviation of the logarithm with which it is known: that of whatever gave the value, a model or the
-        recording.
-    model_errors : mapping of str to float
-        Logarithm of measured over predicted, in its own test; empty without recordings.
-    cycle_errors : array, shape (n,)
-        The same of the plateau force of each half-cycle that slides, predicted without it.
-    loops : tuple of (up, down)
-        Per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n).
-    laws : tuple of str
-        Laws of what was not tested; "tested" alone where all was.
-    carried : bool
-        Whether the history is another one than that of its own test, so that the error of the model is carried over.
-    following : tuple of Following
-        Further channels that its force follows.
-    """
-
+    # name, set_name: the device and its set
     name: str
     set_name: str
+    # per run and quantity of ``quantities.TABLE``: 5, 50 and 95 % of the best model's draws, and the measured value
+    # (NaN where none)
     table: tuple[dict[str, tuple[float, float, float, float]], ...]
-    values: Mapping[str, float]
+    values: Mapping[str, float]  # pooled quantities: value of this device, natural unit
+    # standard deviation of the logarithm with which it is known: that of whatever gave the value, a model or the
+    # recording
     errors: Mapping[str, float]
-    model_errors: Mapping[str, float]
+    model_errors: Mapping[str, float]  # logarithm of measured over predicted, in its own test; empty without recordings
+    # shape (n,): the same of the plateau force of each half-cycle that slides, predicted without it
     cycle_errors: FloatArray
+    # per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n)
     loops: tuple[Loop, ...] = field(repr=False, default=())
-    laws: tuple[str, ...] = ("tested",)
+    laws: tuple[str, ...] = ("tested",)  # laws of what was not tested; "tested" alone where all was
+    # whether the history is another one than that of its own test, so that the error of the model is carried over
     carried: bool = False
-    following: tuple[Following, ...] = ()
+    following: tuple[Following, ...] = ()  # further channels that its force follows
 
     def __post_init__(self) -> None:
         """Refuse a value without a logarithm."""

@@ -28,32 +28,16 @@ class DeviceModel:
     """What is believed of one device before its test: parameters with priors, the force they make, the noise.
 
     The published law is the one without effects.
-
-    Parameters
-    ----------
-    n_runs : int
-        Consecutive runs of the device, 1 to 9.
-    priors : Priors
-        Laws of the base parameters and of the noise.
-    effects : tuple of Effect
-        What is added to the base law.
-    noise : Noise
-        Noise model; white and slow by default.
-    free : tuple of str
-        Those of K, beta, gamma that each run has for itself (``K_2`` for the second run); the others are shared.
-    variant : {"published", "continuous"}
-        Reversal rule.
-    speed : bool
-        False fixes gamma at 0.
     """
 
-    n_runs: int
-    priors: Priors
-    effects: tuple[Effect, ...] = ()
-    noise: Noise = field(default_factory=lambda: noise_model(DEFAULT))
+    n_runs: int  # consecutive runs of the device, 1 to 9
+    priors: Priors  # laws of the base parameters and of the noise
+    effects: tuple[Effect, ...] = ()  # what is added to the base law
+    noise: Noise = field(default_factory=lambda: noise_model(DEFAULT))  # noise model; white and slow by default
+    # those of K, beta, gamma that each run has for itself (``K_2`` for the second run); the others are shared
     free: tuple[str, ...] = ()
-    variant: str = "published"
-    speed: bool = True
+    variant: str = "published"  # "published", "continuous": reversal rule
+    speed: bool = True  # False fixes gamma at 0
 
     def __post_init__(self) -> None:
         """Refuse choices that no device could have."""

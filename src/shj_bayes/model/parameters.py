@@ -14,21 +14,11 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the law or of the noise.
+    """One parameter of the law or of the noise."""
 
-    Parameters
-    ----------
-    name : str
-        Name as users see it (docs/glossary.md).
-    unit : str
-        Unit, ``"1"`` where there is none.
-    meaning : str
-        A few plain words.
-    """
-
-    name: str
-    unit: str
-    meaning: str
+    name: str  # name as users see it (docs/glossary.md)
+    unit: str  # unit, ``"1"`` where there is none
+    meaning: str  # a few plain words
 
 
 def _table(*parameters: Parameter) -> dict[str, Parameter]:

@@ -27,72 +27,37 @@ Band = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Contrast:
-    """One quantity of a against b.
+    """One quantity of a against b."""
 
-    Parameters
-    ----------
-    quantity, unit : str
-        What is compared; the unit is "1" for a quotient.
-    kind : {"quotient", "difference"}
-        a/b for K, Fy, ratio, beta; a - b for gamma.
-    q05, q50, q95 : float
-        Of the quotient or difference between the typical devices (medians) of both sides.
-    difference : tuple of float
-        5, 50 and 95 % of a - b of typical devices in ``difference_unit``.
-    difference_unit : str
-        Unit of the quantity.
-    probability_level : float
-        Probability that the typical device of a is above that of b.
-    superiority : float
-        Probability that a new device of a is above a new device of b.
-    rope : tuple of float
-        Region of practical equivalence, of the quotient or difference.
-    probability_rope : float
-        Probability that the typical devices differ by less than that.
-    n_a, n_b : int
-        Devices that give the quantity.
-    spread_factor : tuple of float
-        5, 50 and 95 % of tau_a / tau_b.
-    tests : Classical
-        Welch, Behrens-Fisher, variances, permutation on the point values.
-    holm_p : float or None
-        p of ``holm_test``, adjusted for all quantities compared here; None where no test of these devices can reach
-        0.05 after the adjustment.
-    holm_test : str
-        "permutation" where it can reach 0.05 after the adjustment, otherwise "Welch"; "" for neither.
-    power_edge : float
-        Chance that a sample of this size finds a true difference at the edge of practical equivalence, averaged over
-        what is known of the spread.
-    n_to_decide : int
-        Devices a side that would find a difference at that edge with a power of 0.80, averaged likewise.
-    other_priors : mapping of str to tuple of float
-        5 and 95 % under each other prior of the spread.
-    sentence : str
-        The same in words; "settled" only when every prior of the spread says so.
-    """
-
+    # quantity, unit: what is compared; the unit is "1" for a quotient
     quantity: str
     unit: str
-    kind: str
+    kind: str  # "quotient", "difference": a/b for K, Fy, ratio, beta; a - b for gamma
+    # q05 to q95: of the quotient or difference between the typical devices (medians) of both sides
     q05: float
     q50: float
     q95: float
-    difference: Band
-    difference_unit: str
-    probability_level: float
-    superiority: float
-    rope: tuple[float, float]
-    probability_rope: float
+    difference: Band  # 5, 50 and 95 % of a - b of typical devices in ``difference_unit``
+    difference_unit: str  # unit of the quantity
+    probability_level: float  # probability that the typical device of a is above that of b
+    superiority: float  # probability that a new device of a is above a new device of b
+    rope: tuple[float, float]  # region of practical equivalence, of the quotient or difference
+    probability_rope: float  # probability that the typical devices differ by less than that
+    # n_a, n_b: devices that give the quantity
     n_a: int
     n_b: int
-    spread_factor: Band
-    tests: Classical
+    spread_factor: Band  # 5, 50 and 95 % of tau_a / tau_b
+    tests: Classical  # Welch, Behrens-Fisher, variances, permutation on the point values
+    # p of ``holm_test``, adjusted for all quantities compared here; None where no test of these devices can reach 0.05
+    # after the adjustment
     holm_p: float | None
-    holm_test: str
+    holm_test: str  # "permutation" where it can reach 0.05 after the adjustment, otherwise "Welch"; "" for neither
+    # chance that a sample of this size finds a true difference at the edge of practical equivalence, averaged over what
+    # is known of the spread
     power_edge: float
-    n_to_decide: int
-    other_priors: Mapping[str, tuple[float, float]]
-    sentence: str
+    n_to_decide: int  # devices a side that would find a difference at that edge with a power of 0.80, averaged likewise
+    other_priors: Mapping[str, tuple[float, float]]  # 5 and 95 % under each other prior of the spread
+    sentence: str  # the same in words; "settled" only when every prior of the spread says so
 
     @property
     def welch_p(self) -> float | None:
@@ -102,25 +67,14 @@ class Contrast:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sides compared in every pooled quantity.
+    """Two sides compared in every pooled quantity."""
 
-    Parameters
-    ----------
-    set_a, set_b : str
-        Names.
-    contrasts : tuple of Contrast
-        One per quantity.
-    strata : int
-        Pairs of sets that the comparison runs over; 1 for two sets.
-    multiplicity : str
-        How many comparisons were made here, and how that is allowed for.
-    """
-
+    # set_a, set_b: names
     set_a: str
     set_b: str
-    contrasts: tuple[Contrast, ...]
-    strata: int = 1
-    multiplicity: str = ""
+    contrasts: tuple[Contrast, ...]  # one per quantity
+    strata: int = 1  # pairs of sets that the comparison runs over; 1 for two sets
+    multiplicity: str = ""  # how many comparisons were made here, and how that is allowed for
 
     def to_table(self) -> pd.DataFrame:
         """One row per quantity."""

@@ -25,33 +25,19 @@ class LoopBand:
     """5, 50 and 95 % of the force over a steady cycle, point by point.
 
     The band holds 90 % of devices at every displacement taken by itself, not whole loops.
-
-    Parameters
-    ----------
-    set_name : str
-        Set of the new device.
-    run : {1, 2}
-        First run, or second with the sliding force lowered by the ratio.
-    amplitude_mm, peak_speed_mm_s : float
-        Of the sine cycle.
-    displacement_mm : array, shape (n,)
-        From -amplitude to +amplitude.
-    push, pull : array, shape (3, n)
-        Force, kN, at 5, 50 and 95 %; push while displacement grows, pull while it falls.
-    energy_kN_mm : tuple of float
-        Energy of one cycle at 5, 50 and 95 %, kN mm (equal to joule).
-    n_devices, n_draws : int
-        Tested devices of the set; devices drawn.
     """
 
-    set_name: str
-    run: int
+    set_name: str  # set of the new device
+    run: int  # 1, 2: first run, or second with the sliding force lowered by the ratio
+    # amplitude_mm, peak_speed_mm_s: of the sine cycle
     amplitude_mm: float
     peak_speed_mm_s: float
-    displacement_mm: FloatArray = field(repr=False)
+    displacement_mm: FloatArray = field(repr=False)  # shape (n,): from -amplitude to +amplitude
+    # push, pull: shape (3, n): force, kN, at 5, 50 and 95 %; push while displacement grows, pull while it falls
     push: FloatArray = field(repr=False)
     pull: FloatArray = field(repr=False)
-    energy_kN_mm: tuple[float, float, float]
+    energy_kN_mm: tuple[float, float, float]  # energy of one cycle at 5, 50 and 95 %, kN mm (equal to joule)
+    # n_devices, n_draws: tested devices of the set; devices drawn
     n_devices: int
     n_draws: int
 

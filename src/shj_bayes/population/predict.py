@@ -32,23 +32,12 @@ ENOUGH_SETS = 5
 
 @dataclass(frozen=True)
 class NewDevice:
-    """Predictive draws of a device not yet tested.
+    """Predictive draws of a device not yet tested."""
 
-    Parameters
-    ----------
-    set_name : str
-        Its set, or "(any set)".
-    n_devices : int
-        Tested devices of that set.
-    prior : str
-        Prior of the spread it rests on.
-    draws : mapping of str to array, shape (n_draws,)
-        Natural units: K kN/mm, Fy kN, ratio 1, gamma s/mm, beta 1, Fy_second kN.
-    """
-
-    set_name: str
-    n_devices: int
-    prior: str
+    set_name: str  # its set, or "(any set)"
+    n_devices: int  # tested devices of that set
+    prior: str  # prior of the spread it rests on
+    # shape (n_draws,): natural units: K kN/mm, Fy kN, ratio 1, gamma s/mm, beta 1, Fy_second kN
     draws: Mapping[str, FloatArray] = field(repr=False)
 
     def __post_init__(self) -> None:

@@ -15,31 +15,18 @@ class PopulationPrior:
     """Prior of the hierarchy of one quantity, on its pooled scale.
 
     device ~ Normal(mu_set, tau_set), mu_set ~ Normal(M, S), log tau_set ~ Normal(log tau0, omega).
-
-    Parameters
-    ----------
-    centre, centre_sd : float
-        M ~ Normal(centre, centre_sd).
-    between_scale : float
-        S ~ half Student-t with 4 degrees of freedom and this scale.
-    spread_median : float
-        Median of tau0, the typical spread between devices of one set.
-    spread_log_sd : float
-        tau0 is log-normal with this standard deviation of the logarithm; 0 means half-Cauchy with
-        median (and scale) ``spread_median`` instead.
-    unequal_scale : float
-        omega ~ half-normal with this scale: how much the spread may differ from set to set.
-    source : str
-        Where the numbers come from.
     """
 
+    # centre, centre_sd: M ~ Normal(centre, centre_sd)
     centre: float
     centre_sd: float
-    between_scale: float
-    spread_median: float
+    between_scale: float  # S ~ half Student-t with 4 degrees of freedom and this scale
+    spread_median: float  # median of tau0, the typical spread between devices of one set
+    # tau0 is log-normal with this standard deviation of the logarithm; 0 means half-Cauchy with median (and scale)
+    # ``spread_median`` instead
     spread_log_sd: float
-    unequal_scale: float
-    source: str
+    unequal_scale: float  # omega ~ half-normal with this scale: how much the spread may differ from set to set
+    source: str  # where the numbers come from
 
     def __post_init__(self) -> None:
         """Refuse scales that are not above zero."""

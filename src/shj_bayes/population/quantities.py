@@ -15,24 +15,12 @@ _FARTHEST = 300.0  # heavy tails of a spread that no data limit; keeps products 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One pooled quantity.
+    """One pooled quantity."""
 
-    Parameters
-    ----------
-    name : str
-        Word of the interface: K, Fy, beta, gamma or ratio; with a run number behind it where a run has its own.
-    unit : str
-        Natural unit.
-    logarithmic : bool
-        True when the logarithm is pooled (the quantity is positive), False when the value itself is.
-    meaning : str
-        One phrase for tables and pages.
-    """
-
-    name: str
-    unit: str
-    logarithmic: bool
-    meaning: str
+    name: str  # word of the interface: K, Fy, beta, gamma or ratio; with a run number behind it where a run has its own
+    unit: str  # natural unit
+    logarithmic: bool  # True when the logarithm is pooled (the quantity is positive), False when the value itself is
+    meaning: str  # one phrase for tables and pages
 
     def pool(self, natural: FloatArray | float) -> FloatArray:
         """Natural values on the pooled scale; `PopulationError` where one is not finite or has no logarithm."""

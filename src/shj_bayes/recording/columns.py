@@ -35,34 +35,21 @@ _HOW = "--columns time=...,displacement=...,force=... (column name, number, or a
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """The three channels in s, mm and kN, before any check.
+    """The three channels in s, mm and kN, before any check."""
 
-    Parameters
-    ----------
-    time_s, displacement_mm, force_kN : array, shape (n_rows,)
-        NaN where the file has no number.
-    columns, units : dict of str to str
-        What was read for each role.
-    findings : tuple of Finding
-        What was assumed.
-    named, assumed : frozenset of str
-        Roles whose column the user named, and roles whose unit nobody stated.
-    run_rows : tuple of int
-        Rows at which a run column says that a further run begins.
-    extras : tuple of Extra
-        Further channels that were asked for, at all rows.
-    """
-
+    # time_s to force_kN: shape (n_rows,): NaN where the file has no number
     time_s: FloatArray
     displacement_mm: FloatArray
     force_kN: FloatArray
+    # columns, units: what was read for each role
     columns: dict[str, str]
     units: dict[str, str]
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # what was assumed
+    # named, assumed: roles whose column the user named, and roles whose unit nobody stated
     named: frozenset[str] = frozenset()
     assumed: frozenset[str] = frozenset()
-    run_rows: tuple[int, ...] = ()
-    extras: tuple[Extra, ...] = ()
+    run_rows: tuple[int, ...] = ()  # rows at which a run column says that a further run begins
+    extras: tuple[Extra, ...] = ()  # further channels that were asked for, at all rows
 
 
 def choose(

@@ -31,24 +31,12 @@ class NoNumbersError(RecordingError):
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text table is written.
+    """How a text table is written."""
 
-    Parameters
-    ----------
-    separator : str
-        ``","``, ``";"``, tab, or a blank for any run of blanks.
-    decimal : {".", ","}
-        Decimal sign.
-    first : int
-        Index of the first line of numbers.
-    width : int
-        Number of columns.
-    """
-
-    separator: str
-    decimal: str
-    first: int
-    width: int
+    separator: str  # ``","``, ``";"``, tab, or a blank for any run of blanks
+    decimal: str  # ".", ",": decimal sign
+    first: int  # index of the first line of numbers
+    width: int  # number of columns
 
     def cells(self, line: str) -> list[str]:
         """Cells of one line."""

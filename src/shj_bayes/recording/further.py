@@ -30,28 +30,16 @@ class Refusal(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A further channel of one run, without its noise.
+    """A further channel of one run, without its noise."""
 
-    Parameters
-    ----------
-    name, unit : str
-        As of the `Extra`.
-    time_s : array, shape (n,)
-        Time since the first sample of the run, s.
-    values : array, shape (n,)
-        In its unit; of a refused channel without numbers there are none.
-    refused : Refusal or None
-        Why nothing can be said over it; None where it can serve.
-    share : float
-        What was found against the limit: the longest gap as a share of the run, the share of the variance that is noise
-        or that is shared with the force. 0 where neither was looked at.
-    """
-
+    # name, unit: as of the `Extra`
     name: str
     unit: str
-    time_s: FloatArray
-    values: FloatArray
-    refused: Refusal | None = None
+    time_s: FloatArray  # shape (n,): time since the first sample of the run, s
+    values: FloatArray  # shape (n,): in its unit; of a refused channel without numbers there are none
+    refused: Refusal | None = None  # why nothing can be said over it; None where it can serve
+    # what was found against the limit: the longest gap as a share of the run, the share of the variance that is noise
+    # or that is shared with the force. 0 where neither was looked at.
     share: float = 0.0
 
     def __post_init__(self) -> None:

@@ -43,22 +43,14 @@ _OTHER = "use --split or --one-run, or put each run into a file of its own"
 
 @dataclass(frozen=True)
 class Division:
-    """One way to part a recording into runs.
+    """One way to part a recording into runs."""
 
-    Parameters
-    ----------
-    why : {"file", "repeat", "rest"}
-        The file tells its runs apart; the protocol begins again; the device rests for long.
-    spans : tuple of (int, int)
-        First sample of each run, and the sample behind its last; a rest between two runs belongs to neither, but for
-        its last samples, which show the force from which the next run starts.
-    words : str
-        What was found, for a finding.
-    """
-
+    # the file tells its runs apart; the protocol begins again; the device rests for long
     why: Literal["file", "repeat", "rest"]
+    # first sample of each run, and the sample behind its last; a rest between two runs belongs to neither, but for its
+    # last samples, which show the force from which the next run starts
     spans: tuple[tuple[int, int], ...]
-    words: str
+    words: str  # what was found, for a finding
 
     @property
     def n_runs(self) -> int:
@@ -244,18 +236,12 @@ class _Pause:
 
 @dataclass(frozen=True, eq=False)
 class _Sketch:
-    """The displacement thinned out: enough to see rests and strokes.
+    """The displacement thinned out: enough to see rests and strokes."""
 
-    Parameters
-    ----------
-    time_s, x_mm : array, shape (n,)
-    noise_mm : float
-        Of one sample.
-    """
-
+    # time_s, x_mm: shape (n,)
     time_s: FloatArray
     x_mm: FloatArray
-    noise_mm: float
+    noise_mm: float  # of one sample
 
     @property
     def threshold_mm(self) -> float:

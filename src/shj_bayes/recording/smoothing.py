@@ -19,53 +19,27 @@ _CUBIC, _QUINTIC = 3, 5
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Evenly spaced version of the samples, on which the filters work.
+    """Evenly spaced version of the samples, on which the filters work."""
 
-    Parameters
-    ----------
-    time : array, shape (n_grid,)
-        s.
-    values : array, shape (n_grid,)
-        Mean of the samples of each cell, moved to the cell's centre.
-    step : float
-        s.
-    noise : float
-        Standard deviation of the noise of ``values``.
-    """
-
-    time: FloatArray
-    values: FloatArray
-    step: float
-    noise: float
+    time: FloatArray  # shape (n_grid,): s
+    values: FloatArray  # shape (n_grid,): mean of the samples of each cell, moved to the cell's centre
+    step: float  # s
+    noise: float  # standard deviation of the noise of ``values``
 
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """Smoothed displacement and its velocity at the samples.
+    """Smoothed displacement and its velocity at the samples."""
 
-    Parameters
-    ----------
-    values, velocity : array, shape (n_samples,)
-        mm and mm/s.
-    velocity_sd : array, shape (n_samples,)
-        Standard deviation of the noise left in ``velocity``, mm/s.
-    noise : float
-        Standard deviation of what noise is left in ``values`` with the narrowest window, mm.
-    half_width_s : tuple of float
-        Half of the narrowest and of the widest window, s.
-    bandwidth_Hz : tuple of float
-        Frequency at which the velocity has lost 3 dB, for the widest and the narrowest window.
-    kinks_s : array
-        Times of corners, starts and stops at which the windows end, s.
-    """
-
+    # values, velocity: shape (n_samples,): mm and mm/s
     values: FloatArray
     velocity: FloatArray
-    velocity_sd: FloatArray
-    noise: float
-    half_width_s: tuple[float, float]
+    velocity_sd: FloatArray  # shape (n_samples,): standard deviation of the noise left in ``velocity``, mm/s
+    noise: float  # standard deviation of what noise is left in ``values`` with the narrowest window, mm
+    half_width_s: tuple[float, float]  # half of the narrowest and of the widest window, s
+    # frequency at which the velocity has lost 3 dB, for the widest and the narrowest window
     bandwidth_Hz: tuple[float, float]
-    kinks_s: FloatArray
+    kinks_s: FloatArray  # times of corners, starts and stops at which the windows end, s
 
 
 def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -> Grid:

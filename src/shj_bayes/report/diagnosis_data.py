@@ -29,31 +29,20 @@ PLAIN: dict[type, str] = {list: "list", dict: "table", str: "text"}
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """Samples of all runs, one after the other; arrays have shape (n,).
+    """Samples of all runs, one after the other; arrays have shape (n,)."""
 
-    Parameters
-    ----------
-    time_s, position_mm, speed_mm_s, slip_mm, travel_m : array
-        Time, displacement from mid-stroke, speed, distance since the last reversal, distance in all.
-    direction : array of int
-        +1 while displacement grows (push), -1 while it falls.
-    run, block : array of int
-        Number of the run, and of the cycle counted through all runs.
-    used : array of bool
-        Samples that are evidence.
-    force_kN, before_kN, after_kN : array
-        Measured, modelled by the base law, modelled by the law with what was found.
-    """
-
+    # time_s to travel_m: time, displacement from mid-stroke, speed, distance since the last reversal, distance in all
     time_s: FloatArray = field(repr=False)
     position_mm: FloatArray = field(repr=False)
     speed_mm_s: FloatArray = field(repr=False)
     slip_mm: FloatArray = field(repr=False)
     travel_m: FloatArray = field(repr=False)
-    direction: IntArray = field(repr=False)
+    direction: IntArray = field(repr=False)  # +1 while displacement grows (push), -1 while it falls
+    # run, block: number of the run, and of the cycle counted through all runs
     run: IntArray = field(repr=False)
     block: IntArray = field(repr=False)
-    used: BoolArray = field(repr=False)
+    used: BoolArray = field(repr=False)  # samples that are evidence
+    # force_kN to after_kN: measured, modelled by the base law, modelled by the law with what was found
     force_kN: FloatArray = field(repr=False)
     before_kN: FloatArray = field(repr=False)
     after_kN: FloatArray = field(repr=False)
@@ -71,18 +60,10 @@ class Channels:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisData:
-    """What a diagnosis left in its folder.
+    """What a diagnosis left in its folder."""
 
-    Parameters
-    ----------
-    record : mapping
-        Content of ``diagnosis.json``.
-    channels : Channels
-        Content of ``diagnosis.nc``.
-    """
-
-    record: Mapping[str, Any]
-    channels: Channels = field(repr=False)
+    record: Mapping[str, Any]  # content of ``diagnosis.json``
+    channels: Channels = field(repr=False)  # content of ``diagnosis.nc``
 
     @property
     def capacity_kN(self) -> float:
