@@ -168,28 +168,23 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.
 
 
 def fit_record(
+    asked: Mapping[str, Any],
     posterior: Posterior,
     figures: Diagnostics,
     floor: Floor,
     verdict: Verdict,
     table: pd.DataFrame,
-    *,
-    name: str,
-    seed: int,
-    key: str,
 ) -> dict[str, Any]:
-    """Content of ``fit.json``: verdict, reasons, seeds, versions, digests, data quality and convergence."""
+    """Content of ``fit.json``: what was `asked`, verdict, reasons, versions, digests, data quality and convergence."""
     pairs = zip(posterior.averages, posterior.runs, strict=True)
     means = table["mean"].to_numpy(dtype=np.float64)[None]
     runs = range(1, len(posterior.runs) + 1)
     zeros = [[float(value[0]) for value in zero_of_run(posterior, means, run)] for run in runs]
     return {
         "schema": SCHEMA,
-        "device": name,
+        **asked,
         "verdict": verdict.word,
         "reasons": list(verdict.reasons),
-        "seed": seed,
-        "key": key,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
         "model": {
