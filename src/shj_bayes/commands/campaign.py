@@ -545,16 +545,9 @@ def _devices(top: _Place, table: dict[str, Any], defaults: Options, diagnose: st
             yield Device(name, set_name, recordings, options, tags, _diagnose(here, device, for_set))
 
 
-@lru_cache
-def _priors(which: str) -> None:
-    """Refuse priors that cannot be read, once for all devices that name them."""
-    read_priors(which)
-
-
-@lru_cache
-def _fit_for(options: Options, n_runs: int) -> None:
-    """Refuse options with which no device of so many runs can be fitted; a thousand devices share them."""
-    options.check(n_runs)
+# What cannot be read or fitted is refused once for all devices that name it: a thousand share their options.
+_priors = lru_cache(read_priors)
+_fit_for = lru_cache(Options.check)
 
 
 def _tags(at: _Place, entry: dict[str, Any]) -> Tags:

@@ -59,8 +59,7 @@ class Earlier:
                     f"{recording.source.name} is in the posterior of {self.statement}, which is the prior here: what "
                     "it says counts twice, and the intervals are too narrow; give recordings that are new"
                 )
-                found = Finding("recording-in-prior", "warning", message)
-                recording = replace(recording, findings=(*recording.findings, found))  # noqa: PLW2901
+                recording = recording.with_findings(Finding("recording-in-prior", "warning", message))  # noqa: PLW2901
             out.append(recording)
         return out
 

@@ -15,7 +15,7 @@ from shj_bayes._util.files import file_digest, plain_name
 from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.record import Remark, check_files, read_record
-from shj_bayes.model.parameters import BASE
+from shj_bayes.model.parameters import BASE, base_of
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
 from shj_bayes.report.residual_file import LeftOver, read_residual
@@ -51,7 +51,7 @@ class DeviceResult:
         for row in map(shown.row, record["parameters"]):
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
             numbers += f"  {row['unit']}"
-            if row["name"].partition("_")[0] == "gamma":
+            if base_of(row["name"]) == "gamma":
                 numbers += f"  ({words.dep_words(row)})"
             if row["name"] in unknown:
                 numbers = f"{'not determined':>47}  {row['unit']}"

@@ -66,14 +66,14 @@ def autocorrelation_time(chains: Sequence[FloatArray]) -> FloatArray:
     return np.where(np.isfinite(mean) & moves, np.maximum(mean, 1.0), np.inf)
 
 
-def _time_of_ensemble(chain: FloatArray, window: float = 5.0) -> FloatArray:
-    """Autocorrelation summed over the shortest lag that is `window` times that sum (Sokal), shape (d,)."""
+def _time_of_ensemble(chain: FloatArray) -> FloatArray:
+    """Autocorrelation summed over the shortest lag that is five times that sum (Sokal), shape (d,)."""
     n = chain.shape[0]
     spectrum = np.abs(rfft(chain - chain.mean(axis=0), 2 * next_fast_len(n), axis=0)) ** 2
     correlation = irfft(spectrum, 2 * next_fast_len(n), axis=0)[:n]
     with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
         times = 2.0 * np.cumsum(np.mean(correlation / correlation[0], axis=1), axis=0) - 1.0
-    inside = np.arange(n)[:, None] < window * times
+    inside = np.arange(n)[:, None] < 5.0 * times
     last = np.where(inside.all(axis=0), n - 1, np.argmin(inside, axis=0))
     return np.asarray(times[last, np.arange(times.shape[1])])
 

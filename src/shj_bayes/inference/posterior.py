@@ -17,7 +17,7 @@ from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import LANES, log_density
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, base_of
 
 FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
 
@@ -79,7 +79,7 @@ class Posterior:
         still = theta[None].copy()
         if self.model.speed:  # the speed is noisy, and its share of the force is straight
             for i, name in enumerate(self.names):
-                still[0, i] *= 0.0 if name.partition("_")[0] == "gamma" else 1.0
+                still[0, i] *= 0.0 if base_of(name) == "gamma" else 1.0
 
         def force_at(history: History, start_force_kN: float) -> FloatArray:
             return np.asarray(self.model.force(still, history, start_force_kN)[0])

@@ -9,6 +9,7 @@ import numpy as np
 from shj_bayes.margins.outermost import DEFAULT, Newcomers, outer
 from shj_bayes.margins.pair import Bounds
 from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE
 
 FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
@@ -62,7 +63,7 @@ def delivered(devices: Newcomers, own: int) -> Delivered:
     main = devices[DEFAULT].draws
     later = tuple(n for n in main if n.startswith(f"{LEAST}_"))
     # Each quantity is pooled by itself: with few devices chance may put a band inside one that it must hold.
-    forces = tuple(n for n in main if n.partition("_")[0] in FORCES)
+    forces = tuple(n for n in main if base_of(n) in FORCES)
     third = main[THIRD_CYCLE]
     moved = [float(np.median(main[name]) / np.median(third)) for name in (LOWEST, HIGHEST)]
     return Delivered(

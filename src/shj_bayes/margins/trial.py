@@ -21,7 +21,7 @@ from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.virtual_test import Readings, drive, read_off
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.measurement import Condensed, Likelihood
 
@@ -181,7 +181,7 @@ def _trial(
             values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *brought])
         else:
             values[q], sd = (float(x) for x in np.median(brought or best, axis=0))
-        reading = noise / np.sqrt(max(shares.get(q.partition("_")[0], 1), 1))
+        reading = noise / np.sqrt(max(shares.get(base_of(q), 1), 1))
         errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
     stiffness = np.log(belief.theta[:, belief.model.index("K")])
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)

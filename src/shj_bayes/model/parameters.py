@@ -49,6 +49,11 @@ def run_name(name: str, run: int) -> str:
     return "ratio" if name == "ratio" and run == 2 else f"{name}_{run}"
 
 
+def base_of(name: str) -> str:
+    """Give a name, of whatever it is, without the number of a run behind it: K of K_3, ratio of ratio."""
+    return name.partition("_")[0]
+
+
 def base_and_run(name: str) -> tuple[str, int]:
     """Parameter behind a per-run name and its run: K_3 is K of run 3, ratio that of run 2, K that of run 1."""
     if name in BASE:

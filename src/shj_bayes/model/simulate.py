@@ -45,11 +45,6 @@ class Truth:
         if not -1 < self.phi < 1:
             raise ModelError(f"phi = {self.phi:g}: allowed is above -1 and below 1")
 
-    @property
-    def dep_mm_s(self) -> float | None:
-        """Dep = 1/gamma, mm/s; None where there is no speed dependence."""
-        return 1 / self.gamma if self.gamma else None
-
 
 def simulate_device(
     truth: Truth,

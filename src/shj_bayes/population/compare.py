@@ -59,11 +59,6 @@ class Contrast:
     other_priors: Mapping[str, tuple[float, float]]  # 5 and 95 % under each other prior of the spread
     sentence: str  # the same in words; "settled" only when every prior of the spread says so
 
-    @property
-    def welch_p(self) -> float | None:
-        """Two-sided p of Welch's test."""
-        return self.tests.welch_p
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -175,7 +170,10 @@ def _contrast(
     needed = devices_needed(edge, spreads, strata=len(strata))
     chance = assurance(edge, spreads, *n, strata=len(strata))
     away = [
-        ndtr((fit.mu[:, [i]] - fit.mu[:, [j]]) / np.hypot(fit.tau[:, [i]], fit.tau[:, [j]])) for i, j in _pairs(strata)
+        ndtr((fit.mu[:, [i]] - fit.mu[:, [j]]) / np.hypot(fit.tau[:, [i]], fit.tau[:, [j]]))
+        for one, other in strata
+        for i in one
+        for j in other
     ]
     return Contrast(
         quantity=name,
@@ -210,10 +208,6 @@ def _planning_spreads(result: PopulationResult, name: str, sets: list[int]) -> F
     """
     prior = "alike" if "alike" in result.other_priors else "default"
     return representative(np.sqrt(np.mean(result.fit(name, prior).tau[:, sets] ** 2, axis=1)))
-
-
-def _pairs(strata: Sequence[Stratum]) -> list[tuple[int, int]]:
-    return [(i, j) for a, b in strata for i in a for j in b]
 
 
 def _band(values: FloatArray) -> Band:

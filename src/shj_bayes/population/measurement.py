@@ -140,8 +140,8 @@ class RoundedRatio:
         """Return the quotient of the printed values on the pooled scale."""
         return float(quantity.pool(self.numerator.value / self.denominator.value))
 
-    def likelihood(self, quantity: Quantity, n_pieces: int = 6) -> Likelihood:
-        """Density of the log quotient, constant on ``n_pieces`` equal pieces (error far below the rounding itself).
+    def likelihood(self, quantity: Quantity) -> Likelihood:
+        """Density of the log quotient, constant on six equal pieces (error far below the rounding itself).
 
         With n uniform on [a, b] and d on [c, e], the density of log(n/d) = u is, up to a constant,
         e^u times the integral of d over the d that keep d e^u inside [a, b].
@@ -150,7 +150,7 @@ class RoundedRatio:
             raise PopulationError(f"a quotient of rounded values needs a logarithmic scale, not {quantity.name}")
         a, b = float(quantity.pool(self.numerator.lower)), float(quantity.pool(self.numerator.upper))
         c, e = float(quantity.pool(self.denominator.lower)), float(quantity.pool(self.denominator.upper))
-        edges = np.linspace(a - e, b - c, n_pieces + 1)
+        edges = np.linspace(a - e, b - c, 7)
         middle = 0.5 * (edges[:-1] + edges[1:])
         low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
         density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import FloatArray, quantity
 
 
@@ -83,7 +84,7 @@ _PRIORS = {
 def population_prior(name: str) -> PopulationPrior:
     """Return the default prior of one quantity."""
     quantity(name)
-    base = name.partition("_")[0]
+    base = base_of(name)
     return _PRIORS[base if base in _PRIORS else "Fy"]  # all forces read off a test are sliding forces
 
 

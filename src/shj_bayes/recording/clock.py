@@ -185,14 +185,10 @@ def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Find
     findings: list[Finding] = []
     spread = float(np.diff(np.percentile(steps, [5, 95]))[0]) / median
     if spread > JITTER_SHARE:
-        findings.append(
-            Finding(
-                "jitter",
-                "note",
-                f"time steps vary by {spread:.0%} of their median "
-                f"{1e3 * median:.4g} ms; each sample keeps its own time",
-            )
+        message = (
+            f"time steps vary by {spread:.0%} of their median {1e3 * median:.4g} ms; each sample keeps its own time"
         )
+        findings.append(Finding("jitter", "note", message))
     gaps = np.flatnonzero(steps > GAP_STEPS * median)
     if gaps.size:
         worst = int(gaps[np.argmax(steps[gaps])])

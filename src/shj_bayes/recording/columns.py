@@ -289,13 +289,8 @@ def _steps(scaled: FloatArray, n: int, name: str, findings: list[Finding]) -> Fl
         raise RecordingError(
             f"time: the sampling interval {name or 'wf_increment'} is {step:g} s; it must be above zero"
         )
-    findings.append(
-        Finding(
-            "time-from-step",
-            "assumed",
-            f"time is made from the constant interval {name or 'wf_increment'} = {step:g} s",
-        )
-    )
+    message = f"time is made from the constant interval {name or 'wf_increment'} = {step:g} s"
+    findings.append(Finding("time-from-step", "assumed", message))
     return np.asarray(np.arange(n) * step, dtype=np.float64)
 
 
@@ -304,24 +299,14 @@ def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Findi
     header = value.columns[0].unit if value.plain else None
     if role in given:
         if header is not None and header != given[role] and not _same(header, given[role], role):
-            findings.append(
-                Finding(
-                    "unit-overruled",
-                    "warning",
-                    f"{role}: the header says {header}, --units says {given[role]}; {given[role]} is used",
-                )
-            )
+            message = f"{role}: the header says {header}, --units says {given[role]}; {given[role]} is used"
+            findings.append(Finding("unit-overruled", "warning", message))
         return given[role]
     if header is not None:
         return header
     name = value.columns[0].name if value.columns else role
-    findings.append(
-        Finding(
-            "unit-assumed",
-            "assumed",
-            f"{role}: {table.name} gives no unit for {name!r}; {TARGET[role]} is assumed; if not, use --units",
-        )
-    )
+    message = f"{role}: {table.name} gives no unit for {name!r}; {TARGET[role]} is assumed; if not, use --units"
+    findings.append(Finding("unit-assumed", "assumed", message))
     return TARGET[role]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.headers import bare_unit, is_unit_row, split_header
@@ -118,7 +118,7 @@ def _without_empty_tail(dialect: Dialect, lines: list[str]) -> Dialect:
     width = dialect.width
     while width > 2 and all(len(row) < width or row[width - 1] == "" for row in sample):
         width -= 1
-    return Dialect(dialect.separator, dialect.decimal, dialect.first, width)
+    return replace(dialect, width=width)
 
 
 def _number_share(rows: list[list[str]], decimal: str) -> float:

@@ -119,7 +119,8 @@ def from_hdf5(path: Path) -> Iterator[Item]:
                 found.extend((field, shaped(table[field]), None) for field in item.dtype.names)
             else:
                 found.append((name, shaped(item[()]), _unit(item)))
-        found.extend((key, np.asarray(value), None) for key, value in file.attrs.items() if _is_number(value))
+        numbers = ((k, v) for k, v in file.attrs.items() if isinstance(v, int | float | np.integer | np.floating))
+        found.extend((key, np.asarray(value), None) for key, value in numbers)
     return iter(found)
 
 
@@ -133,10 +134,6 @@ def _holds_numbers(dtype: np.dtype[Any]) -> bool:
     if dtype.names:
         return all(dtype[name].kind in "fiub" for name in dtype.names)
     return dtype.kind in "fiub"
-
-
-def _is_number(value: object) -> bool:
-    return np.ndim(value) == 0 and isinstance(value, (int, float, np.integer, np.floating))  # type: ignore[arg-type]
 
 
 def _unit(item: Any) -> str | None:

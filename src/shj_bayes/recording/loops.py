@@ -101,14 +101,8 @@ def exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
     (n_samples,). At most 1.8 in 26 public recordings; 12 and more with their columns exchanged, but for two that were
     digitised.
     """
-    return float(
-        np.prod(
-            [
-                measure(displacement_mm) / max(measure(force_kN), 1e-300)
-                for measure in (burstiness, roughness, half_cycles)
-            ]
-        )
-    )
+    measures = (burstiness, roughness, half_cycles)
+    return float(np.prod([measure(displacement_mm) / max(measure(force_kN), 1e-300) for measure in measures]))
 
 
 def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[FloatArray, list[Finding]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from itertools import pairwise
 from pathlib import Path
@@ -163,6 +163,10 @@ class Recording:
         ]
         body = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)
         return f"<table><caption>{escape(self.source.name)}</caption><tbody>{body}</tbody></table>"
+
+    def with_findings(self, *findings: Finding) -> Recording:
+        """Give the same recording with more to say of it."""
+        return replace(self, findings=(*self.findings, *findings))
 
     @property
     def n_samples(self) -> int:

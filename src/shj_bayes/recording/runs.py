@@ -191,7 +191,7 @@ def _beyond_doubt(recording: Recording) -> tuple[Recording, ...]:
     else:
         message = f"{way.words}; read as one run; if it holds {way.n_runs}, {options}"
         finding = Finding("long-rests", "warning", message)
-    return (replace(recording, findings=(*recording.findings, finding)),)
+    return (recording.with_findings(finding),)
 
 
 def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
@@ -213,8 +213,7 @@ def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
             (*kept, said),
             extras=tuple(replace(extra, values=extra.values[a:b]) for extra in recording.extras),
         )
-        own = (*clock_findings(part.time_s, part.displacement_mm), *inspect(part))
-        parts.append(replace(part, findings=(*part.findings, *own)))
+        parts.append(part.with_findings(*clock_findings(part.time_s, part.displacement_mm), *inspect(part)))
     return tuple(parts)
 
 

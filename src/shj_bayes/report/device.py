@@ -14,6 +14,7 @@ from shj_bayes.errors import ReportError
 from shj_bayes.inference.record import Remark
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
+from shj_bayes.model.parameters import base_of
 from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
@@ -160,7 +161,7 @@ def cards(device: DeviceData, one_speed: bool, unknown: Collection[str]) -> list
 
 def parameter_row(row: dict[str, Any], unknown: bool) -> dict[str, Any]:
     """One row of the parameter table: shown and exact."""
-    base = row["name"].partition("_")[0]
+    base = base_of(row["name"])
     keys = ("mean", "sd", "q05", "q50", "q95")
     return {
         "name": row["name"],

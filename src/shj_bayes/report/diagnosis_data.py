@@ -20,6 +20,7 @@ from shj_bayes.report.data import BoolArray, IntArray
 KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
 )  # fmt: skip
+FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
 KINDS: dict[str, tuple[type, type]] = {
     **dict.fromkeys(("effects", "family", "coordinates", "sets", "location", "aliases", "candidates"), (list, dict)),
     **{"shift": (dict, dict)},
@@ -113,18 +114,11 @@ def _read_channels(folder: Path) -> Channels:
     try:
         with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
             channels = Channels(
-                **{
-                    name: np.asarray(data[name].to_numpy(), dtype=np.float64)
-                    for name in ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
-                },
+                **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
                 direction=_whole(np.sign(data["direction"].to_numpy())),
                 run=_whole(data["run"].to_numpy()),
                 block=_whole(data["block"].to_numpy()),
                 used=np.asarray(data["weight"].to_numpy() > 0),
-                **{
-                    name: np.asarray(data[name].to_numpy(), dtype=np.float64)
-                    for name in ("force_kN", "before_kN", "after_kN")
-                },
             )
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise ReportError(f"diagnosis.nc in {folder.name} cannot be read: {error}; run the diagnosis again") from error
