@@ -40,10 +40,7 @@ MOST_DRAWN = 100  # devices whose loops are drawn and written
 def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[str, Any]:
     """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
 
-    Returns
-    -------
-    dict
-        ``record``: content of ``margins.json``; ``words``: the design table and what to mind, for people.
+    ``record`` is the content of ``margins.json``, ``words`` the design table and what to mind, for people.
     """
     result = load_population(folder)
     named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)

@@ -60,13 +60,7 @@ def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]
 
 
 def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
-    """Read a checkpoint of this very problem.
-
-    Raises
-    ------
-    CheckpointError
-        If the file is damaged, or belongs to another problem; the message names the fields that differ.
-    """
+    """Read a checkpoint of this very problem; `CheckpointError` where it is damaged, or says which fields differ."""
     try:
         # The digest comes first: a damaged file can make the HDF5 library end the process. HDF5 itself allows for bytes
         # behind its end, so other tools can open a checkpoint as it is.

@@ -177,10 +177,7 @@ def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
     """Climb from each candidate, shape (d,), to the top of the density; return the highest, with the curvature there.
 
-    Raises
-    ------
-    InferenceError
-        If no candidate has a finite density.
+    `InferenceError` if no candidate has a finite density.
     """
     best: Start | None = None
     climbed: list[FloatArray] = []

@@ -90,10 +90,7 @@ def sine(amplitude_mm: float, speed_mm_s: float, cycles: int) -> Asked:
 def from_file(path: Path) -> Asked:
     """Read a displacement (mm) over time (s): two columns, with or without a head; further columns are not read.
 
-    Raises
-    ------
-    PopulationError
-        If the file cannot be read as such.
+    `PopulationError` where the file cannot be read as such.
     """
     try:
         table = pd.read_csv(path, sep=None, engine="python", comment="#", header=None).iloc[:, :2]

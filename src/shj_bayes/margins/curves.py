@@ -9,7 +9,6 @@ of at once.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -21,13 +20,13 @@ from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Base, Effect, combine
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.population.compare import Band
 from shj_bayes.population.compare_words import ROPE_SPEED
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.hierarchy import MAIN_PRIOR, Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
+from shj_bayes.population.quantities import Band, stream
 from shj_bayes.population.selectors import members, strata_of
 
 SPEED = "speed"
@@ -234,9 +233,8 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
                 ]
                 for group in result.sets
             ]
-            labels = [zlib.crc32(text.encode()) for text in ("curve", word, name, label)]
-            stream = np.random.SeedSequence([result.seed, *labels])
-            out[name] = fit_quantity(name, data, own, stream, SWEEPS, workers=n_threads(0))
+            seed = stream(result.seed, "curve", word, name, label)
+            out[name] = fit_quantity(name, data, own, seed, SWEEPS, workers=n_threads(0))
         return out
 
     return PopulationResult(
@@ -270,7 +268,7 @@ def shifts(pooled: PopulationResult, strata: Sequence[tuple[Sequence[int], Seque
         mu = pooled.fit(name, prior).mu
         apart.append(np.mean([mu[:, list(a)].mean(axis=1) - mu[:, list(b)].mean(axis=1) for a, b in strata], axis=0))
     each = np.array(apart).T
-    rng = np.random.default_rng([pooled.seed, zlib.crc32(prior.encode())])
+    rng = np.random.default_rng(stream(pooled.seed, prior))
     ties = np.linalg.cholesky(correlation_draws(pooled, each.shape[0], prior))
     together = np.einsum("mij,mj->mi", ties, rng.standard_normal(each.shape))
     order = np.argsort(np.argsort(together, axis=0), axis=0)

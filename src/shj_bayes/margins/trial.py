@@ -24,6 +24,7 @@ from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.measurement import Condensed, Likelihood
+from shj_bayes.population.quantities import band_of
 
 LEAST_ERROR = 1e-3
 """Least standard deviation of the logarithm with which a value is taken to be known."""
@@ -80,10 +81,7 @@ class Trial:
 def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: bool = False) -> tuple[Trial, ...]:
     """Put every device through the virtual test: the history asked for, None for the test that each went through.
 
-    Raises
-    ------
-    PopulationError
-        If the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
+    `PopulationError` if the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
     """
     driven = [_driven(s, courses(asked, s, extrapolate=extrapolate)) for s in specimens]
     least = [counted_from(next(iter(found.values()))[0]) for found, _ in driven]
@@ -202,8 +200,7 @@ def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, 
     """5, 50 and 95 % of every quantity of a run, and its measured value."""
     out = {}
     for name in TABLE:
-        low, middle, high = (float(x) for x in np.quantile(run[name], (0.05, 0.5, 0.95)))
-        out[name] = (low, middle, high, float(seen[name][0]) if name in seen else float("nan"))
+        out[name] = (*band_of(run[name]), float(seen[name][0]) if name in seen else float("nan"))
     return out
 
 

@@ -219,12 +219,9 @@ def coordinates() -> dict[str, Coordinate]:
 
 
 def coordinate_named(word: str) -> Coordinate:
-    """Coordinate of a word: of the table, or a further channel, whose unit and range the history knows.
+    """Coordinate of a word (`ModelError` where there is none): of the table, or a further channel.
 
-    Raises
-    ------
-    ModelError
-        If there is none of that name.
+    The unit and range of a further channel are known to the history.
     """
     known = coordinates()
     if word.startswith(PREFIX) and len(word) > len(PREFIX):
@@ -243,13 +240,7 @@ def coordinate_named(word: str) -> Coordinate:
 
 
 def _measured(history: History, word: str) -> Measured:
-    """Further channel of a history.
-
-    Raises
-    ------
-    ModelError
-        If the recording has none of that name.
-    """
+    """Further channel of a history; `ModelError` where the recording has none of that name."""
     if word not in history.measured:
         name = word.removeprefix(PREFIX)
         raise ModelError(

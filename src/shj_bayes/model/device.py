@@ -120,15 +120,7 @@ class DeviceModel:
         return np.asarray(np.sum(terms, axis=0))
 
     def run_laws(self, theta: FloatArray, run: int) -> FloatArray:
-        """K (kN/mm), Fy of that run (kN), beta and gamma (s/mm) of parameter sets, shape (m, d) to (m, 4).
-
-        Parameters
-        ----------
-        theta : array, shape (m, d)
-            Parameter sets in natural units.
-        run : int
-            Run number, 1 for the first.
-        """
+        """K (kN/mm), Fy of that run (kN), beta and gamma (s/mm) of parameter sets, shape (m, d) to (m, 4)."""
         at = {
             name: self.index(f"{name}_{run}" if run > 1 and name in self.free else name)
             for name in SHAREABLE
@@ -196,13 +188,7 @@ def meaning_of(name: str) -> Parameter:
 
 
 def effect_named(word: str) -> Effect:
-    """Effect of an id: of the catalogue, or a curve.
-
-    Raises
-    ------
-    ModelError
-        If there is no such effect, with those that there are.
-    """
+    """Effect of an id, of the catalogue or a curve; `ModelError` with those that there are where there is none."""
     known = catalogue()
     if word in known:
         return known[word]
@@ -213,13 +199,7 @@ def effect_named(word: str) -> Effect:
 
 
 def effects_named(words: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects by their ids, in the order of the catalogue.
-
-    Raises
-    ------
-    ModelError
-        If there is no such effect, with those that there are.
-    """
+    """Effects by their ids, in the order of the catalogue; errors as for `effect_named`."""
     order = list(catalogue())
     found = {word: effect_named(word) for word in words}
     return tuple(found[w] for w in sorted(found, key=lambda w: order.index(w) if w in order else len(order)))

@@ -114,10 +114,7 @@ def variance_ratio(strata: Sequence[Pair]) -> float | None:
 def permutation(strata: Sequence[Pair], seed: int = 0) -> tuple[float, float, int]:
     """Exact two-sided p of the mean difference over strata, sides exchanged within each stratum.
 
-    Returns
-    -------
-    float, float, int
-        p, the smallest p that any arrangement of these values has, and the number of arrangements.
+    Then the smallest p that any arrangement of these values has, and the number of arrangements.
     """
     observed = sum(float(a.mean() - b.mean()) for a, b in strata)
     together = [np.concatenate(pair) for pair in strata]

@@ -16,13 +16,11 @@ from shj_bayes.population.classical import Classical, Pair, classical, holm
 from shj_bayes.population.compare_words import ROPE_SPEED, multiplicity_words, sentence
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.power import assurance, devices_needed, representative
-from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.quantities import QUANTITIES, Band, FloatArray, band_of
 from shj_bayes.population.selectors import Stratum, strata_of
 
 ROPE = 0.10
 """Half-width of the region of practical equivalence: 10 % of the value; for gamma 10 % of the force at 10 mm/s."""
-LEVELS = (0.05, 0.5, 0.95)
-Band = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -153,8 +151,8 @@ def _contrast(
 ) -> Contrast:
     fit, q = result.fit(name), QUANTITIES[name]
     shift = _shift(result, name, strata, "default")
-    band = _band(q.natural(shift))
-    others = {label: _band(q.natural(_shift(result, name, strata, label))) for label in result.other_priors}
+    band = band_of(q.natural(shift))
+    others = {label: band_of(q.natural(_shift(result, name, strata, label))) for label in result.other_priors}
     none = 1.0 if q.logarithmic else 0.0
     settled = {label: not x[0] < none < x[2] for label, x in {"default": band, **others}.items()}
     first, second = ([i for s in strata for i in s[side]] for side in (0, 1))
@@ -182,7 +180,7 @@ def _contrast(
         q05=band[0],
         q50=band[1],
         q95=band[2],
-        difference=_band(np.mean(apart, axis=0)),
+        difference=band_of(np.mean(apart, axis=0)),
         difference_unit=q.unit,
         probability_level=float(np.mean(shift > 0)),
         superiority=float(np.mean(away)),
@@ -190,7 +188,7 @@ def _contrast(
         probability_rope=float(np.mean(inside)),
         n_a=n[0],
         n_b=n[1],
-        spread_factor=_band(tau_a / tau_b),
+        spread_factor=band_of(tau_a / tau_b),
         tests=classical(_points(result, name, strata), result.seed),
         holm_p=None,
         holm_test="",
@@ -208,8 +206,3 @@ def _planning_spreads(result: PopulationResult, name: str, sets: list[int]) -> F
     """
     prior = "alike" if "alike" in result.other_priors else "default"
     return representative(np.sqrt(np.mean(result.fit(name, prior).tau[:, sets] ** 2, axis=1)))
-
-
-def _band(values: FloatArray) -> Band:
-    low, middle, high = (float(x) for x in np.quantile(values, LEVELS))
-    return low, middle, high

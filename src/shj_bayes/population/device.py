@@ -121,10 +121,7 @@ class DeviceEstimate:
 def sets_of(devices: Sequence[DeviceEstimate]) -> dict[str, tuple[DeviceEstimate, ...]]:
     """Group devices by set, in the order in which the sets first appear.
 
-    Raises
-    ------
-    PopulationError
-        If there is no device, a name is used twice in a set, or devices of a set carry different tags.
+    `PopulationError` if there is no device, a name is used twice in a set, or devices of a set carry different tags.
     """
     if not devices:
         raise PopulationError("no device given; a population needs at least one")

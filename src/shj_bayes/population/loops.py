@@ -10,10 +10,9 @@ from scipy.integrate import trapezoid
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
 from shj_bayes.population.predict import SECOND_RUN, NewDevice
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
 from shj_bayes.recording.protocol import Block, exact_motion
 
-LEVELS = (0.05, 0.5, 0.95)
 N_DRAWS, N_POINTS = 500, 121
 """Devices drawn at most; displacements at which a band is given."""
 _SAMPLES_PER_CYCLE = 400
@@ -94,7 +93,6 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
     pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])
     cycle = slice(start[_PUSH], start[_PULL + 1] + 1)
     energy = trapezoid(force[:, cycle], x[cycle], axis=1)
-    e05, e50, e95 = np.quantile(energy, LEVELS)
     return LoopBand(
         device.set_name,
         run,
@@ -103,7 +101,7 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
         grid,
         np.quantile(push, LEVELS, axis=0),
         np.quantile(pull, LEVELS, axis=0),
-        (float(e05), float(e50), float(e95)),
+        band_of(energy),
         device.n_devices,
         chosen.size,
     )

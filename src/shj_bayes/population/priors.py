@@ -98,12 +98,9 @@ ASSUMED = {
 def other_priors(prior: PopulationPrior) -> dict[str, PopulationPrior]:
     """Return the two other priors of the spread that every answer is shown under.
 
-    Returns
-    -------
-    dict
-        ``alike``: all sets spread nearly alike (omega half-normal 0.25), so that no set is believed to be
-        tight because its few devices happen to agree. ``free``: typical spread half-Cauchy with twice the
-        median (Gelman 2006) and omega twice as free, so that the data alone limit it.
+    ``alike``: all sets spread nearly alike (omega half-normal 0.25), so that no set is believed to be tight because its
+    few devices happen to agree. ``free``: typical spread half-Cauchy with twice the median (Gelman 2006) and omega
+    twice as free, so that the data alone limit it.
     """
     return {
         "alike": replace(

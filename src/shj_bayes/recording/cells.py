@@ -20,12 +20,7 @@ from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """Half-open index ranges over which a mask is True.
-
-    Returns
-    -------
-    list of (int, int)
-    """
+    """Half-open index ranges over which a mask is True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 

@@ -141,17 +141,9 @@ def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int,
 
 
 def longest_increasing(values: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Find a longest strictly increasing subsequence.
+    """Find the indices of a longest strictly increasing subsequence of values without NaN, shape (n,).
 
-    Parameters
-    ----------
-    values : array, shape (n,)
-        Without NaN.
-
-    Returns
-    -------
-    array of int
-        A single time that is far too large costs one row, not all that follow it.
+    A single time that is far too large costs one row, not all that follow it.
     """
     tails: list[float] = []
     at: list[int] = []

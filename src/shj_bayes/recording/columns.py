@@ -175,12 +175,9 @@ def parse_columns(option: str | None) -> dict[str, str]:
 
 
 def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | None:
-    """Find a channel by its header; None where none fits. A match by a word in a longer header is a finding.
+    """Find a channel by its header; None where none fits, `RecordingError` where several fit equally well.
 
-    Raises
-    ------
-    RecordingError
-        If several fit equally well.
+    A match by a word in a longer header is a finding.
     """
     if not table.has_header:
         return None

@@ -101,12 +101,7 @@ def _smoothed(values: FloatArray) -> tuple[FloatArray, float]:
 def at_samples(extra_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
     """Values of a channel at the samples of a recording, on straight lines; NaN where no number is near.
 
-    Parameters
-    ----------
-    extra_s, values : array, shape (m,)
-        Times, ascending, and values that are known.
-    time_s : array, shape (n_samples,)
-        Sampling times.
+    Known values have ascending times `extra_s`, both of shape (m,); `time_s` has shape (n_samples,).
     """
     if extra_s.size == 0:
         return np.full(time_s.size, np.nan)

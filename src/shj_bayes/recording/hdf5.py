@@ -29,10 +29,7 @@ Item = tuple[str, np.ndarray[Any, Any] | None, str | None]
 def apart(path: Path) -> Iterator[Item]:
     """Read a file in a process of its own: name, numbers (None for what is not numbers) and unit of each dataset.
 
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read, or the library dies or hangs on it.
+    `RecordingError` if the file cannot be read, or the library dies or hangs on it.
     """
     broken = f"{path.name}: the HDF5 library cannot read it and gave up"
     advice = "check that the file is complete; export it again"

@@ -59,13 +59,7 @@ class Division:
 
 
 def divisions(recording: Recording) -> tuple[Division, ...]:
-    """Find the ways in which a recording may hold several runs.
-
-    Returns
-    -------
-    tuple of Division
-        The surest first; empty when nothing speaks for more than one run.
-    """
+    """Find the ways in which a recording may hold several runs, the surest first; none where nothing speaks for it."""
     told = [start.sample for start in recording.run_starts]
     found = [Division("file", _spans(recording, told), f"the file tells {len(told) + 1} runs apart")] if told else []
     sketch = _sketch(recording)
@@ -129,12 +123,7 @@ def split(recording: Recording, n_runs: int | None = None) -> tuple[Recording, .
 
 
 def check_runs(runs: Runs) -> None:
-    """Refuse what is neither a number of runs nor one of the two words.
-
-    Raises
-    ------
-    RecordingError
-    """
+    """Refuse what is neither a number of runs nor one of the two words (`RecordingError`)."""
     number = isinstance(runs, int) and not isinstance(runs, bool) and runs >= 1
     if not (number or runs in ("split", "one", None)):
         raise RecordingError(f'runs = {runs!r}: allowed are a number of runs from 1 on, "split" and "one"')

@@ -13,17 +13,8 @@ from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROW
 from shj_bayes.recording.recording import Finding, FloatArray
 
 FORMATS = {
-    ".csv": "csv",
-    ".tsv": "csv",
-    ".txt": "csv",
-    ".dat": "csv",
-    ".asc": "csv",
-    ".xlsx": "xlsx",
-    ".json": "json",
-    ".mat": "mat",
-    ".h5": "hdf5",
-    ".hdf5": "hdf5",
-    ".tdms": "tdms",
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc"), "csv"),
+    **{".xlsx": "xlsx", ".json": "json", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".tdms": "tdms"},
 }
 
 

@@ -89,10 +89,7 @@ class DeviceData:
 def read_device(folder: Path) -> DeviceData:
     """Read ``fit.json`` and ``posterior.nc`` of a finished fit.
 
-    Raises
-    ------
-    InferenceError
-        If a file is missing or damaged, or the posterior lacks what a page needs.
+    `InferenceError` if a file is missing or damaged, or the posterior lacks what a page needs.
     """
     record = read_record(folder)
     names = [row["name"] for row in record["parameters"]]

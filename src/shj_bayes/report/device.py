@@ -27,10 +27,7 @@ from shj_bayes.report.viewer import device_viewer, thinning_words
 def render_device(folder: Path) -> Path:
     """Write ``report.html`` of a finished fit, one file that needs nothing else.
 
-    Raises
-    ------
-    InferenceError, ReportError
-        If the folder holds no readable fit.
+    `InferenceError` or `ReportError` where the folder holds no readable fit.
     """
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
     from shj_bayes.report.device_pictures import draw  # noqa: PLC0415

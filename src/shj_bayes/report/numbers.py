@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.population.quantities import LEVELS, band_of
 from shj_bayes.report.data import DeviceData, RunData
 
-LEVELS = (0.05, 0.5, 0.95)
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
 SLIDES = 0.7  # of the largest force: a middle of the stroke below it is no plateau
@@ -238,8 +238,6 @@ def degradation(device: DeviceData) -> tuple[Degradation, ...]:
     """Loss of sliding force for every run after the first, from the posterior of the ratios."""
     out = []
     for run in device.runs[1:]:
-        name = "ratio" if run.number == 2 else f"ratio_{run.number}"
-        loss = 100 * (1 - device.draws[name].ravel())
-        q05, q50, q95 = (float(v) for v in np.quantile(loss, LEVELS))
-        out.append(Degradation(run.number, q05, q50, q95))
+        name = run_name("ratio", run.number)
+        out.append(Degradation(run.number, *band_of(100 * (1 - device.draws[name].ravel()))))
     return tuple(out)
