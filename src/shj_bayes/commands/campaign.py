@@ -110,7 +110,7 @@ class Manifest:
 class Outcome:
     """What became of one device."""
 
-    device: Device  # the device
+    device: Device
     status: str  # "done", "kept", "failed": fitted, found unchanged, or not fitted
     # reason, verdict: why it failed, or what there is to say; verdict of the fit
     reason: str = ""

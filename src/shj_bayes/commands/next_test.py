@@ -36,7 +36,7 @@ class Planned:
 
     folder: Path  # where its files are
     record: dict[str, Any]  # content of ``plan.json``
-    page: Path  # the page
+    page: Path
 
     @property
     def text(self) -> str:

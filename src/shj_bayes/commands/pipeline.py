@@ -122,7 +122,7 @@ class DiagnosisResult:
 
     folder: Path  # where its files are
     record: dict[str, Any]  # content of ``diagnosis.json``
-    page: Path  # the page
+    page: Path
 
     @property
     def text(self) -> str:

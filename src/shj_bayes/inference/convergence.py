@@ -23,7 +23,7 @@ ACCEPTANCE_LIMIT = 0.05
 class Diagnostics:
     """Convergence figures of each parameter (arrays of shape (d,)) and of each ensemble."""
 
-    names: tuple[str, ...]  # parameters
+    names: tuple[str, ...]
     tau: FloatArray  # shape (d,): integrated autocorrelation time, steps (mean over ensembles)
     rhat: FloatArray  # shape (d,): rank-normalised split R-hat across ensembles
     # ess_bulk, ess_tail: shape (d,): effective sample sizes, the smaller of both estimates for the bulk

@@ -30,10 +30,10 @@ DEFAULT_PLAN = Plan()
 class Fit:
     """A finished fit."""
 
-    posterior: Posterior  # what was asked
+    posterior: Posterior
     data: xr.DataTree  # posterior and what goes with it
     summary: pd.DataFrame  # one row for each parameter
-    figures: Diagnostics  # convergence
+    figures: Diagnostics
     floor: Floor  # how the intervals compare with the scatter from cycle to cycle
     verdict: Verdict  # can the numbers be used
     record: dict[str, Any]  # content of ``fit.json``

@@ -36,7 +36,7 @@ STEP = 0.1  # of a posterior standard deviation, for the scores
 class Floor:
     """By how much the intervals of a posterior must be wider for what the cycles scatter."""
 
-    names: tuple[str, ...]  # parameters
+    names: tuple[str, ...]
     factor: FloatArray  # shape (d,): widening of each parameter's interval, 1 or more
     # shape (d,): standard deviation from cycle to cycle over that of the posterior, as it was found
     scatter: FloatArray

@@ -44,10 +44,8 @@ SWEEPS = Sweeps(300, 1000)
 class CurveContrast:
     """How the force of a over that of b changes along a coordinate."""
 
-    # set_a, set_b: names
     set_a: str
     set_b: str
-    # coordinate, unit: what it depends on
     coordinate: str
     unit: str
     reference: float  # value at which both sides count as 1
@@ -59,7 +57,6 @@ class CurveContrast:
     # probability that the factors differ by less than practical equivalence at every stated value
     probability_rope: float
     rope: float  # half-width of the region of practical equivalence, as a share of the force
-    # n_a, n_b: devices
     n_a: int
     n_b: int
 

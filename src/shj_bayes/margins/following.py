@@ -22,7 +22,6 @@ PLACES = 41
 class Following:
     """A channel that the force of a device follows."""
 
-    # coordinate, unit: what it is
     coordinate: str
     unit: str
     # low to high: least, median and largest value in the device's test

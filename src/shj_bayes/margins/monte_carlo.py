@@ -38,7 +38,7 @@ HEADS = ("set", "device", "K_kN_mm", "force_kN", "force_2_kN", "R_steel02", "sha
 class Drawn:
     """A new device of a set."""
 
-    set_name: str  # its set
+    set_name: str
     number: int  # from 1
     K_kN_mm: float  # stiffness
     # force_kN, force_2_kN: mean plateau force of the first and of the second run at the tested speed; the second is the

@@ -56,7 +56,6 @@ class Belief:
 class Specimen:
     """A tested device."""
 
-    # name, set_name: the device and its set
     name: str
     set_name: str
     beliefs: tuple[Belief, ...]  # the best model first, the law alone last

@@ -37,7 +37,6 @@ Loop = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 class Trial:
     """A device after its virtual test."""
 
-    # name, set_name: the device and its set
     name: str
     set_name: str
     # per run and quantity of ``quantities.TABLE``: 5, 50 and 95 % of the best model's draws, and the measured value

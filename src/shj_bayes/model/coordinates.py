@@ -105,11 +105,6 @@ def _heat_reach(cooling: float, history: History) -> tuple[float, float]:
     return 0.0, min(cooling, 1.0)
 
 
-def _signed_acceleration(history: History, base: Base) -> FloatArray:
-    """Acceleration along the motion: positive while speeding up, in mm/s^2."""
-    return np.asarray(history.direction * history.acceleration_mm_s2)
-
-
 def _acceleration_reach(history: History) -> tuple[float, float]:
     largest = 2.0 * history.peak_speed_mm_s**2 / history.half_stroke_mm
     return -largest, largest
@@ -205,7 +200,7 @@ ALL = (
         "acceleration",
         "mm/s^2",
         "the acceleration along the motion",
-        _signed_acceleration,
+        lambda h, b: h.direction * h.acceleration_mm_s2,
         _acceleration_reach,
         zero="middle",
         family="odd_in_position",

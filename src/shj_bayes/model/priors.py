@@ -40,7 +40,6 @@ MAX_SPREAD = 5.0  # squares of what lies 30 spreads out, as far as the sampler c
 class Prior:
     """Prior law of one parameter."""
 
-    # name, unit: parameter and its unit
     name: str
     unit: str
     # "normal", "cauchy", "lognormal", "uniform", "loguniform": ``normal`` (mean, sd), ``cauchy`` (median, scale = half
@@ -164,7 +163,7 @@ TAU_SLOW = Prior("tau_slow", "s", "lognormal", 3.0, 1.0, "As in the shipped fami
 class Priors:
     """Priors of one device family."""
 
-    family: str  # name of the family
+    family: str
     statement: str  # what devices it is meant for
     priors: dict[str, Prior]  # by parameter name
     sha256: str  # digest of the file

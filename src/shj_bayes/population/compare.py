@@ -62,7 +62,6 @@ class Contrast:
 class Comparison:
     """Two sides compared in every pooled quantity."""
 
-    # set_a, set_b: names
     set_a: str
     set_b: str
     contrasts: tuple[Contrast, ...]  # one per quantity

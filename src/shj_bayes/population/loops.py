@@ -28,7 +28,6 @@ class LoopBand:
 
     set_name: str  # set of the new device
     run: int  # 1, 2: first run, or second with the sliding force lowered by the ratio
-    # amplitude_mm, peak_speed_mm_s: of the sine cycle
     amplitude_mm: float
     peak_speed_mm_s: float
     displacement_mm: FloatArray = field(repr=False)  # shape (n,): from -amplitude to +amplitude

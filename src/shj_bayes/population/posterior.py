@@ -30,7 +30,7 @@ ESS_LIMIT = 400.0
 class DeviceSet:
     """A set of nominally identical devices."""
 
-    name: str  # name of the set
+    name: str
     devices: tuple[str, ...]  # names of its devices
     tags: Tags  # what makes the set what it is
     # per quantity the point value of each device on the pooled scale; NaN where it gives none

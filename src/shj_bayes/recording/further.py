@@ -32,7 +32,6 @@ class Refusal(StrEnum):
 class Channel:
     """A further channel of one run, without its noise."""
 
-    # name, unit: as of the `Extra`
     name: str
     unit: str
     time_s: FloatArray  # shape (n,): time since the first sample of the run, s

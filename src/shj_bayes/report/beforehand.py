@@ -22,7 +22,6 @@ SAMPLES_PER_CYCLE = 240
 class Beforehand:
     """One steady sine cycle under prior, paper and posterior."""
 
-    # amplitude_mm, peak_speed_mm_s: of the cycle
     amplitude_mm: float
     peak_speed_mm_s: float
     displacement_mm: FloatArray = field(repr=False)  # shape (n,): A closed loop

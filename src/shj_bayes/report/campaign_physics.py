@@ -28,7 +28,6 @@ class Row:
 
     set_name: str  # the set; empty for all devices of the campaign
     folders: tuple[str, ...]  # folders of its diagnosed devices
-    # action to unit: the class
     action: str
     coordinate: str
     unit: str

@@ -101,8 +101,7 @@ def energy_between(force_kN: FloatArray, displacement_mm: FloatArray, marks: Flo
 class CycleEnergy:
     """Energy per cycle of one run, arrays of shape (n_cycles,)."""
 
-    run: int  # number of the run
-    # amplitude_mm to duration_s: of each cycle
+    run: int
     amplitude_mm: FloatArray = field(repr=False)
     peak_speed_mm_s: FloatArray = field(repr=False)
     duration_s: FloatArray = field(repr=False)
@@ -140,7 +139,7 @@ def cycle_energy(run: RunData) -> CycleEnergy:
 class CycleShape:
     """Envelope, plateau and damping of the cycles of one run, arrays of shape (n_cycles,)."""
 
-    run: int  # number of the run
+    run: int
     # push_kN, pull_kN: largest and smallest measured force: the envelope
     push_kN: FloatArray = field(repr=False)
     pull_kN: FloatArray = field(repr=False)

@@ -37,9 +37,8 @@ Interval = tuple[float, float, float]
 class SetBand:
     """A new device of one set in one quantity."""
 
-    set_name: str  # the set
+    set_name: str
     n_devices: int  # tested devices that give the quantity
-    # quantity, unit: what it is of
     quantity: str
     unit: str
     band: Interval  # 5, 50 and 95 % of a new device

@@ -66,7 +66,6 @@ Act = Callable[[History, Values, Base], Contribution]
 class Effect:
     """One physical effect."""
 
-    # id, family: as in INTERFACE
     id: str
     family: str
     title: str  # a few words, for headings
