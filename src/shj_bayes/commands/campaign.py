@@ -115,7 +115,7 @@ class Outcome:
     # reason, verdict: why it failed, or what there is to say; verdict of the fit
     reason: str = ""
     verdict: str = ""
-    simulated: bool = False  # A recording says that it is simulated
+    simulated: bool = False  # a recording says that it is simulated
     inputs: tuple[tuple[str, str], ...] = ()  # name and digest of each recording
     # diagnosis, diagnosis_reason: verdict of the diagnosis, ``off``, or ``failed`` with why
     diagnosis: str = ""

@@ -24,7 +24,7 @@ class Beforehand:
 
     amplitude_mm: float
     peak_speed_mm_s: float
-    displacement_mm: FloatArray = field(repr=False)  # shape (n,): A closed loop
+    displacement_mm: FloatArray = field(repr=False)  # shape (n,): a closed loop
     # prior_kN to posterior_kN: shape (m, n): forces; ``paper_kN`` has no rows when the priors are not those of the
     # paper's kind of device
     prior_kN: FloatArray = field(repr=False)
