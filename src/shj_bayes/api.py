@@ -22,9 +22,9 @@ from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.commands.comparison import compare_sets
 from shj_bayes.commands.next_test import plan_next
-from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
-from shj_bayes.commands.pooled import summarise_tables
-from shj_bayes.commands.summary import summarise_campaign
+from shj_bayes.commands.options import Options
+from shj_bayes.commands.pipeline import diagnose_device, fit_device
+from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, PlanError, ReportError
 from shj_bayes.inference.quiet_arviz import az
@@ -301,7 +301,7 @@ def fit(
     force : bool
         Replace the result of another device in `out`.
     **options
-        Fields of `shj_bayes.commands.pipeline.Options`: columns, units, rate_Hz, priors, model, noise, free, seed,
+        Fields of `shj_bayes.commands.options.Options`: columns, units, rate_Hz, priors, model, noise, free, seed,
         max_steps, runs.
 
     Returns

@@ -252,7 +252,8 @@ def fit(
     options = _listed(options)
     result = kept_result(recordings, out, options, name)
     if result is None:
-        from shj_bayes.commands.pipeline import Options, fit_device
+        from shj_bayes.commands.options import Options
+        from shj_bayes.commands.pipeline import fit_device
 
         shared = Options(**options)
         threads, speak = workers or 0, output.speaks
@@ -287,7 +288,8 @@ def diagnose(
 ) -> None:
     """Fit, then locate, name, model and show what the base law leaves out."""
     need_files(recordings, RecordingError)
-    from shj_bayes.commands.pipeline import Options, diagnose_device
+    from shj_bayes.commands.options import Options
+    from shj_bayes.commands.pipeline import diagnose_device
 
     result = diagnose_device(
         recordings,
@@ -372,7 +374,7 @@ def _run_campaign(
 def tables(out: Path, seed: int, output: Output) -> None:
     """Bands and comparisons from the published, rounded parameter tables alone."""
     make_writable(out)
-    from shj_bayes.commands.pooled import summarise_tables
+    from shj_bayes.commands.summary import summarise_tables
     from shj_bayes.commands.validation import paper_claims
 
     result = summarise_tables(out, paper_claims(), seed=seed, progress=output.speaks)

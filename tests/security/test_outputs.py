@@ -12,7 +12,7 @@ import shj_bayes
 from shj_bayes._util.files import folder_name, plain_name, sealed
 from shj_bayes.commands.campaign import Device, read_manifest
 from shj_bayes.commands.margin_sheet import design_margins
-from shj_bayes.commands.pipeline import Options
+from shj_bayes.commands.options import Options
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store

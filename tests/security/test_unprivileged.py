@@ -9,7 +9,8 @@ import time
 import pytest
 
 from shj_bayes._util import import_safety
-from shj_bayes.commands.pipeline import Options, fit_device
+from shj_bayes.commands.options import Options
+from shj_bayes.commands.pipeline import fit_device
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv

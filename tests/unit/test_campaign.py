@@ -15,7 +15,7 @@ from shj_bayes._util.shipped import shipped
 from shj_bayes.cli import main
 from shj_bayes.commands.campaign import read_manifest, run_campaign
 from shj_bayes.commands.comparison import compare_sets
-from shj_bayes.commands.summary import summarise_campaign
+from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.errors import CampaignError
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import NO_TAGS, Tags
@@ -134,6 +134,19 @@ def test_a_summary_stands_until_something_that_it_rests_on_or_wrote_changes(
     run(**changed)
     assert len(calls) == 2
     assert {(out / name).read_text(encoding="utf-8") for name in ("report.html", "margins.html")} == {"a page"}
+
+
+def test_unchanged_tables_are_kept(tmp_path, monkeypatch):
+    made = []
+    said = {"record": {"schema": "made up"}, "lines": ["bands"]}
+    monkeypatch.setattr("shj_bayes.commands.pooled.pooled_tables", lambda *_, seed, **__: made.append(seed) or said)
+    first, again = (summarise_tables(tmp_path, (), seed=1) for _ in range(2))
+    assert made == [1]
+    assert (first.record, first.text) == (again.record, again.text)
+    (tmp_path / "report.html").write_text("altered", encoding="utf-8")
+    summarise_tables(tmp_path, (), seed=1)
+    summarise_tables(tmp_path, (), seed=2)
+    assert made == [1, 1, 2]
 
 
 def test_a_page_made_again_needs_no_new_draws(campaign, monkeypatch):

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 import shj_bayes
 from shj_bayes.cli import main
-from shj_bayes.commands.pipeline import Options
+from shj_bayes.commands.options import Options
 from shj_bayes.errors import CheckpointError, InferenceError, ModelError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories

@@ -36,12 +36,12 @@ from shj_bayes._util.lock import alone_in
 from shj_bayes._util.made import digests, made
 from shj_bayes.commands.finished import DeviceResult, kept_result
 from shj_bayes.commands.mistaken import repeated
-from shj_bayes.commands.pipeline import Options, diagnose_device, fit_device
+from shj_bayes.commands.options import Options
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
+from shj_bayes.inference.record import is_simulated
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.report.campaign import WITH_SET
-from shj_bayes.report.device import is_simulated, render_device
+from shj_bayes.report.campaign_file import WITH_SET
 from shj_bayes.report.residual_file import DIAGNOSIS
 
 SCHEMA = "shj-bayes/campaign/1"
@@ -403,6 +403,9 @@ def _with_whole_paths(device: Device) -> Device:
 
 def _fit_one(device: Device, folder: Path) -> Outcome:
     """Fit and diagnose one device in a worker process."""
+    from shj_bayes.commands.pipeline import fit_device  # noqa: PLC0415  (a campaign in which nothing changed needs none)
+    from shj_bayes.report.device import render_device  # noqa: PLC0415
+
     place = folder / device.folder
     off = device.diagnose == "off"
     result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1, page=off))
@@ -418,6 +421,8 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
 
 def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outcome:
     """Diagnose a fitted device, where that was not done earlier."""
+    from shj_bayes.commands.pipeline import diagnose_device  # noqa: PLC0415
+
     known = _kept_diagnosis(device, place, key)
     if known is not None:
         return replace(outcome, diagnosis=known)
@@ -434,6 +439,8 @@ def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outco
 
 def _fit_with_set(device: Device, folder: Path) -> Outcome:
     """Fit one device with what its set makes certain, in a worker process."""
+    from shj_bayes.commands.pipeline import fit_device  # noqa: PLC0415
+
     place = folder / device.folder / WITH_SET
     result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1))
     return Outcome(device, FAILED, result) if isinstance(result, str) else _outcome(device, result)

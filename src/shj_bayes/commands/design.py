@@ -28,8 +28,7 @@ from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
-from shj_bayes.report.campaign import WITH_SET
-from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.report.campaign_file import WITH_SET, read_campaign
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_numbers import tested_sets
 from shj_bayes.report.margins_page import render_margins

@@ -79,7 +79,7 @@ def kept_result(
     folder : Path
         Results folder.
     options : mapping of str to value
-        Fields of `shj_bayes.commands.pipeline.Options`, all of them.
+        Fields of `shj_bayes.commands.options.Options`, all of them.
     name : str, optional
         Name of the device; the first file's name without ending by default.
     """
@@ -106,7 +106,7 @@ def key_of(
     digests : sequence of str
         One for each recording, in the order they were made.
     options : mapping of str to value
-        Fields of `shj_bayes.commands.pipeline.Options`, all of them.
+        Fields of `shj_bayes.commands.options.Options`, all of them.
     priors_sha256 : str
         Digest of the prior file.
     name : str

@@ -7,13 +7,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from shj_bayes._util.files import make_writable
-from shj_bayes._util.lock import alone_in
 from shj_bayes._util.made import digests, made
+from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import Outcome
 from shj_bayes.commands.comparison import curve_records, curves_of_pairs
 from shj_bayes.commands.margin_sheet import POPULATION, design_margins
-from shj_bayes.commands.summary import WRITES, Summary
+from shj_bayes.commands.summary import WRITES
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
@@ -71,18 +70,20 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     return {"record": record, "lines": [band_text(population), "", design.words]}
 
 
-@alone_in("folder")
-def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progress: bool = False) -> Summary:
-    """Pool the published tables and write their page with the paper's claims; parameters as for `pooled_campaign`."""
-    make_writable(folder)
-    population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
-    write_population(population, folder)
+def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
+    """Pool the published tables and write their page with the paper's claims; as for `pooled_campaign`."""
+
+    def pool() -> None:
+        population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
+        write_population(population, folder)
+
+    made(folder, "population", [seed, digests(shipped("data", "published"), ["*"])], POPULATION, pool)
+    population = load_population(folder)
     design = design_margins(folder, progress=progress)
-    page = render_tables(folder, population, claims)
+    render_tables(folder, population, claims)
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
-    text = "\n".join([band_text(population), "", *answers, "", design.text, f"report: {page}"])
     record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
-    return Summary(record, text)
+    return {"record": record, "lines": [band_text(population), "", *answers, "", design.words]}
 
 
 def band_text(population: PopulationResult) -> str:

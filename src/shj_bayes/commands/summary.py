@@ -7,10 +7,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from shj_bayes._util.files import make_writable
 from shj_bayes._util.lock import alone_in
-from shj_bayes._util.made import made
+from shj_bayes._util.made import digests, made
+from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import FAILED, Manifest, Outcome
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
+from shj_bayes.population.published import Claim
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.campaign_physics import statements
 
@@ -60,6 +63,22 @@ def summarise_campaign(
     if usable:
         lines += ["", *said["lines"], "", f"margins: {folder / PAGE}"]
     return Summary(record | said["record"], "\n".join([*lines, f"report: {folder / 'report.html'}"]), bool(usable))
+
+
+@alone_in("folder")
+def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progress: bool = False) -> Summary:
+    """Pool the published tables and write their page with the paper's claims; as for `summarise_campaign`."""
+    make_writable(folder)
+
+    def pool() -> dict[str, Any]:
+        from shj_bayes.commands.pooled import pooled_tables  # noqa: PLC0415  (as above)
+
+        return pooled_tables(claims, folder, seed=seed, progress=progress)
+
+    rests_on = [seed, digests(shipped("data", "published"), ["*"]), [vars(claim) for claim in claims]]
+    said = made(folder, "tables", rests_on, (*POPULATION, *MARGINS, "report.html"), pool)
+    where = [f"margins: {folder / PAGE}", f"report: {folder / 'report.html'}"]
+    return Summary(said["record"], "\n".join([*said["lines"], "", *where]))
 
 
 def _line(o: Outcome) -> str:

@@ -85,3 +85,8 @@ def whole(folder: Path) -> Iterator[Path]:
         raise InferenceError(
             f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
         ) from error
+
+
+def is_simulated(entry: dict[str, Any]) -> bool:
+    """Whether a recording among the inputs of ``fit.json`` says that it is simulated."""
+    return entry["format"] == "simulated" or any(f["code"] == "simulated" for f in entry["findings"])

@@ -63,6 +63,7 @@ def _pack(sets: Sequence[Sequence[Likelihood]]) -> tuple[FloatArray, ...]:
         np.concatenate([*(d.first for d in devices), *empty]),
         np.concatenate([*(d.second for d in devices), *empty]),
         np.concatenate([*(d.weight for d in devices), *empty]),
+        np.empty(sum(d.weight.size + 1 for d in devices)),
     )
 
 
@@ -129,8 +130,9 @@ def fit_quantity(
 
     def one_chain(child: np.random.SeedSequence) -> tuple[FloatArray, ...]:
         rng = np.random.default_rng(child)
-        start = _start(sets, prior, data, rng)
-        drawn: tuple[FloatArray, ...] = run_chain(*start, data, prior.packed(), *sweeps, rng)
+        own = (*data[:-1], np.empty_like(data[-1]))  # working memory is not shared
+        start = _start(sets, prior, own, rng)
+        drawn: tuple[FloatArray, ...] = run_chain(*start, own, prior.packed(), *sweeps, rng)
         return drawn
 
     with ThreadPoolExecutor(max(1, min(workers, N_CHAINS))) as pool:

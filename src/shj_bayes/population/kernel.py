@@ -9,6 +9,7 @@ sets are alike or say little about their own spread.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -21,9 +22,12 @@ _ROOT_HALF = math.sqrt(0.5)
 _PER_LN2 = 1.0 / math.log(2.0)
 _LOWEST, _SMALLEST = -1000.0, 1e-300  # powers of two and likelihoods below these count as 0
 _MAX_STEPS = 40
+# Compiled without counting who refers to the arrays: they belong to the caller, nothing is made here, and the atomic
+# counting would take three quarters of an evaluation.
+_uncounted = partial(njit, cache=True, error_model="numpy", _nrt=False)
 
 
-@njit(cache=True, error_model="numpy")
+@_uncounted()
 def _mass_of_pieces(start, stop, mu, tau, first, second, weight):  # type: ignore[no-untyped-def]
     """Integral of adjoining constant pieces against a normal, with the error function of the nearer tail."""
     scale = _ROOT_HALF / tau
@@ -54,28 +58,31 @@ def _mass_of_pieces(start, stop, mu, tau, first, second, weight):  # type: ignor
     return 0.5 * total
 
 
-@njit(error_model="numpy", fastmath={"contract"})
-def _fill_components(out, mu, tau, centre, sd, weight):  # type: ignore[no-untyped-def]
+@_uncounted(fastmath={"contract"})
+def _fill_components(out, begin, end, mu, tau, centre, sd, weight):  # type: ignore[no-untyped-def]
     """Fill `out` with the densities of normal components, each widened by tau; a loop of vector instructions."""
-    for i in range(out.size):
+    for i in range(begin, end):
         precision = 1.0 / (tau * tau + sd[i] * sd[i])
         power = -0.5 * _PER_LN2 * (centre[i] - mu) * (centre[i] - mu) * precision
         density = exp2(max(power, _LOWEST)) * math.sqrt(precision) * weight[i]
         out[i] = density if power > _LOWEST else 0.0
 
 
-@njit(error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
-def _sum_of_logs(values):  # type: ignore[no-untyped-def]
+@_uncounted(fastmath={"contract", "reassoc", "nsz"})
+def _sum_of_logs(values, begin, end):  # type: ignore[no-untyped-def]
     """Sum of natural logarithms of positive normal doubles."""
     total = 0.0
-    for value in values:
-        total += log2(value)
+    for i in range(begin, end):
+        total += log2(values[i])
     return total / _PER_LN2
 
 
-@njit(cache=True, error_model="numpy")
-def log_likelihood_of_set(s, mu, log_tau, lots, set_start, device_start, pieces, first, second, weight):  # type: ignore[no-untyped-def]
-    """Log likelihood of all devices of set ``s`` given its mean and log spread, device values integrated out."""
+@_uncounted()
+def log_likelihood_of_set(s, mu, log_tau, lots, set_start, device_start, pieces, first, second, weight, work):  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
+    """Log likelihood of all devices of set ``s`` given its mean and log spread, device values integrated out.
+
+    ``work`` is memory for a number for each component and one for each device.
+    """
     tau = math.exp(log_tau)
     of_lot = 0.0
     if lots[s, 0] > 0.0:  # so many normal devices of one error
@@ -85,25 +92,23 @@ def log_likelihood_of_set(s, mu, log_tau, lots, set_start, device_start, pieces,
     begin, end = set_start[s], set_start[s + 1]
     if begin == end:
         return of_lot
-    low, high = device_start[begin], device_start[end]
     # All components at once, also those of pieces (not used): a loop for each device would be too short for vectors.
-    density = np.empty(high - low)
-    _fill_components(density, mu, tau, first[low:high], second[low:high], weight[low:high])
-    values = np.empty(end - begin)
+    _fill_components(work, device_start[begin], device_start[end], mu, tau, first, second, weight)
+    of_device = first.size
     for d in range(begin, end):
         value = 0.0
         if pieces[d]:
             value = _mass_of_pieces(device_start[d], device_start[d + 1], mu, tau, first, second, weight)
         else:
             for i in range(device_start[d], device_start[d + 1]):
-                value += density[i - low]
+                value += work[i]
         if not value > _SMALLEST:
             return -np.inf
-        values[d - begin] = value
-    return of_lot + _sum_of_logs(values)
+        work[of_device + d] = value
+    return of_lot + _sum_of_logs(work, of_device + begin, of_device + end)
 
 
-@njit(cache=True, error_model="numpy")
+@_uncounted()
 def _log_prior_scale(code, x, prior):  # type: ignore[no-untyped-def]
     """Log prior of log S, log tau0 or log omega, with the factor of the logarithm."""
     if code in (C_S, A_S):  # half Student-t, 4 degrees of freedom
@@ -118,7 +123,7 @@ def _log_prior_scale(code, x, prior):  # type: ignore[no-untyped-def]
     return x - 0.5 * r * r
 
 
-@njit(cache=True, error_model="numpy")
+@_uncounted()
 def _target(code, s, x, mu, lt, hyper, z, data, prior):  # type: ignore[no-untyped-def]
     """Log density, up to a constant, of one coordinate at ``x`` given everything else.
 

@@ -14,13 +14,12 @@ from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.published import Claim, Held
 from shj_bayes.population.results import load_population
 from shj_bayes.report import words
-from shj_bayes.report.campaign_file import WORDS, read_campaign
+from shj_bayes.report.campaign_file import WITH_SET, WORDS, read_campaign
 from shj_bayes.report.campaign_physics import rows_of, statements, table
 from shj_bayes.report.page import PAGE, write_page
 from shj_bayes.report.residual_file import DIAGNOSIS, read_residual
 from shj_bayes.report.sets_page import population_content, tested_motion
 
-WITH_SET = "with-set"  # in the folder of a device: its fit with its set's physics
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
 

@@ -10,6 +10,7 @@ from typing import Any
 from shj_bayes._util.files import check_seal, read_json
 from shj_bayes.errors import ReportError, shown
 
+WITH_SET = "with-set"  # in the folder of a device: its fit with its set's physics
 WORDS = (  # of a device; all are texts
     "name", "folder", "status", "reason", "verdict", "diagnosis", "diagnosis_reason", "with_set", "with_set_reason"
 )  # fmt: skip

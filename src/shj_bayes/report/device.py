@@ -11,7 +11,7 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import ReportError
-from shj_bayes.inference.record import Remark
+from shj_bayes.inference.record import Remark, is_simulated
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.parameters import base_of
@@ -267,8 +267,3 @@ def _day(stamp: str) -> str:
         return f"{datetime.fromisoformat(stamp).astimezone(UTC):%d %B %Y, %H:%M} UTC"
     except ValueError:
         return stamp
-
-
-def is_simulated(entry: dict[str, Any]) -> bool:
-    """Whether a recording among the inputs of ``fit.json`` says that it is simulated."""
-    return entry["format"] == "simulated" or any(f["code"] == "simulated" for f in entry["findings"])

@@ -44,6 +44,10 @@ CASES = {
     "check": ("shj_bayes.recording.check", HEAVY),
     "finished": ("shj_bayes.commands.finished", HEAVY),
     "compare": ("shj_bayes.commands.comparison", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
+    "unchanged campaign": (
+        "shj_bayes.commands.summary",
+        "scipy.stats scipy.signal pandas xarray matplotlib arviz emcee pint",
+    ),
     "fit": ("shj_bayes.commands.pipeline", "scipy.stats scipy.signal matplotlib arviz pint"),
 }
 

@@ -60,7 +60,7 @@ def bands(rows: Sequence[SetBand], title: str) -> str:
 
 def apart(curve: CurveContrast) -> str:
     """Draw how far the force of two sets differs along a coordinate, per cent, with the 90 % band at each value."""
-    figure, axes = sheet(NARROW, 2.8)
+    figure, axes = sheet(NARROW, 2.8, measured=False)
     places = sorted([(curve.reference, (0.0, 0.0, 0.0)), *zip(curve.at, curve.percent, strict=True)])
     at = [u for u, _ in places]
     low, middle, high = zip(*(band for _, band in places), strict=True)
@@ -90,7 +90,7 @@ def _name(row: SetBand) -> str:
 
 def loop(parts: Sequence[LoopBand]) -> str:
     """Band of the loop of a new device of one set, one colour for each run."""
-    figure, axes = sheet(NARROW, 3.4)
+    figure, axes = sheet(NARROW, 3.4, measured=False)
     for band, colour in zip(parts, SERIES, strict=False):
         for force in (band.push, band.pull):
             axes.fill_between(band.displacement_mm, force[0], force[2], color=colour, alpha=0.25, linewidth=0)
