@@ -40,7 +40,7 @@ def main() -> None:
         posterior, start = find_start(make_posterior(given.runs, given.model), threads=options.threads)
         searched = time.perf_counter() - begin
         density = Counted(posterior)
-        _, figures = run_ensembles(density, posterior.names, start, Plan(), threads=options.threads)
+        _, figures = run_ensembles(density, posterior.names, start, Plan(threads=options.threads))
         wall, used = time.perf_counter() - begin, time.process_time() - used
         least = float(np.min(figures.ess_bulk))
         print(

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 from html import escape
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
+from typing import Any, ClassVar
 
 import pandas as pd
 
@@ -57,24 +57,17 @@ Recordings = OneRecording | Sequence[OneRecording]
 
 @dataclass(frozen=True, eq=False)
 class _Result:
-    """A folder of results.
+    """A folder of results."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        What the command of the same name prints with ``--json``.
-    """
-
-    folder: Path
-    record: dict[str, Any] = field(repr=False)
+    _which: ClassVar[str | None] = None  # its page in a folder that holds several
+    folder: Path  # where its files are
+    record: dict[str, Any] = field(repr=False)  # what the command of the same name prints with ``--json``
     _held: _Held | None = field(default=None, repr=False)
 
     @property
     def page(self) -> Path:
         """The page of this result, one HTML file."""
-        return page_of(self.folder)
+        return page_of(self.folder, self._which)
 
     def open(self) -> bool:
         """Open the page in the browser; False when there is none."""
@@ -126,10 +119,7 @@ class FitResult(_Result):
 class Diagnosis(_Result):
     """What the law leaves out of one device; made by `diagnose` or `load`."""
 
-    @property
-    def page(self) -> Path:
-        """The diagnosis page."""
-        return page_of(self.folder, "diagnosis")
+    _which = "diagnosis"
 
     @property
     def verdict(self) -> str:
@@ -176,10 +166,7 @@ class Diagnosis(_Result):
 class NextTest(_Result):
     """Which test is next; made by `plan` or `load`."""
 
-    @property
-    def page(self) -> Path:
-        """The page of the plan."""
-        return page_of(self.folder, "plan")
+    _which = "plan"
 
     @property
     def compared(self) -> pd.DataFrame:

@@ -21,6 +21,10 @@ from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError
 
 Command = Callable[..., Any]
+PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
+FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+RESULTS = click.argument("folder", type=PATH, metavar="DIR")
+NAME = click.option("--name", help="Name of the device; by default that of the first file.")
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
 RESUMING = {"fit", "campaign", "demo"}  # go on where they were stopped
 NAMED = 5  # failed devices that one line names
@@ -88,8 +92,7 @@ def _options(*decorators: Command) -> Callable[[Command], Command]:
 def _out(default: str | None = None) -> Command:
     """Output folder; an option without default must not be given one, or click takes it for optional."""
     presence: dict[str, Any] = {"required": True} if default is None else {"default": default, "show_default": True}
-    kind = click.Path(path_type=Path, file_okay=False)
-    return click.option("-o", "--out", type=kind, help="Folder for the results.", **presence)
+    return click.option("-o", "--out", type=FOLDER, help="Folder for the results.", **presence)
 
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else.")
@@ -127,7 +130,7 @@ READING = _options(
     click.option("--split", is_flag=True, help="Split files where several runs are found."),
     click.option("--one-run", is_flag=True, help="Each file is one run, whatever it looks like."),
 )
-RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REC...")
+RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=PATH, metavar="REC...")
 
 
 class _Variant(click.Choice[str]):
@@ -229,7 +232,7 @@ def check(recordings: tuple[Path, ...], output: Output, **reading: Any) -> None:
 @READING
 @MODELLING
 @SEED
-@click.option("--name", help="Name of the device; by default that of the first file.")
+@NAME
 @FORCE
 @WORKERS
 @_with_output
@@ -267,7 +270,7 @@ def fit(
 @click.option("--without", multiple=True, metavar="EFFECT", help="velocity: base law without it; others: not tried.")
 @click.option("--quick", is_flag=True, help="A first look: approximate intervals, no sampling.")
 @SEED
-@click.option("--name", help="Name of the device; by default that of the first file.")
+@NAME
 @FORCE
 @WORKERS
 @_with_output
@@ -302,7 +305,7 @@ def diagnose(
 
 
 @main.command()
-@click.argument("manifest", type=click.Path(path_type=Path))
+@click.argument("manifest", type=PATH)
 @_out()
 @SEED
 @WORKERS
@@ -377,7 +380,7 @@ def tables(out: Path, seed: int, output: Output) -> None:
 
 
 @main.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@RESULTS
 @click.option(
     "--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of a sine, in place of the tests themselves."
 )
@@ -385,7 +388,7 @@ def tables(out: Path, seed: int, output: Output) -> None:
 @click.option("--cycles", type=int, metavar="N", help="Its cycles; 3 by default.")
 @click.option(
     "--history",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    type=FILE,
     metavar="FILE",
     help="Displacement (mm) over time (s), two columns, in place of the tests themselves.",
 )
@@ -423,19 +426,14 @@ def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any)
 
 
 @main.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@RESULTS
 @click.option("--to", "target", type=click.Choice(["opensees"]), required=True, help="OpenSees, and a link table.")
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="By default DIR/opensees.")
+@click.option("-o", "--out", type=FOLDER, help="By default DIR/opensees.")
 @click.option("--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of the cycle; largest tested by default.")
 @click.option("--draws", type=int, metavar="N", help="New devices of each set too, as materials for Monte Carlo.")
 @_with_output
 def export(
-    folder: Path,
-    target: str,
-    out: Path | None,
-    amplitude_mm: float | None,
-    draws: int | None,
-    output: Output,
+    folder: Path, target: str, out: Path | None, amplitude_mm: float | None, draws: int | None, output: Output
 ) -> None:
     """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
     need_population(folder)
@@ -446,7 +444,7 @@ def export(
 
 
 @main.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@RESULTS
 @click.argument("set_a", metavar="A")
 @click.argument("set_b", metavar="B")
 @click.option(
@@ -472,7 +470,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -
 
 
 @main.command()
-@click.option("-o", "--out", "stem", type=click.Path(path_type=Path), required=True, help="Stem of the files.")
+@click.option("-o", "--out", "stem", type=PATH, required=True, help="Stem of the files.")
 @click.option("--K", "K", type=float, default=18.0, show_default=True, help="Stiffness, kN/mm.")
 @click.option("--Fy", "Fy", type=float, default=80.0, show_default=True, help="Sliding force of the first run, kN.")
 @click.option("--beta", type=float, default=10.0, show_default=True, help="Sharpness, 1 to 500.")
@@ -498,22 +496,26 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
 
 
 @main.command()
-@click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="[DIR]...")
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the plan.")
+@click.argument("folders", nargs=-1, type=PATH, metavar="[DIR]...")
+@click.option("-o", "--out", type=FOLDER, help="Folder for the plan.")
 @click.option("--question", metavar="Q", help="which, gamma, ratio, K, Fy, beta, least or force; which by default.")
 @click.option("--among", default="", metavar="velocity,prying", help="Mechanisms to tell apart; velocity: base law.")
-@click.option("--rig", type=click.Path(path_type=Path), metavar="FILE", help="Limits of the rig, TOML.")
+@click.option("--rig", type=PATH, metavar="FILE", help="Limits of the rig, TOML.")
 @click.option("--max-stroke", "max_stroke_mm", type=float, metavar="MM", help="Largest displacement to either side.")
 @click.option("--max-speed", "max_speed_mm_s", type=float, metavar="MM/S", help="Largest speed.")
 @click.option("--max-force", "max_force_kN", type=float, metavar="KN", help="Largest force.")
 @click.option("--max-minutes", "max_minutes", type=float, metavar="MIN", help="Longest test.")
 @click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Rate of the displacement history.")
 @click.option(
-    "--history", "histories", multiple=True, type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="A further candidate: displacement (mm) over time (s).",
-)  # fmt: skip
+    "--history",
+    "histories",
+    multiple=True,
+    type=FILE,
+    metavar="FILE",
+    help="A further candidate: displacement (mm) over time (s).",
+)
 @click.option("--priors", help="Family that ships (afc, general) or TOML file: a plan before any test.")
-@click.option("--example-rig", type=click.Path(path_type=Path), metavar="FILE", help="Write an example of rig.toml.")
+@click.option("--example-rig", type=PATH, metavar="FILE", help="Write an example of rig.toml.")
 @SEED
 @_with_output
 def plan(
@@ -555,7 +557,7 @@ def plan(
 
 
 @main.command("open")
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@RESULTS
 @click.option(
     "--page", type=click.Choice(["report", "diagnosis", "margins", "plan"]), help="Page to open, where DIR has several."
 )
@@ -590,11 +592,9 @@ def completion(shell: str) -> None:
 @click.option(
     "--seed", type=click.IntRange(0, 2**32 - 1), default=20270322, show_default=True, help="Of what is concealed."
 )
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the results.")
-@click.option("--check", "checked", type=click.Path(path_type=Path, file_okay=False), help="Check a finished proof.")
-@click.option(
-    "--recordings", type=click.Path(path_type=Path, file_okay=False), help="Real recordings, answer withheld."
-)
+@click.option("-o", "--out", type=FOLDER, help="Folder for the results.")
+@click.option("--check", "checked", type=FOLDER, help="Check a finished proof.")
+@click.option("--recordings", type=FOLDER, help="Real recordings, answer withheld.")
 @click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")
 @click.option("--open-now", is_flag=True, help="Open a stopped proof and score the trials diagnosed so far.")
 @WORKERS

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording import Block, read
+from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.reader import read
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 ORIGINAL = simulate_device(Truth(sigma=0.5, phi=0.3), seed=4, rate_Hz=8.0, blocks=BLOCKS)[0]

@@ -49,10 +49,10 @@ def start(found: tuple[Posterior, Start]) -> Start:
 
 
 def sample(
-    posterior: Posterior, start: Start, *, seed: int = 1, density: object = None, **more: object
+    posterior: Posterior, start: Start, *, seed: int = 1, threads: int = 0, density: object = None, **more: object
 ) -> list[EnsembleState]:
     """Five rounds."""
-    plan = Plan(seed=seed, round_steps=ROUND, max_steps=STEPS)
+    plan = Plan(seed=seed, round_steps=ROUND, max_steps=STEPS, threads=threads)
     density = posterior if density is None else density
     states, _ = run_ensembles(density, posterior.names, start, plan, fingerprint=posterior.fingerprint, **more)  # type: ignore[arg-type]
     return states

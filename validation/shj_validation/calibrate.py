@@ -129,8 +129,8 @@ def draw(
             recordings = _with_signed_speed(recordings, truth, blocks, rate_Hz)
         posterior, start = find_start(make_posterior(runs_of(recordings), model))
         density: Density = WithJacobian(posterior) if broken == "jacobian" else posterior
-        plan = Plan(seed=int(rng.integers(2**31)), max_steps=max_steps)
-        states, figures = run_ensembles(density, posterior.names, start, plan, threads=1)
+        plan = Plan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1)
+        states, figures = run_ensembles(density, posterior.names, start, plan)
         chains = np.stack([state.chain[figures.n_burn :] for state in states])
         theta = posterior.natural(chains.reshape(-1, len(posterior.names)))
         draws = {name: row for name, row in zip(posterior.names, theta.T, strict=True) if name in values}

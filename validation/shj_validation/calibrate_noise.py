@@ -87,7 +87,7 @@ def draw_noise(number: int, seed: int, *, effects: bool, max_steps: int) -> dict
     record = {"number": number, **chosen, "truth": values}
     try:
         runs = runs_of(list(_recordings(model, values, chosen, rng)))
-        result = fit(runs, model, plan=Plan(seed=int(rng.integers(2**31)), max_steps=max_steps), threads=1)
+        result = fit(runs, model, plan=Plan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1))
     except ShjError as error:
         return record | {"error": str(error), "seconds": time.perf_counter() - begin}
     z, below = {}, {}

@@ -20,13 +20,7 @@ def constants(package: ModuleType, constant: str) -> Iterator[tuple[str, Any]]:
 
 
 def discovered(package: ModuleType, constant: str, error: type[ShjError]) -> Iterator[Any]:
-    """Value of a constant such as ``EFFECT`` in every module that holds one; its ``id`` is that of its file.
-
-    Raises
-    ------
-    ShjError
-        Of the kind `error`, if a value has another id than its file.
-    """
+    """Value of a constant such as ``EFFECT`` in every module that holds one; `error` where its id is not its file's."""
     folder = package.__name__.rpartition(".")[2]
     for name, value in constants(package, constant):
         if value.id != name:

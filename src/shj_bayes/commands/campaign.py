@@ -79,27 +79,16 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Device:
-    """One device of a campaign.
+    """One device of a campaign."""
 
-    Parameters
-    ----------
-    name, set_name : str
-        Its name, unique within its set, and the set's.
-    recordings : tuple of Path
-        Consecutive runs.
-    options : Options
-        How to read and fit it.
-    tags : Tags
-        What makes its set what it is: material, coating, coverage, corroded.
-    diagnose : {"quick", "full", "off"}
-        How to look for what the law leaves out: a first look, with the posterior of what is found, or not at all.
-    """
-
+    # name, set_name: its name, unique within its set, and the set's
     name: str
     set_name: str
-    recordings: tuple[Path, ...]
-    options: Options
-    tags: Tags = NO_TAGS
+    recordings: tuple[Path, ...]  # consecutive runs
+    options: Options  # how to read and fit it
+    tags: Tags = NO_TAGS  # what makes its set what it is: material, coating, coverage, corroded
+    # "quick", "full", "off": how to look for what the law leaves out: a first look, with the posterior of what is
+    # found, or not at all
     diagnose: str = DIAGNOSES[0]
 
     @property
@@ -110,53 +99,29 @@ class Device:
 
 @dataclass(frozen=True)
 class Manifest:
-    """A campaign: its name and its devices in order.
+    """A campaign: its name and its devices in order."""
 
-    Parameters
-    ----------
-    name : str
-        Title of the report.
-    devices : tuple of Device
-        All devices of all sets.
-    simulated : bool
-        True where the recordings are simulated, so that the report says so.
-    """
-
-    name: str
-    devices: tuple[Device, ...]
-    simulated: bool = False
+    name: str  # title of the report
+    devices: tuple[Device, ...]  # all devices of all sets
+    simulated: bool = False  # True where the recordings are simulated, so that the report says so
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one device.
-
-    Parameters
-    ----------
-    device : Device
-        The device.
-    status : {"done", "kept", "failed"}
-        Fitted, found unchanged, or not fitted.
-    reason, verdict : str
-        Why it failed, or what there is to say; verdict of the fit.
-    simulated : bool
-        A recording says that it is simulated.
-    inputs : tuple of (str, str)
-        Name and digest of each recording.
-    diagnosis, diagnosis_reason : str
-        Verdict of the diagnosis, ``off``, or ``failed`` with why.
-    with_set, with_set_reason : str
-        Verdict of the fit with what its set makes certain, or ``failed`` with why; empty where there is none.
-    """
+    """What became of one device."""
 
     device: Device
-    status: str
+    status: str  # "done", "kept", "failed": fitted, found unchanged, or not fitted
+    # reason, verdict: why it failed, or what there is to say; verdict of the fit
     reason: str = ""
     verdict: str = ""
-    simulated: bool = False
-    inputs: tuple[tuple[str, str], ...] = ()
+    simulated: bool = False  # a recording says that it is simulated
+    inputs: tuple[tuple[str, str], ...] = ()  # name and digest of each recording
+    # diagnosis, diagnosis_reason: verdict of the diagnosis, ``off``, or ``failed`` with why
     diagnosis: str = ""
     diagnosis_reason: str = ""
+    # with_set, with_set_reason: verdict of the fit with what its set makes certain, or ``failed`` with why; empty where
+    # there is none
     with_set: str = ""
     with_set_reason: str = ""
 
@@ -580,16 +545,9 @@ def _devices(top: _Place, table: dict[str, Any], defaults: Options, diagnose: st
             yield Device(name, set_name, recordings, options, tags, _diagnose(here, device, for_set))
 
 
-@lru_cache
-def _priors(which: str) -> None:
-    """Refuse priors that cannot be read, once for all devices that name them."""
-    read_priors(which)
-
-
-@lru_cache
-def _fit_for(options: Options, n_runs: int) -> None:
-    """Refuse options with which no device of so many runs can be fitted; a thousand devices share them."""
-    options.check(n_runs)
+# What cannot be read or fitted is refused once for all devices that name it: a thousand share their options.
+_priors = lru_cache(read_priors)
+_fit_for = lru_cache(Options.check)
 
 
 def _tags(at: _Place, entry: dict[str, Any]) -> Tags:

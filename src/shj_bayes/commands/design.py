@@ -40,13 +40,11 @@ MOST_DRAWN = 100  # devices whose loops are drawn and written
 def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[str, Any]:
     """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
 
-    Returns
-    -------
-    dict
-        ``record``: content of ``margins.json``; ``words``: the design table and what to mind, for people.
+    ``record`` is the content of ``margins.json``, ``words`` the design table and what to mind, for people.
     """
     result = load_population(folder)
-    request = replace(request, sets=tuple(_set_named(result, name) for name in request.sets))
+    named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
+    request = replace(request, sets=tuple(named))
     campaign, specimens, words = tested_devices(folder, result)
     asked = asked_for(request, specimens) if specimens else None
     trials = try_all(specimens, asked, extrapolate=request.extrapolate)
@@ -122,11 +120,6 @@ def export_analysis(
         write_text(place / name, text)
     drawn_loops = write_loops(loops(trials, speed) if len(trials) <= MOST_DRAWN else (), place)
     return (*(place / name for name in files), *((drawn_loops,) if drawn_loops else ()))
-
-
-def _set_named(result: PopulationResult, name: str) -> str:
-    """Name of a set as the population has it; case does not matter."""
-    return ANY_SET if name == ANY_SET else result.set_names[result.index(name)]
 
 
 def tested_devices(

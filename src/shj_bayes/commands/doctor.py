@@ -23,15 +23,7 @@ TRUTH = Truth(gamma=1 / 60)
 
 
 def examine() -> tuple[dict[str, Any], str]:
-    """Fit a small simulated device and time the law.
-
-    Returns
-    -------
-    dict
-        ``works``, ``versions``, ``machine``, ``checks`` (name to words) and timings.
-    str
-        The same for people.
-    """
+    """Fit a small simulated device and time the law: what was found, for machines and for people."""
     begin = time.perf_counter()
     runs = runs_of(simulate_device(TRUTH, seed=1, rate_Hz=20.0))
     posterior, start = find_start(make_posterior(runs, DeviceModel(len(runs), read_priors())))

@@ -30,24 +30,12 @@ MAX_TABLE = 50_000_000  # bytes
 
 @dataclass(frozen=True)
 class Earlier:
-    """What is known from earlier tests.
+    """What is known from earlier tests."""
 
-    Parameters
-    ----------
-    statement : str
-        Of which device or set.
-    bands : dict of str to tuple of float
-        5, 50 and 95 % by parameter of the law.
-    sha256 : str
-        Digest of the files it comes from.
-    recordings : frozenset of str
-        Digests of the recordings that it rests on.
-    """
-
-    statement: str
-    bands: dict[str, tuple[float, float, float]]
-    sha256: str
-    recordings: frozenset[str]
+    statement: str  # of which device or set
+    bands: dict[str, tuple[float, float, float]]  # 5, 50 and 95 % by parameter of the law
+    sha256: str  # digest of the files it comes from
+    recordings: frozenset[str]  # digests of the recordings that it rests on
 
     def on(self, family: Priors) -> Priors:
         """Priors of a family with the laws of these parameters in place of its own."""
@@ -71,8 +59,7 @@ class Earlier:
                     f"{recording.source.name} is in the posterior of {self.statement}, which is the prior here: what "
                     "it says counts twice, and the intervals are too narrow; give recordings that are new"
                 )
-                found = Finding("recording-in-prior", "warning", message)
-                recording = replace(recording, findings=(*recording.findings, found))  # noqa: PLW2901
+                recording = recording.with_findings(Finding("recording-in-prior", "warning", message))  # noqa: PLW2901
             out.append(recording)
         return out
 

@@ -15,7 +15,7 @@ from shj_bayes._util.files import file_digest, plain_name
 from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.record import Remark, check_files, read_record
-from shj_bayes.model.parameters import BASE
+from shj_bayes.model.parameters import BASE, base_of
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
 from shj_bayes.report.residual_file import LeftOver, read_residual
@@ -23,27 +23,13 @@ from shj_bayes.report.residual_file import LeftOver, read_residual
 
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
-    """A finished device.
+    """A finished device."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        Content of ``fit.json``.
-    fresh : bool
-        False when an earlier, unchanged result was found and kept.
-    left : LeftOver or None
-        What the model leaves over; None where no page was written.
-    note : str
-        Why an earlier result was not kept although it is of the same fit: which file was damaged.
-    """
-
-    folder: Path
-    record: dict[str, Any]
-    fresh: bool
-    left: LeftOver | None = None
-    note: str = ""
+    folder: Path  # where its files are
+    record: dict[str, Any]  # content of ``fit.json``
+    fresh: bool  # False when an earlier, unchanged result was found and kept
+    left: LeftOver | None = None  # what the model leaves over; None where no page was written
+    note: str = ""  # why an earlier result was not kept although it is of the same fit: which file was damaged
 
     @property
     def text(self) -> str:
@@ -65,7 +51,7 @@ class DeviceResult:
         for row in map(shown.row, record["parameters"]):
             numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
             numbers += f"  {row['unit']}"
-            if row["name"].partition("_")[0] == "gamma":
+            if base_of(row["name"]) == "gamma":
                 numbers += f"  ({words.dep_words(row)})"
             if row["name"] in unknown:
                 numbers = f"{'not determined':>47}  {row['unit']}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +35,7 @@ def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[
     """
     if len(recordings) == 1 and free:
         message = f"{', '.join(free)} cannot differ between runs where there is one run: --free has no effect"
-        return [_with(recordings[0], Finding("free-without-effect", "warning", message))]
+        return [recordings[0].with_findings(Finding("free-without-effect", "warning", message))]
     first: dict[str, int] = {}
     out = []
     for number, recording in enumerate(recordings, start=1):
@@ -50,12 +49,8 @@ def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[
             f"({recordings[earlier - 1].source.name}): the device would look as if a run changed nothing; name each "
             "recording once"
         )
-        out.append(_with(recording, Finding("same-recording", "warning", message)))
+        out.append(recording.with_findings(Finding("same-recording", "warning", message)))
     return out
-
-
-def _with(recording: Recording, finding: Finding) -> Recording:
-    return replace(recording, findings=(*recording.findings, finding))
 
 
 def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording], error: type[ShjError]) -> None:

@@ -32,20 +32,10 @@ DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A written plan.
+    """A written plan."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        Content of ``plan.json``.
-    page : Path
-        The page.
-    """
-
-    folder: Path
-    record: dict[str, Any]
+    folder: Path  # where its files are
+    record: dict[str, Any]  # content of ``plan.json``
     page: Path
 
     @property
@@ -141,8 +131,8 @@ def _rig(stored: Sequence[Stored], base: DeviceModel, limits: dict[str, float]) 
     runs = [run for s in stored for run in s.runs]
     if runs:
         reached = {
-            "max_stroke_mm": min(_half_stroke(s) for s in stored),
-            "max_speed_mm_s": min(max(_fast(r.motion.speed_mm_s) for r in s.runs) for s in stored),
+            "max_stroke_mm": min(max(float(np.ptp(r.motion.turning_mm)) for r in s.runs) / 2.0 for s in stored),
+            "max_speed_mm_s": min(max(float(np.percentile(r.motion.speed_mm_s, 99)) for r in s.runs) for s in stored),
             "max_force_kN": HEADROOM * max(float(np.abs(r.recording.force_kN).max()) for r in runs),
             "max_minutes": max(r.recording.duration_s for r in runs) / 60.0,
             "rate_Hz": min(r.recording.rate_Hz for r in runs),
@@ -158,14 +148,6 @@ def _rig(stored: Sequence[Stored], base: DeviceModel, limits: dict[str, float]) 
         }
     rounded = {name: float(f"{value:.4g}") for name, value in reached.items()}
     return Rig(**(rounded | limits))
-
-
-def _half_stroke(s: Stored) -> float:
-    return max(float(np.ptp(r.motion.turning_mm)) for r in s.runs) / 2.0
-
-
-def _fast(speed: Any) -> float:
-    return float(np.percentile(speed, 99))
 
 
 def _protocol(path: Path) -> Protocol:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from shj_bayes.commands.earlier import earlier
 from shj_bayes.commands.finished import DeviceResult, default_name, device_result, finished_record, key_of, stale
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_text, shown
-from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
+from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
@@ -117,20 +118,10 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
-    """A finished diagnosis.
+    """A finished diagnosis."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where its files are.
-    record : dict
-        Content of ``diagnosis.json``.
-    page : Path
-        The page.
-    """
-
-    folder: Path
-    record: dict[str, Any]
+    folder: Path  # where its files are
+    record: dict[str, Any]  # content of ``diagnosis.json``
     page: Path
 
     @property
@@ -219,35 +210,19 @@ def fit_device(
     model = options.device_model(len(recordings), options.read_priors())
     key = _key(paths, recordings, options, model, name)
     finished, note = finished_record(folder, key)
+    fresh = finished is None
     if finished is None:
-        finished, fresh = _fit(runs_of(recordings), folder, options, model, name, key, progress, threads), True
-    else:
-        fresh = False
+        plan = Plan(options.seed, max_steps=options.max_steps, threads=threads, progress=progress)
+        finished = _fit(runs_of(recordings), folder, model, plan, name=name, key=key)
     if page and (fresh or stale(folder)):
         (step_told if progress else ignored)("drawing the page")
         render_device(folder)
     return device_result(folder, finished, fresh=fresh, note=note)
 
 
-def _fit(
-    runs: Sequence[Run],
-    folder: Path,
-    options: Options,
-    model: DeviceModel,
-    name: str,
-    key: str,
-    progress: bool,
-    threads: int,
-    tops: Sequence[FloatArray] = (),
-) -> dict[str, Any]:
+def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, name: str, key: str) -> dict[str, Any]:
     """Fit and write the files; give the record."""
-    plan = Plan(seed=options.seed, max_steps=options.max_steps)
-
-    def sampled() -> Fit:
-        return fit(
-            runs, model, name=name, key=key, plan=plan, tops=tops, folder=folder, progress=progress, threads=threads
-        )
-
+    sampled = partial(fit, runs, model, name=name, key=key, plan=plan, folder=folder)
     finished, checkpoint = folder / "fit.json", folder / CHECKPOINT
     try:
         result = sampled()
@@ -259,7 +234,7 @@ def _fit(
         checkpoint.unlink()
         result = sampled()
     if result.verdict.word == "reliable":
-        (folder / CHECKPOINT).unlink(missing_ok=True)
+        checkpoint.unlink(missing_ok=True)
     return result.record
 
 
@@ -305,7 +280,9 @@ def diagnose_device(
         key = _key(paths, recordings, options, model, name)
         record, _ = finished_record(folder, key)
         if record is None:
-            record = _fit(runs, folder, options, model, name, key, progress, threads, [top])
+            steps = options.max_steps
+            plan = Plan(options.seed, max_steps=steps, tops=(top,), threads=threads, progress=progress)
+            record = _fit(runs, folder, model, plan, name=name, key=key)
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 

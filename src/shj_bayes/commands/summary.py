@@ -19,21 +19,11 @@ WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """End of a campaign or of the tables.
+    """End of a campaign or of the tables."""
 
-    Parameters
-    ----------
-    record : dict
-        For machines.
-    text : str
-        For people; ends with where the page is.
-    usable : bool
-        False when no device could be used.
-    """
-
-    record: dict[str, Any]
-    text: str
-    usable: bool = True
+    record: dict[str, Any]  # for machines
+    text: str  # for people; ends with where the page is
+    usable: bool = True  # False when no device could be used
 
 
 @alone_in("folder")

@@ -21,27 +21,14 @@ _SEAL = b"SHA-256:"  # behind the HDF5 content, before the 32 bytes of its diges
 
 @dataclass(frozen=True, eq=False)
 class EnsembleState:
-    """One ensemble as far as it has run.
+    """One ensemble as far as it has run."""
 
-    Parameters
-    ----------
-    chain : array, shape (n_steps, n_walkers, d)
-        Positions in the unbounded space.
-    log_posterior : array, shape (n_steps, n_walkers)
-        Log posterior density of each.
-    accepted : array, shape (n_walkers,)
-        Accepted moves of each walker.
-    random_state : tuple
-        State of the legacy Mersenne twister that emcee draws from (numpy's ``RandomState.get_state()``).
-    n_failed : int
-        Evaluations with zero or overflowing density.
-    """
-
-    chain: FloatArray
-    log_posterior: FloatArray
-    accepted: FloatArray
+    chain: FloatArray  # shape (n_steps, n_walkers, d): positions in the unbounded space
+    log_posterior: FloatArray  # shape (n_steps, n_walkers): log posterior density of each
+    accepted: FloatArray  # shape (n_walkers,): accepted moves of each walker
+    # state of the legacy Mersenne twister that emcee draws from (numpy's ``RandomState.get_state()``)
     random_state: tuple[Any, ...]
-    n_failed: int
+    n_failed: int  # evaluations with zero or overflowing density
 
 
 def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]) -> None:
@@ -73,13 +60,7 @@ def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]
 
 
 def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
-    """Read a checkpoint of this very problem.
-
-    Raises
-    ------
-    CheckpointError
-        If the file is damaged, or belongs to another problem; the message names the fields that differ.
-    """
+    """Read a checkpoint of this very problem; `CheckpointError` where it is damaged, or says which fields differ."""
     try:
         # The digest comes first: a damaged file can make the HDF5 library end the process. HDF5 itself allows for bytes
         # behind its end, so other tools can open a checkpoint as it is.

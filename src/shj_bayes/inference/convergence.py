@@ -21,35 +21,19 @@ ACCEPTANCE_LIMIT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
-    """Convergence figures of each parameter (arrays of shape (d,)) and of each ensemble.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Parameters.
-    tau : array, shape (d,)
-        Integrated autocorrelation time, steps (mean over ensembles).
-    rhat : array, shape (d,)
-        Rank-normalised split R-hat across ensembles.
-    ess_bulk, ess_tail : array, shape (d,)
-        Effective sample sizes, the smaller of both estimates for the bulk.
-    acceptance : array, shape (n_ensembles, n_walkers)
-        Accepted share of proposals of each walker.
-    n_steps, n_burn : int
-        Steps kept for the posterior, and dropped before them.
-    n_failed : int
-        Evaluations whose density was zero or overflowed.
-    """
+    """Convergence figures of each parameter (arrays of shape (d,)) and of each ensemble."""
 
     names: tuple[str, ...]
-    tau: FloatArray
-    rhat: FloatArray
+    tau: FloatArray  # shape (d,): integrated autocorrelation time, steps (mean over ensembles)
+    rhat: FloatArray  # shape (d,): rank-normalised split R-hat across ensembles
+    # ess_bulk, ess_tail: shape (d,): effective sample sizes, the smaller of both estimates for the bulk
     ess_bulk: FloatArray
     ess_tail: FloatArray
-    acceptance: FloatArray
+    acceptance: FloatArray  # shape (n_ensembles, n_walkers): accepted share of proposals of each walker
+    # n_steps, n_burn: steps kept for the posterior, and dropped before them
     n_steps: int
     n_burn: int
-    n_failed: int = 0
+    n_failed: int = 0  # evaluations whose density was zero or overflowed
 
     @property
     def lengths(self) -> float:
@@ -82,14 +66,14 @@ def autocorrelation_time(chains: Sequence[FloatArray]) -> FloatArray:
     return np.where(np.isfinite(mean) & moves, np.maximum(mean, 1.0), np.inf)
 
 
-def _time_of_ensemble(chain: FloatArray, window: float = 5.0) -> FloatArray:
-    """Autocorrelation summed over the shortest lag that is `window` times that sum (Sokal), shape (d,)."""
+def _time_of_ensemble(chain: FloatArray) -> FloatArray:
+    """Autocorrelation summed over the shortest lag that is five times that sum (Sokal), shape (d,)."""
     n = chain.shape[0]
     spectrum = np.abs(rfft(chain - chain.mean(axis=0), 2 * next_fast_len(n), axis=0)) ** 2
     correlation = irfft(spectrum, 2 * next_fast_len(n), axis=0)[:n]
     with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 for walkers that stand still
         times = 2.0 * np.cumsum(np.mean(correlation / correlation[0], axis=1), axis=0) - 1.0
-    inside = np.arange(n)[:, None] < window * times
+    inside = np.arange(n)[:, None] < 5.0 * times
     last = np.where(inside.all(axis=0), n - 1, np.argmin(inside, axis=0))
     return np.asarray(times[last, np.arange(times.shape[1])])
 

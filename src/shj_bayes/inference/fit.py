@@ -21,40 +21,22 @@ from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.parameters import FloatArray
 
 CHECKPOINT = "checkpoint.h5"
+DEFAULT_PLAN = Plan()
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A finished fit.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        What was asked.
-    data : xarray.DataTree
-        Posterior and what goes with it.
-    summary : pandas.DataFrame
-        One row for each parameter.
-    figures : Diagnostics
-        Convergence.
-    floor : Floor
-        How the intervals compare with the scatter from cycle to cycle.
-    verdict : Verdict
-        Can the numbers be used.
-    record : dict
-        Content of ``fit.json``.
-    """
+    """A finished fit."""
 
     posterior: Posterior
-    data: xr.DataTree
-    summary: pd.DataFrame
+    data: xr.DataTree  # posterior and what goes with it
+    summary: pd.DataFrame  # one row for each parameter
     figures: Diagnostics
-    floor: Floor
-    verdict: Verdict
-    record: dict[str, Any]
+    floor: Floor  # how the intervals compare with the scatter from cycle to cycle
+    verdict: Verdict  # can the numbers be used
+    record: dict[str, Any]  # content of ``fit.json``
 
 
 def fit(
@@ -63,11 +45,8 @@ def fit(
     *,
     name: str = "device",
     key: str = "",
-    plan: Plan | None = None,
-    tops: Sequence[FloatArray] = (),
+    plan: Plan = DEFAULT_PLAN,
     folder: Path | None = None,
-    progress: bool = False,
-    threads: int = 0,
 ) -> Fit:
     """Sample the posterior of one device.
 
@@ -81,34 +60,20 @@ def fit(
         Name of the device, for the files and the page.
     key : str
         Digest of everything the result depends on, stored with it so that an unchanged fit can be recognised.
-    plan : Plan, optional
+    plan : Plan
         Seed, number of ensembles, when to stop.
-    tops : sequence of array, shape (n_law,)
-        Points to climb from besides those that the search finds, in the unbounded space.
     folder : Path, optional
         Where the files of the fit and the checkpoint go; nothing is written without it. A checkpoint found there is
         gone on from.
-    progress : bool
-        Show a progress bar on standard error.
-    threads : int
-        Ensembles that run at the same time, 0 for one per processor.
     """
-    plan = plan or Plan()
     path = None
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / CHECKPOINT
-    with told_when_slow(progress):
-        posterior, start = find_start(make_posterior(runs, model), threads=threads, tops=tops)
+    with told_when_slow(plan.progress):
+        posterior, start = find_start(make_posterior(runs, model), threads=plan.threads, tops=plan.tops)
     states, figures = run_ensembles(
-        posterior,
-        posterior.names,
-        start,
-        plan,
-        fingerprint=posterior.fingerprint,
-        path=path,
-        progress=progress,
-        threads=threads,
+        posterior, posterior.names, start, plan, fingerprint=posterior.fingerprint, path=path
     )
     floor = floor_of(posterior, start)
     kept = np.stack([state.chain[figures.n_burn :] for state in states])
@@ -119,7 +84,8 @@ def fit(
     table = store.summary(posterior.model, figures, natural)
     heights = np.stack([state.log_posterior[figures.n_burn :] for state in states])
     data = store.inference_data(posterior, shown, kept, heights, plan.seed)
-    record = store.fit_record(posterior, figures, floor, verdict, table, name=name, seed=plan.seed, key=key)
+    asked = {"device": name, "seed": plan.seed, "key": key}
+    record = store.fit_record(asked, posterior, figures, floor, verdict, table)
     record |= {"convergence": converged.word, "remarks": remarks_of(posterior.model, natural)}
     if folder is not None:
         store.write_fit(folder, data, table, record)

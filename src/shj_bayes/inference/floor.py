@@ -34,24 +34,13 @@ STEP = 0.1  # of a posterior standard deviation, for the scores
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """By how much the intervals of a posterior must be wider for what the cycles scatter.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Parameters.
-    factor : array, shape (d,)
-        Widening of each parameter's interval, 1 or more.
-    scatter : array, shape (d,)
-        Standard deviation from cycle to cycle over that of the posterior, as it was found.
-    n_pieces : int
-        Pieces that were left out one at a time; 0 where there are too few to say.
-    """
+    """By how much the intervals of a posterior must be wider for what the cycles scatter."""
 
     names: tuple[str, ...]
-    factor: FloatArray
+    factor: FloatArray  # shape (d,): widening of each parameter's interval, 1 or more
+    # shape (d,): standard deviation from cycle to cycle over that of the posterior, as it was found
     scatter: FloatArray
-    n_pieces: int
+    n_pieces: int  # pieces that were left out one at a time; 0 where there are too few to say
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""

@@ -17,28 +17,18 @@ from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import LANES, log_density
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, base_of
 
 FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior density of one device.
+    """Posterior density of one device."""
 
-    Parameters
-    ----------
-    runs : tuple of Run
-        Consecutive runs.
-    model : DeviceModel
-        What is believed of the device.
-    averages : tuple of Averages
-        The runs in blocks.
-    """
-
-    runs: tuple[Run, ...]
-    model: DeviceModel
-    averages: tuple[Averages, ...]
+    runs: tuple[Run, ...]  # consecutive runs
+    model: DeviceModel  # what is believed of the device
+    averages: tuple[Averages, ...]  # the runs in blocks
 
     def __post_init__(self) -> None:
         """Check that the parts fit together and that the priors can hold the data."""
@@ -89,7 +79,7 @@ class Posterior:
         still = theta[None].copy()
         if self.model.speed:  # the speed is noisy, and its share of the force is straight
             for i, name in enumerate(self.names):
-                still[0, i] *= 0.0 if name.partition("_")[0] == "gamma" else 1.0
+                still[0, i] *= 0.0 if base_of(name) == "gamma" else 1.0
 
         def force_at(history: History, start_force_kN: float) -> FloatArray:
             return np.asarray(self.model.force(still, history, start_force_kN)[0])

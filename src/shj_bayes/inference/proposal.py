@@ -22,24 +22,13 @@ FALL = 8.5  # a normal law falls by this in 4.1 standard deviations; a long tail
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Mixture of multivariate t laws in the unbounded space.
+    """Mixture of multivariate t laws in the unbounded space."""
 
-    Parameters
-    ----------
-    weights : array, shape (k,)
-        Shares, adding up to 1.
-    means : array, shape (k, d)
-        Centres.
-    roots : array, shape (k, d, d)
-        Lower Cholesky factors of the scale matrices.
-    efficiency : float
-        Effective share of importance draws, 0 to 1, in the last round that it was fitted to: how much it resembles the
-        posterior.
-    """
-
-    weights: FloatArray
-    means: FloatArray
-    roots: FloatArray
+    weights: FloatArray  # shape (k,): shares, adding up to 1
+    means: FloatArray  # shape (k, d): centres
+    roots: FloatArray  # shape (k, d, d): lower Cholesky factors of the scale matrices
+    # effective share of importance draws, 0 to 1, in the last round that it was fitted to: how much it resembles the
+    # posterior
     efficiency: float
 
     def draw(self, n: int, rng: np.random.Generator | np.random.RandomState) -> FloatArray:

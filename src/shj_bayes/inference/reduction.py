@@ -42,30 +42,14 @@ OF_DEGREE = {4: 225.0 / 64.0, 6: 1225.0 / 256.0}
 
 @dataclass(frozen=True, eq=False)
 class Averages:
-    """One run in blocks.
+    """One run in blocks."""
 
-    Parameters
-    ----------
-    history : History
-        At the points of all blocks.
-    first : array of int, shape (n + 1,)
-        Block i has the points ``first[i]:first[i+1]``, one or two.
-    force_kN : array, shape (n,)
-        Measured force, mean of each block.
-    count : array, shape (n,)
-        Samples in each block; 0 for one that only keeps a half-cycle from being empty.
-    timing : Timing
-        When the blocks were taken.
-    start_force_kN : float
-        Rate-free force at the first sample of the run.
-    """
-
-    history: History
-    first: IntArray
-    force_kN: FloatArray
-    count: FloatArray
-    timing: Timing
-    start_force_kN: float
+    history: History  # at the points of all blocks
+    first: IntArray  # shape (n + 1,): block i has the points ``first[i]:first[i+1]``, one or two
+    force_kN: FloatArray  # shape (n,): measured force, mean of each block
+    count: FloatArray  # shape (n,): samples in each block; 0 for one that only keeps a half-cycle from being empty
+    timing: Timing  # when the blocks were taken
+    start_force_kN: float  # rate-free force at the first sample of the run
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""

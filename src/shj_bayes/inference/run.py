@@ -20,18 +20,10 @@ from shj_bayes.recording.recording import Recording
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run as evidence.
+    """One run as evidence."""
 
-    Parameters
-    ----------
-    recording : Recording
-        The measured channels.
-    motion : Motion
-        Half-cycles, turning points and speed of its displacement.
-    """
-
-    recording: Recording
-    motion: Motion
+    recording: Recording  # the measured channels
+    motion: Motion  # half-cycles, turning points and speed of its displacement
 
     def __post_init__(self) -> None:
         """Refuse a motion that belongs to another recording."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -30,28 +30,19 @@ LEAST_ROUND, SURE = 10, 1.04  # steps; by how much the steps are taken longer th
 
 @dataclass(frozen=True)
 class Plan:
-    """How to sample.
+    """How to sample."""
 
-    Parameters
-    ----------
-    seed : int
-        Same seed and inputs, same numbers.
-    n_ensembles : int
-        Independent ensembles, at least 4.
-    n_walkers : int
-        Walkers of each; 0 for three per parameter (at least 20).
-    round_steps : int
-        Steps between two looks at convergence (and two checkpoints); a fifth of the steps so far where that is more,
-        fewer where the chain is seen to be long enough before.
-    max_steps : int
-        Steps after which to stop even if not converged.
-    """
-
-    seed: int = 1
-    n_ensembles: int = 4
-    n_walkers: int = 0
+    seed: int = 1  # same seed and inputs, same numbers
+    n_ensembles: int = 4  # independent ensembles, at least 4
+    n_walkers: int = 0  # walkers of each; 0 for three per parameter (at least 20)
+    # steps between two looks at convergence (and two checkpoints); a fifth of the steps so far where that is more,
+    # fewer where the chain is seen to be long enough before
     round_steps: int = 60
-    max_steps: int = 10_000
+    max_steps: int = 10_000  # steps after which to stop even if not converged
+    # points to climb from besides those that the search finds, in the unbounded space, each of shape (n_law,)
+    tops: tuple[FloatArray, ...] = field(default=(), compare=False)
+    threads: int = 0  # ensembles that run at the same time, 0 for one per processor; the numbers do not depend on it
+    progress: bool = False  # show a progress bar on standard error, where that is a terminal
 
     def __post_init__(self) -> None:
         """Refuse plans from which no verdict can come."""
@@ -99,8 +90,6 @@ def run_ensembles(
     *,
     fingerprint: dict[str, str] | None = None,
     path: Path | None = None,
-    progress: bool = False,
-    threads: int = 0,
 ) -> tuple[list[EnsembleState], Diagnostics]:
     """Sample until converged or out of steps, with a checkpoint after each round.
 
@@ -118,12 +107,8 @@ def run_ensembles(
         Identity of the problem; a checkpoint of another one is refused.
     path : Path, optional
         Checkpoint file; sampling goes on from it if it exists.
-    progress : bool
-        Show a progress bar on standard error (only on a terminal).
-    threads : int
-        Ensembles that run at the same time, 0 for as many as there are processors; the numbers do not depend on it.
     """
-    d, n = len(names), n_threads(threads)
+    d, n = len(names), n_threads(plan.threads)
     stream = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(98,)))
     with ThreadPoolExecutor(n) as pool:
         proposal = fit_proposal(Shared(density, pool, n), start, stream)
@@ -133,8 +118,7 @@ def run_ensembles(
     else:
         streams = np.random.SeedSequence(plan.seed).spawn(plan.n_ensembles)
         states = [_begin(density, start, plan.walkers(d), stream) for stream in streams]
-    stop = Event()
-    bar = tqdm(total=plan.max_steps, unit="step", desc="sampling", disable=None if progress else True, leave=False)
+    bar = tqdm(total=plan.max_steps, unit="step", desc="sampling", disable=None if plan.progress else True, leave=False)
     with bar, ThreadPoolExecutor(min(plan.n_ensembles, n)) as pool:
         bar.update(states[0].chain.shape[0])
         while True:
@@ -144,14 +128,22 @@ def run_ensembles(
                 if converged(figures) or states[0].chain.shape[0] >= plan.max_steps:
                     return states, figures
             steps = _next_round(plan, states[0].chain.shape[0], figures)
-            try:
-                states = list(pool.map(partial(_advance, density, proposal, stop, n_steps=steps), states))
-            except BaseException:  # Ctrl-C: the pool would wait for the end of the round
-                stop.set()
-                raise
+            states = _advance_all(pool, density, proposal, states, steps)
             if path is not None:
                 checkpoint.save(path, identity, states)
             bar.update(steps)
+
+
+def _advance_all(
+    pool: ThreadPoolExecutor, density: Density, proposal: Proposal, states: list[EnsembleState], n_steps: int
+) -> list[EnsembleState]:
+    """Run all ensembles for some steps; where that is broken off, none goes on to the end of the round."""
+    stop = Event()
+    try:
+        return list(pool.map(partial(_advance, density, proposal, stop, n_steps=n_steps), states))
+    except BaseException:  # Ctrl-C: the pool would wait
+        stop.set()
+        raise
 
 
 def _next_round(plan: Plan, done: int, figures: Diagnostics | None) -> int:

@@ -22,21 +22,11 @@ class Density(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """A density whose points are evaluated by several threads; each point's value is the same to the bit.
+    """A density whose points are evaluated by several threads; each point's value is the same to the bit."""
 
-    Parameters
-    ----------
-    density : Density
-        Log density in the unbounded space; it must let go of the interpreter lock to be any faster here.
-    pool : ThreadPoolExecutor
-        The threads.
-    n : int
-        Into how many parts a call is divided.
-    """
-
-    density: Density
-    pool: ThreadPoolExecutor
-    n: int
+    density: Density  # log density in the unbounded space; it must let go of the interpreter lock to be any faster here
+    pool: ThreadPoolExecutor  # the threads
+    n: int  # into how many parts a call is divided
 
     def log_posterior_free(self, z: FloatArray) -> FloatArray:
         """Log density of points of shape (m, d), shape (m,)."""

@@ -23,34 +23,18 @@ CHUNK = 16  # parameter sets evaluated in one call
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Most probable point and a Gaussian around it.
+    """Most probable point and a Gaussian around it."""
 
-    Parameters
-    ----------
-    free : array, shape (d,)
-        MAP in the unbounded space.
-    covariance : array, shape (d, d)
-        Inverse of the negative Hessian there.
-    log_posterior : float
-        Log posterior density there (unbounded space).
-    """
-
-    free: FloatArray
-    covariance: FloatArray
-    log_posterior: float
+    free: FloatArray  # shape (d,): MAP in the unbounded space
+    covariance: FloatArray  # shape (d, d): inverse of the negative Hessian there
+    log_posterior: float  # log posterior density there (unbounded space)
 
 
 @dataclass(frozen=True, eq=False)
 class LawOnly:
-    """A posterior as least squares sees it: the parameters of its law, and the residual of its blocks.
+    """A posterior as least squares sees it: the parameters of its law, and the residual of its blocks."""
 
-    Parameters
-    ----------
-    posterior : Posterior
-        What is fitted.
-    """
-
-    posterior: Posterior
+    posterior: Posterior  # what is fitted
 
     @property
     def model(self) -> DeviceModel:
@@ -193,10 +177,7 @@ def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:
     """Climb from each candidate, shape (d,), to the top of the density; return the highest, with the curvature there.
 
-    Raises
-    ------
-    InferenceError
-        If no candidate has a finite density.
+    `InferenceError` if no candidate has a finite density.
     """
     best: Start | None = None
     climbed: list[FloatArray] = []

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,7 @@ if TYPE_CHECKING:  # whoever only reads files need not wait for ArviZ
     from shj_bayes.inference.convergence import Diagnostics, Verdict
     from shj_bayes.inference.floor import Floor
 
+Group = Callable[..., xr.Dataset]  # `_group` with the words of a fit
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
 N_STORED, N_LOOPS = 500, 25  # draws of each ensemble, and those of them with the force of every sample
 N_PRIOR, N_FORESEEN = 4000, 100  # draws of the prior, and those of them with forces of half-cycles
@@ -97,57 +99,81 @@ def inference_data(
     prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
     log_prior = np.stack([law.log_density(own[:, :, i]) for i, law in enumerate(laws)], axis=2)
 
-    likely, predicted, measured = half_cycles(posterior, own.reshape(-1, d), rng)
-    with np.errstate(over="ignore", invalid="ignore"):
-        foreseen = half_cycles(posterior, prior[:N_FORESEEN], rng, tested=False)[1]
-    some = np.flatnonzero(np.isfinite(measured))
-    possible = np.flatnonzero(np.isfinite(foreseen[:, some]).all(axis=1))
-    n_half = [run.motion.n_half for run in posterior.runs]
-    half_cycle = {
-        "half_cycle": some,
-        "run": ("half_cycle", np.repeat(np.arange(len(n_half)) + 1, n_half)[some]),
-        "number": ("half_cycle", np.concatenate([np.arange(n) for n in n_half])[some]),
-    }
-    points = tuple(points_of(run, N_POINTS) for run in posterior.runs)
-    begins = np.cumsum([0, *(run.recording.n_samples for run in posterior.runs[:-1])])
-    point = {"point": np.concatenate([keep + begin for keep, begin in zip(points, begins, strict=True)])}
-    few = np.linspace(0, draws.shape[1] - 1, N_LOOPS).astype(int)
-    clean, noisy = force_at_points(posterior, draws[:, few].reshape(-1, d), points, rng)
-
     def named(values: FloatArray) -> dict[str, FloatArray]:
         return {name: values[..., i] for i, name in enumerate(posterior.names)}
 
-    def by_half(values: FloatArray, n_chains: int = n_ensembles) -> dict[str, NDArray[Any]]:
-        return {"force_of_half_cycle": values[:, some].reshape(n_chains, -1, some.size)}
-
-    words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
-    extras = extra_names(posterior)
-    words |= {f"{EXTRA}{name}": (unit or "1", "further channel, as named") for name, unit in extras.items()}
-    further = measured_of(posterior.runs)[0]
-    words |= {name: (one.unit or "1", "further channel without its noise") for name, one in further.items()}
-    loops = {"force": noisy, "force_model": clean}
-    loops = {name: force.reshape(n_ensembles, few.size, -1) for name, force in loops.items()}
-    likely = np.round(likely * 2.0**20) / 2.0**20  # a millionth; the file is smaller
-    predicted, foreseen = predicted.astype(np.float32), foreseen[possible].astype(np.float32)
-    foreseen_at = half_cycle | {"draw": possible}
+    group = partial(_group, _words(posterior))
     groups = {
-        "posterior": _group(words, "draws", named(draws)),
-        "prior": _group(words, "draws of the priors", named(prior[None])),
-        "posterior_predictive": _group(words, f"with noise; {AS_SAMPLED}", by_half(predicted), half_cycle),
-        "prior_predictive": _group(words, "with noise", by_half(foreseen, 1), foreseen_at),
-        "log_likelihood": _group(words, f"given those before it; {AS_SAMPLED}", by_half(likely), half_cycle),
-        "log_prior": _group(words, f"in natural units; {AS_SAMPLED}", named(log_prior)),
-        "sample_stats": _group(words, AS_SAMPLED, {"lp": heights[:, ::step].reshape(n_ensembles, -1)}),
-        "observed_data": _group(words, "measured", {"force_of_half_cycle": measured[some]}, half_cycle),
-        "constant_data": _group(words, "recordings, thinned where they are long", _channels(posterior, points), point),
-        "loops": _group(words, "posterior predictive at the points of constant_data", loops, point | {"draw": few}),
+        "posterior": group("draws", named(draws)),
+        "prior": group("draws of the priors", named(prior[None])),
+        **_half_cycle_groups(group, posterior, own, prior[:N_FORESEEN], rng),
+        "log_prior": group(f"in natural units; {AS_SAMPLED}", named(log_prior)),
+        "sample_stats": group(AS_SAMPLED, {"lp": heights[:, ::step].reshape(n_ensembles, -1)}),
+        **_sample_groups(group, posterior, draws, rng),
     }
     for name in ("log_likelihood", "log_prior"):
         for variable in groups[name].data_vars.values():
             variable.attrs.update(units="1", meaning=f"{name.replace('_', ' ')} of: {variable.attrs['meaning']}")
-    for name in loops:
-        _pack(groups["loops"].variables[name])
     return xr.DataTree.from_dict(groups)
+
+
+def _words(posterior: Posterior) -> dict[str, tuple[str, str]]:
+    """Give unit and meaning of everything in the file, by name."""
+    words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
+    for name, unit in extra_names(posterior).items():
+        words[f"{EXTRA}{name}"] = (unit or "1", "further channel, as named")
+    further = measured_of(posterior.runs)[0]
+    return words | {name: (one.unit or "1", "further channel without its noise") for name, one in further.items()}
+
+
+def _half_cycle_groups(
+    group: Group, posterior: Posterior, draws: FloatArray, prior: FloatArray, rng: np.random.Generator
+) -> dict[str, xr.Dataset]:
+    """Group by half-cycle what is likely and predicted for draws, and what was measured."""
+    n_ensembles, _, d = draws.shape
+    likely, predicted, measured = half_cycles(posterior, draws.reshape(-1, d), rng)
+    with np.errstate(over="ignore", invalid="ignore"):
+        foreseen = half_cycles(posterior, prior, rng, tested=False)[1]
+    some = np.flatnonzero(np.isfinite(measured))
+    possible = np.flatnonzero(np.isfinite(foreseen[:, some]).all(axis=1))
+    n_half = [run.motion.n_half for run in posterior.runs]
+    at = {
+        "half_cycle": some,
+        "run": ("half_cycle", np.repeat(np.arange(len(n_half)) + 1, n_half)[some]),
+        "number": ("half_cycle", np.concatenate([np.arange(n) for n in n_half])[some]),
+    }
+
+    def by_half(values: FloatArray, n_chains: int = n_ensembles) -> dict[str, NDArray[Any]]:
+        return {"force_of_half_cycle": values[:, some].reshape(n_chains, -1, some.size)}
+
+    likely = np.round(likely * 2.0**20) / 2.0**20  # a millionth; the file is smaller
+    predicted, foreseen = predicted.astype(np.float32), foreseen[possible].astype(np.float32)
+    return {
+        "posterior_predictive": group(f"with noise; {AS_SAMPLED}", by_half(predicted), at),
+        "prior_predictive": group("with noise", by_half(foreseen, 1), at | {"draw": possible}),
+        "log_likelihood": group(f"given those before it; {AS_SAMPLED}", by_half(likely), at),
+        "observed_data": group("measured", {"force_of_half_cycle": measured[some]}, at),
+    }
+
+
+def _sample_groups(
+    group: Group, posterior: Posterior, draws: FloatArray, rng: np.random.Generator
+) -> dict[str, xr.Dataset]:
+    """Group by sample the recordings, and the force that a few draws give."""
+    points = tuple(points_of(run, N_POINTS) for run in posterior.runs)
+    begins = np.cumsum([0, *(run.recording.n_samples for run in posterior.runs[:-1])])
+    at = {"point": np.concatenate([keep + begin for keep, begin in zip(points, begins, strict=True)])}
+    few = np.linspace(0, draws.shape[1] - 1, N_LOOPS).astype(int)
+    clean, noisy = force_at_points(posterior, draws[:, few].reshape(-1, draws.shape[2]), points, rng)
+    forces = {"force": noisy, "force_model": clean}
+    forces = {name: force.reshape(draws.shape[0], few.size, -1) for name, force in forces.items()}
+    loops = group("posterior predictive at the points of constant_data", forces, at | {"draw": few})
+    for name in forces:
+        _pack(loops.variables[name])
+    return {
+        "constant_data": group("recordings, thinned where they are long", _channels(posterior, points), at),
+        "loops": loops,
+    }
 
 
 def _pack(stored: xr.Variable) -> None:
@@ -168,28 +194,23 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.
 
 
 def fit_record(
+    asked: Mapping[str, Any],
     posterior: Posterior,
     figures: Diagnostics,
     floor: Floor,
     verdict: Verdict,
     table: pd.DataFrame,
-    *,
-    name: str,
-    seed: int,
-    key: str,
 ) -> dict[str, Any]:
-    """Content of ``fit.json``: verdict, reasons, seeds, versions, digests, data quality and convergence."""
+    """Content of ``fit.json``: what was `asked`, verdict, reasons, versions, digests, data quality and convergence."""
     pairs = zip(posterior.averages, posterior.runs, strict=True)
     means = table["mean"].to_numpy(dtype=np.float64)[None]
     runs = range(1, len(posterior.runs) + 1)
     zeros = [[float(value[0]) for value in zero_of_run(posterior, means, run)] for run in runs]
     return {
         "schema": SCHEMA,
-        "device": name,
+        **asked,
         "verdict": verdict.word,
         "reasons": list(verdict.reasons),
-        "seed": seed,
-        "key": key,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
         "model": {

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 from shj_bayes.margins.delivered import FORCES
 from shj_bayes.margins.row import BANDS, FACTORS, HIGH, LOW, MIDDLE, Margin
+from shj_bayes.model.parameters import base_of
 
 SLACK = 0.02
 """Share of the typical value by which two numbers may differ before they count as contradicting: noise of draws."""
@@ -15,18 +16,10 @@ SLACK = 0.02
 
 @dataclass(frozen=True)
 class Agreement:
-    """What was compared, and what contradicts.
+    """What was compared, and what contradicts."""
 
-    Parameters
-    ----------
-    words : str
-        What was compared with what, in one sentence.
-    contradictions : tuple of str
-        One sentence each, with both numbers; empty where everything agrees.
-    """
-
-    words: str
-    contradictions: tuple[str, ...]
+    words: str  # what was compared with what, in one sentence
+    contradictions: tuple[str, ...]  # one sentence each, with both numbers; empty where everything agrees
 
 
 def agreement(rows: Sequence[Margin]) -> Agreement:
@@ -46,7 +39,7 @@ def _of_set(name: str, rows: Sequence[Margin]) -> Iterator[str]:
     forces = [row for row in rows if row.method == FACTORS and row.unit == "kN"]  # that codes bound by factors
     lower, upper = ([row for row in forces if row.side == side] for side in (LOW, HIGH))
     scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
-    ends = [row for row in rows if row.method == BANDS and row.quantity.partition("_")[0] in FORCES]
+    ends = [row for row in rows if row.method == BANDS and base_of(row.quantity) in FORCES]
     for bound in lower:
         for end in (*(e for e in ends if e.side == LOW), *upper):
             yield from _above(name, bound, end, scale)

@@ -48,36 +48,19 @@ further change, a change that ends at twice the tested one, and one that slows d
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A displacement history.
+    """A displacement history."""
 
-    Parameters
-    ----------
-    time_s : array, shape (n_samples,)
-        Sampling times.
-    motion : Motion
-        Displacement from the middle of the stroke, speed and half-cycles.
-    words : str
-        What it is.
-    """
-
-    time_s: FloatArray
-    motion: Motion
-    words: str
+    time_s: FloatArray  # shape (n_samples,): sampling times
+    motion: Motion  # displacement from the middle of the stroke, speed and half-cycles
+    words: str  # what it is
 
 
 @dataclass(frozen=True)
 class Course:
-    """One way in which a device is driven through a history.
+    """One way in which a device is driven through a history."""
 
-    Parameters
-    ----------
-    law : str
-        "tested", or one of `LAWS` for what was not.
-    channels : tuple of (str, float)
-        Further channels, by coordinate, and the values that they stand at; none where they are those of the test.
-    """
-
-    law: str
+    law: str  # "tested", or one of `LAWS` for what was not
+    # further channels, by coordinate, and the values that they stand at; none where they are those of the test
     channels: tuple[tuple[str, float], ...] = ()
 
 
@@ -107,10 +90,7 @@ def sine(amplitude_mm: float, speed_mm_s: float, cycles: int) -> Asked:
 def from_file(path: Path) -> Asked:
     """Read a displacement (mm) over time (s): two columns, with or without a head; further columns are not read.
 
-    Raises
-    ------
-    PopulationError
-        If the file cannot be read as such.
+    `PopulationError` where the file cannot be read as such.
     """
     try:
         table = pd.read_csv(path, sep=None, engine="python", comment="#", header=None).iloc[:, :2]

@@ -21,30 +21,18 @@ LOWER, MIDDLE, UPPER = "lower", "middle", "upper"
 
 @dataclass(frozen=True)
 class Bound:
-    """One rate-free definition of a connection.
+    """One rate-free definition of a connection."""
 
-    Parameters
-    ----------
-    set_name : str
-        The set, or "(any set)".
-    bound : {"lower", "middle", "upper"}
-        Which of the three analyses it is for.
-    K_kN_mm, force_kN, beta : float
-        Stiffness, sliding force, sharpness of the knee of Eq. (1).
-    stiffness_kN_mm, damping : float
-        Effective stiffness and damping of the amplitude stated.
-    n_devices : int
-        Tested devices.
-    """
-
-    set_name: str
-    bound: str
+    set_name: str  # the set, or "(any set)"
+    bound: str  # "lower", "middle", "upper": which of the three analyses it is for
+    # K_kN_mm to beta: stiffness, sliding force, sharpness of the knee of Eq. (1).
     K_kN_mm: float
     force_kN: float
     beta: float
+    # stiffness_kN_mm, damping: effective stiffness and damping of the amplitude stated
     stiffness_kN_mm: float
     damping: float
-    n_devices: int
+    n_devices: int  # tested devices
 
     def __post_init__(self) -> None:
         """Refuse what no analysis can take."""

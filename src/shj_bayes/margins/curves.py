@@ -9,7 +9,6 @@ of at once.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -21,13 +20,13 @@ from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Base, Effect, combine
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.population.compare import Band
 from shj_bayes.population.compare_words import ROPE_SPEED
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.hierarchy import MAIN_PRIOR, Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
+from shj_bayes.population.quantities import Band, stream
 from shj_bayes.population.selectors import members, strata_of
 
 SPEED = "speed"
@@ -43,41 +42,21 @@ SWEEPS = Sweeps(300, 1000)
 
 @dataclass(frozen=True)
 class CurveContrast:
-    """How the force of a over that of b changes along a coordinate.
-
-    Parameters
-    ----------
-    set_a, set_b : str
-        Names.
-    coordinate, unit : str
-        What it depends on.
-    reference : float
-        Value at which both sides count as 1.
-    at : tuple of float
-        Stated values.
-    percent : tuple of (float, float, float)
-        5, 50 and 95 % of the factor of a over that of b, less 1, per cent, at each.
-    probability_other : float
-        Content of the smallest region of all values together that leaves no difference out; the least of the priors
-        of the spread.
-    probability_rope : float
-        Probability that the factors differ by less than practical equivalence at every stated value.
-    rope : float
-        Half-width of the region of practical equivalence, as a share of the force.
-    n_a, n_b : int
-        Devices.
-    """
+    """How the force of a over that of b changes along a coordinate."""
 
     set_a: str
     set_b: str
     coordinate: str
     unit: str
-    reference: float
-    at: tuple[float, ...]
-    percent: tuple[Band, ...]
+    reference: float  # value at which both sides count as 1
+    at: tuple[float, ...]  # stated values
+    percent: tuple[Band, ...]  # 5, 50 and 95 % of the factor of a over that of b, less 1, per cent, at each
+    # content of the smallest region of all values together that leaves no difference out; the least of the priors of
+    # the spread
     probability_other: float
+    # probability that the factors differ by less than practical equivalence at every stated value
     probability_rope: float
-    rope: float
+    rope: float  # half-width of the region of practical equivalence, as a share of the force
     n_a: int
     n_b: int
 
@@ -251,9 +230,8 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
                 ]
                 for group in result.sets
             ]
-            labels = [zlib.crc32(text.encode()) for text in ("curve", word, name, label)]
-            stream = np.random.SeedSequence([result.seed, *labels])
-            out[name] = fit_quantity(name, data, own, stream, SWEEPS, workers=n_threads(0))
+            seed = stream(result.seed, "curve", word, name, label)
+            out[name] = fit_quantity(name, data, own, seed, SWEEPS, workers=n_threads(0))
         return out
 
     return PopulationResult(
@@ -287,7 +265,7 @@ def shifts(pooled: PopulationResult, strata: Sequence[tuple[Sequence[int], Seque
         mu = pooled.fit(name, prior).mu
         apart.append(np.mean([mu[:, list(a)].mean(axis=1) - mu[:, list(b)].mean(axis=1) for a, b in strata], axis=0))
     each = np.array(apart).T
-    rng = np.random.default_rng([pooled.seed, zlib.crc32(prior.encode())])
+    rng = np.random.default_rng(stream(pooled.seed, prior))
     ties = np.linalg.cholesky(correlation_draws(pooled, each.shape[0], prior))
     together = np.einsum("mij,mj->mi", ties, rng.standard_normal(each.shape))
     order = np.argsort(np.argsort(together, axis=0), axis=0)

@@ -9,6 +9,7 @@ import numpy as np
 from shj_bayes.margins.outermost import DEFAULT, Newcomers, outer
 from shj_bayes.margins.pair import Bounds
 from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE
 
 FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
@@ -17,33 +18,19 @@ FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
 
 @dataclass(frozen=True)
 class Delivered:
-    """Force of a new device of one set, kN.
+    """Force of a new device of one set, kN."""
 
-    Parameters
-    ----------
-    third_low, third, third_high : float
-        5, 50 and 95 % of the third cycle of the first run.
-    first_low : float
-        5 % of the smallest plateau of the first run.
-    later_low : float or None
-        The same of the later runs; None without any.
-    low, high : float
-        5 % of the smallest plateau and 95 % of the largest force of all runs.
-    typical : Bounds
-        Smallest plateau and largest force of a typical device over its third cycle.
-    ratio : float or None
-        Second run over first of a typical device, mean plateau.
-    """
-
+    # third_low to third_high: 5, 50 and 95 % of the third cycle of the first run
     third_low: float
     third: float
     third_high: float
-    first_low: float
-    later_low: float | None
+    first_low: float  # 5 % of the smallest plateau of the first run
+    later_low: float | None  # the same of the later runs; None without any
+    # low, high: 5 % of the smallest plateau and 95 % of the largest force of all runs
     low: float
     high: float
-    typical: Bounds
-    ratio: float | None
+    typical: Bounds  # smallest plateau and largest force of a typical device over its third cycle
+    ratio: float | None  # second run over first of a typical device, mean plateau
 
     @property
     def words(self) -> str:
@@ -76,7 +63,7 @@ def delivered(devices: Newcomers, own: int) -> Delivered:
     main = devices[DEFAULT].draws
     later = tuple(n for n in main if n.startswith(f"{LEAST}_"))
     # Each quantity is pooled by itself: with few devices chance may put a band inside one that it must hold.
-    forces = tuple(n for n in main if n.partition("_")[0] in FORCES)
+    forces = tuple(n for n in main if base_of(n) in FORCES)
     third = main[THIRD_CYCLE]
     moved = [float(np.median(main[name]) / np.median(third)) for name in (LOWEST, HIGHEST)]
     return Delivered(

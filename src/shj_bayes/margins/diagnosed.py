@@ -23,21 +23,11 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What a diagnosis says of a device.
+    """What a diagnosis says of a device."""
 
-    Parameters
-    ----------
-    verdict : Verdict
-        What it found.
-    found : tuple of str
-        What was left out, in words; for a family its members.
-    fit : Path or None
-        Folder of the fit that it ended in; None for a first look, which has none.
-    """
-
-    verdict: Verdict
-    found: tuple[str, ...]
-    fit: Path | None = None
+    verdict: Verdict  # what it found
+    found: tuple[str, ...]  # what was left out, in words; for a family its members
+    fit: Path | None = None  # folder of the fit that it ended in; None for a first look, which has none
 
 
 def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:

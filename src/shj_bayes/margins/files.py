@@ -126,11 +126,8 @@ def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side
 def design_table(sheet: Sheet) -> pd.DataFrame:
     """Short table for design: per set and quantity the new device, EN 1990 values and a tolerance limit, low and high.
 
-    Returns
-    -------
-    pandas.DataFrame
-        A value by testing rests on the first way to come by the spread that there is: stated as known, common to
-        several sets, of the set's own devices; between sets for a set never tested.
+    A value by testing rests on the first way to come by the spread that there is: stated as known, common to several
+    sets, of the set's own devices; between sets for a set never tested.
     """
     index = {row.key: row for row in sheet.rows}
     lines = []

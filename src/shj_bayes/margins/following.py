@@ -20,23 +20,15 @@ PLACES = 41
 
 @dataclass(frozen=True)
 class Following:
-    """A channel that the force of a device follows.
-
-    Parameters
-    ----------
-    coordinate, unit : str
-        What it is.
-    low, reference, high : float
-        Least, median and largest value in the device's test.
-    weakest, strongest : float
-        Where the curve of the typical device is lowest and highest.
-    """
+    """A channel that the force of a device follows."""
 
     coordinate: str
     unit: str
+    # low to high: least, median and largest value in the device's test
     low: float
     reference: float
     high: float
+    # weakest, strongest: where the curve of the typical device is lowest and highest
     weakest: float
     strongest: float
 

@@ -12,8 +12,8 @@ from scipy.integrate import trapezoid
 
 from shj_bayes._util.files import write_text
 from shj_bayes.margins.trial import Trial
-from shj_bayes.population.loops import LEVELS, N_POINTS, LoopBand
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes.population.loops import N_POINTS, LoopBand
+from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
 from shj_bayes.population.results import safe_cell
 
 LOOPS_CSV = "loops.csv"
@@ -31,10 +31,9 @@ def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ..
             grid = np.linspace(low, high, N_POINTS)
             push, pull = (np.concatenate([_at(grid, *cycle[i]) for cycle in cycles]) for i in (0, 1))
             energy = trapezoid(push - pull, grid, axis=1)
-            e05, e50, e95 = (float(e) for e in np.quantile(energy, LEVELS))
             bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0))
             head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
-            out.append(LoopBand(*head, *bands, (e05, e50, e95), len(own), push.shape[0]))
+            out.append(LoopBand(*head, *bands, band_of(energy), len(own), push.shape[0]))
     return tuple(out)
 
 

@@ -36,32 +36,17 @@ HEADS = ("set", "device", "K_kN_mm", "force_kN", "force_2_kN", "R_steel02", "sha
 
 @dataclass(frozen=True)
 class Drawn:
-    """A new device of a set.
-
-    Parameters
-    ----------
-    set_name : str
-        Its set.
-    number : int
-        From 1.
-    K_kN_mm : float
-        Stiffness.
-    force_kN, force_2_kN : float
-        Mean plateau force of the first and of the second run at the tested speed; the second is the first where no
-        second run was tested.
-    beta : float
-        Sharpness of the knee of Eq. (1).
-    share_at_rest : float
-        Force at rest over that at the tested speed.
-    """
+    """A new device of a set."""
 
     set_name: str
-    number: int
-    K_kN_mm: float
+    number: int  # from 1
+    K_kN_mm: float  # stiffness
+    # force_kN, force_2_kN: mean plateau force of the first and of the second run at the tested speed; the second is the
+    # first where no second run was tested
     force_kN: float
     force_2_kN: float
-    beta: float
-    share_at_rest: float
+    beta: float  # sharpness of the knee of Eq. (1)
+    share_at_rest: float  # force at rest over that at the tested speed
 
 
 def draw_devices(

@@ -10,7 +10,6 @@ error larger than the true one is taken off the scatter of the devices, and the 
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -19,6 +18,7 @@ import numpy as np
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import NewDevice, new_device
+from shj_bayes.population.quantities import stream
 
 FEW = 3
 DEFAULT = "default"
@@ -38,8 +38,7 @@ def _as_read(device: NewDevice, result: PopulationResult) -> NewDevice:
     for q, values in device.draws.items():
         errors = np.concatenate([group.errors.get(q, ()) for group in groups])
         known = errors[np.isfinite(errors)]
-        labels = [zlib.crc32(text.encode()) for text in ("reading", device.set_name, q)]
-        rng = np.random.default_rng(np.random.SeedSequence([result.seed, *labels]))
+        rng = np.random.default_rng(stream(result.seed, "reading", device.set_name, q))
         error = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
         draws[q] = values * np.exp(error * rng.standard_normal(values.size))
     return replace(device, draws=draws)

@@ -9,14 +9,9 @@ from shj_bayes.errors import PopulationError
 
 @dataclass(frozen=True)
 class Bounds:
-    """A lower and an upper factor on one property.
+    """A lower and an upper factor on one property."""
 
-    Parameters
-    ----------
-    low, high : float
-        low <= 1 <= high.
-    """
-
+    # low, high: low <= 1 <= high
     low: float
     high: float
 

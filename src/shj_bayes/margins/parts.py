@@ -15,21 +15,11 @@ from shj_bayes.population.quantities import HIGHEST, LOWEST, THIRD_CYCLE, FloatA
 
 @dataclass(frozen=True)
 class Environment:
-    """What corrosion did to the sliding force.
+    """What corrosion did to the sliding force."""
 
-    Parameters
-    ----------
-    measured : Bounds
-        Factor on the force, middle of the posterior; 1 and 1 where it was not tested.
-    extreme : Bounds
-        5 and 95 % of the posterior.
-    words : str
-        Where it comes from.
-    """
-
-    measured: Bounds
-    extreme: Bounds
-    words: str
+    measured: Bounds  # factor on the force, middle of the posterior; 1 and 1 where it was not tested
+    extreme: Bounds  # 5 and 95 % of the posterior
+    words: str  # where it comes from
 
 
 def environment(result: PopulationResult, set_name: str) -> Environment:
@@ -70,24 +60,13 @@ def corroded_pairs(result: PopulationResult) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Parts:
-    """What the factors of one set are made of.
+    """What the factors of one set are made of."""
 
-    Parameters
-    ----------
-    nominal_kN : float
-        Nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user.
-    nominal_words : str
-        Which of the two.
-    force : Delivered
-        What new devices deliver.
-    age : Environment
-        Corrosion.
-    """
-
+    # nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user
     nominal_kN: float
-    nominal_words: str
-    force: Delivered
-    age: Environment
+    nominal_words: str  # which of the two
+    force: Delivered  # what new devices deliver
+    age: Environment  # corrosion
 
 
 def parts_of(result: PopulationResult, set_name: str, devices: Newcomers, nominal_kN: float | None) -> Parts:

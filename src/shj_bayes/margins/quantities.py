@@ -9,7 +9,7 @@ import numpy as np
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE
 from shj_bayes.margins.virtual_test import FLAT, UNEVEN, Readings
-from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST
 
 ALIKE = 0.01
@@ -38,7 +38,7 @@ TABLE = {
 
 def side_of(name: str) -> str:
     """Side on which a pooled design quantity must not be wrong."""
-    return SIDE.get(name.partition("_")[0], MIDDLE)
+    return SIDE.get(base_of(name), MIDDLE)
 
 
 def counted_from(readings: Sequence[Readings]) -> float:

@@ -11,41 +11,23 @@ from shj_bayes.errors import PopulationError
 
 @dataclass(frozen=True)
 class Request:
-    """What the user asked for.
+    """What the user asked for."""
 
-    Parameters
-    ----------
-    amplitude_mm, speed_mm_s : float or None
-        Of a sine; the largest tested where the other one is given.
-    cycles : int or None
-        Its cycles, 3 where not given. Without any of the three, and without a history, the tests themselves.
-    history : Path or None
-        File of a displacement (mm) over time (s).
-    extrapolate : bool
-        Speed, travel and time beyond what was tested may be spoken of.
-    importance : {"I", "II", "III"}
-        Importance class of the structure, for EN 15129.
-    nominal_kN : float or None
-        Nominal sliding force for phi, phi_o and the bounds; that of a typical device of the set where not given.
-    sets : tuple of str
-        Sets that are shown and that the nominal force is for; all where empty.
-    v_known : float or None
-        Coefficient of variation of the sliding force between devices of a set, known from other sources than these
-        tests (EN 1990 "V known").
-    v_reason : str
-        Where it is known from; printed beside every value that rests on it.
-    """
-
+    # amplitude_mm, speed_mm_s: of a sine; the largest tested where the other one is given
     amplitude_mm: float | None = None
     speed_mm_s: float | None = None
+    # its cycles, 3 where not given. Without any of the three, and without a history, the tests themselves.
     cycles: int | None = None
-    history: Path | None = None
-    extrapolate: bool = False
-    importance: str = "II"
+    history: Path | None = None  # file of a displacement (mm) over time (s)
+    extrapolate: bool = False  # speed, travel and time beyond what was tested may be spoken of
+    importance: str = "II"  # "I", "II", "III": importance class of the structure, for EN 15129
+    # nominal sliding force for phi, phi_o and the bounds; that of a typical device of the set where not given
     nominal_kN: float | None = None
-    sets: tuple[str, ...] = ()
+    sets: tuple[str, ...] = ()  # sets that are shown and that the nominal force is for; all where empty
+    # coefficient of variation of the sliding force between devices of a set, known from other sources than these tests
+    # (EN 1990 "V known")
     v_known: float | None = None
-    v_reason: str = ""
+    v_reason: str = ""  # where it is known from; printed beside every value that rests on it
 
     def __post_init__(self) -> None:
         """Refuse a nominal force that is none, and a known spread without a reason."""

@@ -13,52 +13,27 @@ LOW, MIDDLE, HIGH = "low", "middle", "high"
 
 @dataclass(frozen=True)
 class Margin:
-    """A margin of one set in one quantity.
+    """A margin of one set in one quantity."""
 
-    Parameters
-    ----------
-    set_name : str
-        The set, or "(any set)" for one never tested.
-    quantity : str
-        A design quantity (lowest, highest, least, most, plateau, third, energy; ``_2`` and so on for later runs),
-        ratio, degradation, K; or force, for what bounds the force of all runs.
-    method : str
-        design, new device, EN 1990, tolerance, factor or spread.
-    kind : str
-        What it is, in a few words.
-    side : {"low", "middle", "high"}
-        Which side of the typical value it bounds.
-    value : float
-        The number; NaN where it cannot be given, with the reason in ``note``.
-    unit : str
-        Its unit, "1" for none.
-    n_devices : int
-        Devices of the set (of all sets for one never tested).
-    degrees : float
-        Degrees of freedom of the spread; infinity where it is taken as known; NaN where the notion does not apply.
-    clause, formula, inputs, purpose : str
-        Clause, formula in words and signs, the numbers put into it, and what it is for.
-    note : str
-        What to mind.
-    warning : str
-        A few words that belong into the same cell as the value wherever it is shown; empty for none.
-    """
-
-    set_name: str
+    set_name: str  # the set, or "(any set)" for one never tested
+    # a design quantity (lowest, highest, least, most, plateau, third, energy; ``_2`` and so on for later runs), ratio,
+    # degradation, K; or force, for what bounds the force of all runs
     quantity: str
-    method: str
-    kind: str
-    side: str
-    value: float
-    unit: str
-    n_devices: int
+    method: str  # design, new device, EN 1990, tolerance, factor or spread
+    kind: str  # what it is, in a few words
+    side: str  # "low", "middle", "high": which side of the typical value it bounds
+    value: float  # the number; NaN where it cannot be given, with the reason in ``note``
+    unit: str  # its unit, "1" for none
+    n_devices: int  # devices of the set (of all sets for one never tested)
+    # degrees of freedom of the spread; infinity where it is taken as known; NaN where the notion does not apply
     degrees: float
+    # clause to purpose: clause, formula in words and signs, the numbers put into it, and what it is for
     clause: str
     formula: str
     inputs: str
     purpose: str
-    note: str = ""
-    warning: str = ""
+    note: str = ""  # what to mind
+    warning: str = ""  # a few words that belong into the same cell as the value wherever it is shown; empty for none
 
     def __post_init__(self) -> None:
         """Refuse a number without origin."""

@@ -14,18 +14,10 @@ from shj_bayes.population.quantities import FloatArray, quantity
 
 @dataclass(frozen=True)
 class Sample:
-    """Devices of one set in one quantity.
+    """Devices of one set in one quantity."""
 
-    Parameters
-    ----------
-    values : array, shape (n,)
-        Natural unit, above zero.
-    floor : float
-        Standard deviation of the logarithm that rounding or measurement alone would make.
-    """
-
-    values: FloatArray = field(repr=False)
-    floor: float
+    values: FloatArray = field(repr=False)  # shape (n,): natural unit, above zero
+    floor: float  # standard deviation of the logarithm that rounding or measurement alone would make
 
     def __post_init__(self) -> None:
         """Refuse values without a logarithm."""

@@ -36,33 +36,15 @@ DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
 
 @dataclass(frozen=True)
 class Sheet:
-    """Margins of a population.
+    """Margins of a population."""
 
-    Parameters
-    ----------
-    rows : tuple of Margin
-        Set by set, quantity by quantity.
-    history : str
-        Displacement history that the devices were driven through, in words.
-    tested : RangeTested or None
-        Amplitudes and speeds that every device went through; None where not known.
-    extrapolated : bool
-        Whether the history leaves what was tested.
-    warnings : tuple of str
-        What to mind, one sentence each.
-    diagnoses : tuple of str
-        What the diagnoses found, device by device.
-    trials : tuple of Trial
-        The devices.
-    """
-
-    rows: tuple[Margin, ...] = field(repr=False)
-    history: str
-    tested: RangeTested | None
-    extrapolated: bool
-    warnings: tuple[str, ...]
-    diagnoses: tuple[str, ...] = ()
-    trials: tuple[Trial, ...] = field(repr=False, default=())
+    rows: tuple[Margin, ...] = field(repr=False)  # set by set, quantity by quantity
+    history: str  # displacement history that the devices were driven through, in words
+    tested: RangeTested | None  # amplitudes and speeds that every device went through; None where not known
+    extrapolated: bool  # whether the history leaves what was tested
+    warnings: tuple[str, ...]  # what to mind, one sentence each
+    diagnoses: tuple[str, ...] = ()  # what the diagnoses found, device by device
+    trials: tuple[Trial, ...] = field(repr=False, default=())  # the devices
 
     def get(self, set_name: str, quantity: str, kind: str, side: str) -> Margin | None:
         """One margin; None where there is none."""

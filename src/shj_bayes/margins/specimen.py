@@ -37,24 +37,13 @@ TABLE_RATE_HZ = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A model of a device, and draws of its parameters.
+    """A model of a device, and draws of its parameters."""
 
-    Parameters
-    ----------
-    label : str
-        Which model it is, in words.
-    model : DeviceModel
-        With its effects.
-    theta : array, shape (m, d)
-        Draws in natural units.
-    likely : mapping of (run, half-cycle) to array, shape (m,)
-        Log likelihood of each half-cycle under each draw, as far as the fit holds it: what the draws would be without
-        that half-cycle follows from it.
-    """
-
-    label: str
-    model: DeviceModel
-    theta: FloatArray
+    label: str  # which model it is, in words
+    model: DeviceModel  # with its effects
+    theta: FloatArray  # shape (m, d): draws in natural units
+    # shape (m,): log likelihood of each half-cycle under each draw, as far as the fit holds it: what the draws would be
+    # without that half-cycle follows from it
     likely: Mapping[tuple[int, int], FloatArray] = field(default_factory=dict, repr=False)
 
     @property
@@ -65,27 +54,14 @@ class Belief:
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """A tested device.
-
-    Parameters
-    ----------
-    name, set_name : str
-        The device and its set.
-    beliefs : tuple of Belief
-        The best model first, the law alone last.
-    histories : tuple of History
-        Its test, run by run.
-    start_force_kN : tuple of float
-        Force with which each run began.
-    measured_kN : tuple of array
-        Measured force of each run; empty for a device known by printed parameters.
-    """
+    """A tested device."""
 
     name: str
     set_name: str
-    beliefs: tuple[Belief, ...]
-    histories: tuple[History, ...]
-    start_force_kN: tuple[float, ...]
+    beliefs: tuple[Belief, ...]  # the best model first, the law alone last
+    histories: tuple[History, ...]  # its test, run by run
+    start_force_kN: tuple[float, ...]  # force with which each run began
+    # measured force of each run; empty for a device known by printed parameters
     measured_kN: tuple[FloatArray, ...] = ()
 
     @property

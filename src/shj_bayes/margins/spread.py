@@ -20,31 +20,16 @@ _FLOORED = "the devices agree to the printed digits: the spread is that of round
 
 @dataclass(frozen=True)
 class Spread:
-    """Where the spread of a margin comes from.
+    """Where the spread of a margin comes from."""
 
-    Parameters
-    ----------
-    name : str
-        "V known", "V unknown", "V common" or "V between sets".
-    sd_log, variation : float
-        Standard deviation of the logarithm; coefficient of variation.
-    degrees : float
-        Degrees of freedom; infinity where it is taken as known.
-    n_mean : float
-        Independent values that the mean is worth: its error is the spread over the root of this.
-    origin : str
-        In words.
-    note : str
-        What to mind.
-    """
-
-    name: str
+    name: str  # "V known", "V unknown", "V common" or "V between sets"
+    # sd_log, variation: standard deviation of the logarithm; coefficient of variation
     sd_log: float
     variation: float
-    degrees: float
-    n_mean: float
-    origin: str
-    note: str = ""
+    degrees: float  # degrees of freedom; infinity where it is taken as known
+    n_mean: float  # independent values that the mean is worth: its error is the spread over the root of this
+    origin: str  # in words
+    note: str = ""  # what to mind
 
 
 def sd_of_log(variation: float) -> float:

@@ -21,9 +21,10 @@ from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.virtual_test import Readings, drive, read_off
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.measurement import Condensed, Likelihood
+from shj_bayes.population.quantities import band_of
 
 LEAST_ERROR = 1e-3
 """Least standard deviation of the logarithm with which a value is taken to be known."""
@@ -34,45 +35,26 @@ Loop = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A device after its virtual test.
-
-    Parameters
-    ----------
-    name, set_name : str
-        The device and its set.
-    table : tuple of dict
-        Per run and quantity of ``quantities.TABLE``: 5, 50 and 95 % of the best model's draws, and the measured value
-        (NaN where none).
-    values : mapping of str to float
-        Pooled quantities: value of this device, natural unit.
-    errors : mapping of str to float
-        Standard deviation of the logarithm with which it is known: that of whatever gave the value, a model or the
-        recording.
-    model_errors : mapping of str to float
-        Logarithm of measured over predicted, in its own test; empty without recordings.
-    cycle_errors : array, shape (n,)
-        The same of the plateau force of each half-cycle that slides, predicted without it.
-    loops : tuple of (up, down)
-        Per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n).
-    laws : tuple of str
-        Laws of what was not tested; "tested" alone where all was.
-    carried : bool
-        Whether the history is another one than that of its own test, so that the error of the model is carried over.
-    following : tuple of Following
-        Further channels that its force follows.
-    """
+    """A device after its virtual test."""
 
     name: str
     set_name: str
+    # per run and quantity of ``quantities.TABLE``: 5, 50 and 95 % of the best model's draws, and the measured value
+    # (NaN where none)
     table: tuple[dict[str, tuple[float, float, float, float]], ...]
-    values: Mapping[str, float]
+    values: Mapping[str, float]  # pooled quantities: value of this device, natural unit
+    # standard deviation of the logarithm with which it is known: that of whatever gave the value, a model or the
+    # recording
     errors: Mapping[str, float]
-    model_errors: Mapping[str, float]
+    model_errors: Mapping[str, float]  # logarithm of measured over predicted, in its own test; empty without recordings
+    # shape (n,): the same of the plateau force of each half-cycle that slides, predicted without it
     cycle_errors: FloatArray
+    # per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n)
     loops: tuple[Loop, ...] = field(repr=False, default=())
-    laws: tuple[str, ...] = ("tested",)
+    laws: tuple[str, ...] = ("tested",)  # laws of what was not tested; "tested" alone where all was
+    # whether the history is another one than that of its own test, so that the error of the model is carried over
     carried: bool = False
-    following: tuple[Following, ...] = ()
+    following: tuple[Following, ...] = ()  # further channels that its force follows
 
     def __post_init__(self) -> None:
         """Refuse a value without a logarithm."""
@@ -98,10 +80,7 @@ class Trial:
 def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: bool = False) -> tuple[Trial, ...]:
     """Put every device through the virtual test: the history asked for, None for the test that each went through.
 
-    Raises
-    ------
-    PopulationError
-        If the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
+    `PopulationError` if the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
     """
     driven = [_driven(s, courses(asked, s, extrapolate=extrapolate)) for s in specimens]
     least = [counted_from(next(iter(found.values()))[0]) for found, _ in driven]
@@ -199,7 +178,7 @@ def _trial(
             values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *brought])
         else:
             values[q], sd = (float(x) for x in np.median(brought or best, axis=0))
-        reading = noise / np.sqrt(max(shares.get(q.partition("_")[0], 1), 1))
+        reading = noise / np.sqrt(max(shares.get(base_of(q), 1), 1))
         errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
     stiffness = np.log(belief.theta[:, belief.model.index("K")])
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
@@ -220,8 +199,7 @@ def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, 
     """5, 50 and 95 % of every quantity of a run, and its measured value."""
     out = {}
     for name in TABLE:
-        low, middle, high = (float(x) for x in np.quantile(run[name], (0.05, 0.5, 0.95)))
-        out[name] = (low, middle, high, float(seen[name][0]) if name in seen else float("nan"))
+        out[name] = (*band_of(run[name]), float(seen[name][0]) if name in seen else float("nan"))
     return out
 
 

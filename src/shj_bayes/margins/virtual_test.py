@@ -32,39 +32,19 @@ farther than this meanwhile: a breakaway peak fades over a millimetre, and five 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What is read off the force of one run, half-cycle by half-cycle, for one or many devices.
+    """What is read off the force of one run, half-cycle by half-cycle, for one or many devices."""
 
-    Parameters
-    ----------
-    amplitude_mm : array, shape (n_half,)
-        Half of the stroke.
-    direction : array, shape (n_half,)
-        +1 in push (displacement grows), -1 in pull.
-    travel_m : array, shape (n_half,)
-        Cumulative sliding distance in the middle of the half-cycle.
-    complete : array of bool, shape (n_half,)
-        Whether it runs from one reversal to the next.
-    plateau_kN : array, shape (m, n_half)
-        Mean force over the middle half of the stroke, in the direction of motion.
-    onset_kN : array, shape (m, n_half)
-        Force where that part begins: well below the plateau where the device does not slide yet.
-    largest_kN : array, shape (m, n_half)
-        Largest force in the direction of motion.
-    end_kN : array, shape (m, n_half)
-        Force at the end of the stroke.
-    work_kJ : array, shape (m, n_half)
-        Work done on the device.
-    """
-
-    amplitude_mm: FloatArray
-    direction: FloatArray
-    travel_m: FloatArray
-    complete: NDArray[np.bool_]
+    amplitude_mm: FloatArray  # shape (n_half,): half of the stroke
+    direction: FloatArray  # shape (n_half,): +1 in push (displacement grows), -1 in pull
+    travel_m: FloatArray  # shape (n_half,): cumulative sliding distance in the middle of the half-cycle
+    complete: NDArray[np.bool_]  # shape (n_half,): whether it runs from one reversal to the next
+    # shape (m, n_half): mean force over the middle half of the stroke, in the direction of motion
     plateau_kN: FloatArray
+    # shape (m, n_half): force where that part begins: well below the plateau where the device does not slide yet
     onset_kN: FloatArray
-    largest_kN: FloatArray
-    end_kN: FloatArray
-    work_kJ: FloatArray
+    largest_kN: FloatArray  # shape (m, n_half): largest force in the direction of motion
+    end_kN: FloatArray  # shape (m, n_half): force at the end of the stroke
+    work_kJ: FloatArray  # shape (m, n_half): work done on the device
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""

@@ -29,48 +29,29 @@ SMOOTH, EITHER = MappingProxyType({0.5: 1.0}), MappingProxyType({0.15: 0.5, 0.5:
 
 @dataclass(frozen=True, eq=False)
 class Coordinate:
-    """One state of the device that a force may depend on.
+    """One state of the device that a force may depend on."""
 
-    Parameters
-    ----------
-    id, unit, title : str
-        Word in files, unit of the values, and words for sentences.
-    values : callable
-        ``values(history, base)`` gives the coordinate at the points of a history, in its unit, shape (n,).
-    reach : callable
-        ``reach(history)`` gives the lowest and the highest value that the tests of a device could reach.
-    scale : float or None
-        Value below which the scale is linear and above which it is logarithmic, as a share of the highest; None for a
-        linear scale.
-    zero : {"low", "middle", "high"}
-        Where a curve over the coordinate is 0: there the base law holds as it is.
-    lengths : mapping of float to float
-        Correlation lengths of the curves, as shares of the range, each with its probability before the test.
-    repeats : float
-        Probability that a curve over it comes again and again: threads and clocks do, wear and heat do not.
-    family : str
-        Family of the effects that a curve over it belongs to.
-    symbol : str
-        Letter in formulas.
-    of_base : bool
-        Whether it depends on the base parameters: sliding begins where the elastic branch ends.
-    measured : bool
-        Whether it is a further channel of the recordings: its unit is that of `History.measured`.
-    """
-
+    # id to title: word in files, unit of the values, and words for sentences
     id: str
     unit: str
     title: str
+    # ``values(history, base)`` gives the coordinate at the points of a history, in its unit, shape (n,)
     values: Callable[[History, Base], FloatArray]
+    # ``reach(history)`` gives the lowest and the highest value that the tests of a device could reach
     reach: Callable[[History], tuple[float, float]]
+    # value below which the scale is linear and above which it is logarithmic, as a share of the highest; None for a
+    # linear scale
     scale: float | None = None
+    # "low", "middle", "high": where a curve over the coordinate is 0: there the base law holds as it is
     zero: str = "low"
+    # correlation lengths of the curves, as shares of the range, each with its probability before the test
     lengths: Mapping[float, float] = field(default_factory=lambda: SMOOTH)
+    # probability that a curve over it comes again and again: threads and clocks do, wear and heat do not
     repeats: float = 0.0
-    family: str = "slow_change"
-    symbol: str = "u"
-    of_base: bool = False
-    measured: bool = False
+    family: str = "slow_change"  # family of the effects that a curve over it belongs to
+    symbol: str = "u"  # letter in formulas
+    of_base: bool = False  # whether it depends on the base parameters: sliding begins where the elastic branch ends
+    measured: bool = False  # whether it is a further channel of the recordings: its unit is that of `History.measured`
 
     def share(self, history: History, base: Base) -> FloatArray:
         """Coordinate as a share of its range on its scale, 0 to 1, shape (n,)."""
@@ -122,11 +103,6 @@ def _heat(cooling: float) -> Callable[[History, Base], FloatArray]:
 def _heat_reach(cooling: float, history: History) -> tuple[float, float]:
     """Heat state that sliding at full speed and force ends at."""
     return 0.0, min(cooling, 1.0)
-
-
-def _signed_acceleration(history: History, base: Base) -> FloatArray:
-    """Acceleration along the motion: positive while speeding up, in mm/s^2."""
-    return np.asarray(history.direction * history.acceleration_mm_s2)
 
 
 def _acceleration_reach(history: History) -> tuple[float, float]:
@@ -224,7 +200,7 @@ ALL = (
         "acceleration",
         "mm/s^2",
         "the acceleration along the motion",
-        _signed_acceleration,
+        lambda h, b: h.direction * h.acceleration_mm_s2,
         _acceleration_reach,
         zero="middle",
         family="odd_in_position",
@@ -238,12 +214,9 @@ def coordinates() -> dict[str, Coordinate]:
 
 
 def coordinate_named(word: str) -> Coordinate:
-    """Coordinate of a word: of the table, or a further channel, whose unit and range the history knows.
+    """Coordinate of a word (`ModelError` where there is none): of the table, or a further channel.
 
-    Raises
-    ------
-    ModelError
-        If there is none of that name.
+    The unit and range of a further channel are known to the history.
     """
     known = coordinates()
     if word.startswith(PREFIX) and len(word) > len(PREFIX):
@@ -262,13 +235,7 @@ def coordinate_named(word: str) -> Coordinate:
 
 
 def _measured(history: History, word: str) -> Measured:
-    """Further channel of a history.
-
-    Raises
-    ------
-    ModelError
-        If the recording has none of that name.
-    """
+    """Further channel of a history; `ModelError` where the recording has none of that name."""
     if word not in history.measured:
         name = word.removeprefix(PREFIX)
         raise ModelError(

@@ -94,30 +94,14 @@ def curve_named(word: str) -> Curve | None:
 
 @dataclass(frozen=True)
 class Curve:
-    """A smooth function of one coordinate that multiplies the capacity or adds a force.
+    """A smooth function of one coordinate that multiplies the capacity or adds a force."""
 
-    Parameters
-    ----------
-    action : {"capacity", "added"}
-        How it acts.
-    coordinate : str
-        Over what.
-    length : float
-        Correlation length, as a share of the range, or of the period.
-    sides : bool
-        Whether push and pull have curves of their own.
-    size : float
-        Standard deviation before the test, as a share of Fy.
-    period : float or None
-        After what it comes again, in the unit of the coordinate; None where it does not.
-    """
-
-    action: str
-    coordinate: str
-    length: float
-    sides: bool = False
-    size: float = 0.05
-    period: float | None = None
+    action: str  # "capacity", "added": how it acts
+    coordinate: str  # over what
+    length: float  # correlation length, as a share of the range, or of the period
+    sides: bool = False  # whether push and pull have curves of their own
+    size: float = 0.05  # standard deviation before the test, as a share of Fy
+    period: float | None = None  # after what it comes again, in the unit of the coordinate; None where it does not
 
     @property
     def over(self) -> Coordinate:

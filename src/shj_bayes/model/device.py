@@ -28,32 +28,16 @@ class DeviceModel:
     """What is believed of one device before its test: parameters with priors, the force they make, the noise.
 
     The published law is the one without effects.
-
-    Parameters
-    ----------
-    n_runs : int
-        Consecutive runs of the device, 1 to 9.
-    priors : Priors
-        Laws of the base parameters and of the noise.
-    effects : tuple of Effect
-        What is added to the base law.
-    noise : Noise
-        Noise model; white and slow by default.
-    free : tuple of str
-        Those of K, beta, gamma that each run has for itself (``K_2`` for the second run); the others are shared.
-    variant : {"published", "continuous"}
-        Reversal rule.
-    speed : bool
-        False fixes gamma at 0.
     """
 
-    n_runs: int
-    priors: Priors
-    effects: tuple[Effect, ...] = ()
-    noise: Noise = field(default_factory=lambda: noise_model(DEFAULT))
+    n_runs: int  # consecutive runs of the device, 1 to 9
+    priors: Priors  # laws of the base parameters and of the noise
+    effects: tuple[Effect, ...] = ()  # what is added to the base law
+    noise: Noise = field(default_factory=lambda: noise_model(DEFAULT))  # noise model; white and slow by default
+    # those of K, beta, gamma that each run has for itself (``K_2`` for the second run); the others are shared
     free: tuple[str, ...] = ()
-    variant: str = "published"
-    speed: bool = True
+    variant: str = "published"  # "published", "continuous": reversal rule
+    speed: bool = True  # False fixes gamma at 0
 
     def __post_init__(self) -> None:
         """Refuse choices that no device could have."""
@@ -136,15 +120,7 @@ class DeviceModel:
         return np.asarray(np.sum(terms, axis=0))
 
     def run_laws(self, theta: FloatArray, run: int) -> FloatArray:
-        """K (kN/mm), Fy of that run (kN), beta and gamma (s/mm) of parameter sets, shape (m, d) to (m, 4).
-
-        Parameters
-        ----------
-        theta : array, shape (m, d)
-            Parameter sets in natural units.
-        run : int
-            Run number, 1 for the first.
-        """
+        """K (kN/mm), Fy of that run (kN), beta and gamma (s/mm) of parameter sets, shape (m, d) to (m, 4)."""
         at = {
             name: self.index(f"{name}_{run}" if run > 1 and name in self.free else name)
             for name in SHAREABLE
@@ -212,13 +188,7 @@ def meaning_of(name: str) -> Parameter:
 
 
 def effect_named(word: str) -> Effect:
-    """Effect of an id: of the catalogue, or a curve.
-
-    Raises
-    ------
-    ModelError
-        If there is no such effect, with those that there are.
-    """
+    """Effect of an id, of the catalogue or a curve; `ModelError` with those that there are where there is none."""
     known = catalogue()
     if word in known:
         return known[word]
@@ -229,13 +199,7 @@ def effect_named(word: str) -> Effect:
 
 
 def effects_named(words: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects by their ids, in the order of the catalogue.
-
-    Raises
-    ------
-    ModelError
-        If there is no such effect, with those that there are.
-    """
+    """Effects by their ids, in the order of the catalogue; errors as for `effect_named`."""
     order = list(catalogue())
     found = {word: effect_named(word) for word in words}
     return tuple(found[w] for w in sorted(found, key=lambda w: order.index(w) if w in order else len(order)))

@@ -24,64 +24,29 @@ RECALLED = 16  # arrays that a history keeps of what was worked out of it
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """One run of a device as the effects see it; all arrays have shape (n_samples,) and are read-only.
+    """One run of a device as the effects see it; all arrays have shape (n_samples,) and are read-only."""
 
-    Parameters
-    ----------
-    run : int
-        Number of the run, 1 for the first.
-    motion : Motion
-        Half-cycles, turning points, displacement and speed.
-    time_s : array
-        Time since the run's first sample, s.
-    position_mm : array
-        Displacement from the middle of the stroke, mm.
-    direction : array
-        +1 while displacement grows, -1 while it falls.
-    slip_mm : array
-        Distance moved since the last reversal, mm.
-    travel_m : array
-        Distance moved since the first sample of the first run, m.
-    amplitude_mm : array
-        Half the stroke of the half-cycle, mm.
-    acceleration_mm_s2 : array
-        Second derivative of the displacement, mm/s^2.
-    rest_s : array
-        Time spent near standstill around the last reversal, s.
-    half_stroke_mm : float
-        Largest distance from the middle of the stroke in all runs, mm.
-    peak_speed_mm_s : float
-        95th percentile of the speed in all runs, mm/s.
-    n_runs : int
-        Number of runs of the device.
-    begun_s, tested_s : float
-        Testing time before this run began, and of all runs together, s.
-    tested_m : float
-        Distance moved in all runs together, m.
-    near_turns : tuple of arrays, or None
-        Samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and
-        where those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
-    measured : mapping of str to Measured
-        Further channels by coordinate: functions of `time_s`, which fewer or other samples leave as they are.
-    """
-
-    run: int
-    motion: Motion
-    time_s: FloatArray
-    position_mm: FloatArray
-    direction: FloatArray
-    slip_mm: FloatArray
-    travel_m: FloatArray
-    amplitude_mm: FloatArray
-    acceleration_mm_s2: FloatArray
-    rest_s: FloatArray
-    half_stroke_mm: float
-    peak_speed_mm_s: float
-    n_runs: int
+    run: int  # number of the run, 1 for the first
+    motion: Motion  # half-cycles, turning points, displacement and speed
+    time_s: FloatArray  # time since the run's first sample, s
+    position_mm: FloatArray  # displacement from the middle of the stroke, mm
+    direction: FloatArray  # +1 while displacement grows, -1 while it falls
+    slip_mm: FloatArray  # distance moved since the last reversal, mm
+    travel_m: FloatArray  # distance moved since the first sample of the first run, m
+    amplitude_mm: FloatArray  # half the stroke of the half-cycle, mm
+    acceleration_mm_s2: FloatArray  # second derivative of the displacement, mm/s^2
+    rest_s: FloatArray  # time spent near standstill around the last reversal, s
+    half_stroke_mm: float  # largest distance from the middle of the stroke in all runs, mm
+    peak_speed_mm_s: float  # 95th percentile of the speed in all runs, mm/s
+    n_runs: int  # number of runs of the device
+    # begun_s, tested_s: testing time before this run began, and of all runs together, s
     begun_s: float
     tested_s: float
-    tested_m: float
+    tested_m: float  # distance moved in all runs together, m
+    # samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and where
+    # those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
     near_turns: Way | None = None
+    # further channels by coordinate: functions of `time_s`, which fewer or other samples leave as they are
     measured: Mapping[str, Measured] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

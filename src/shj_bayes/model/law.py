@@ -83,13 +83,7 @@ def force_of_laws(
 
 
 def variant_named(word: str) -> str:
-    """Reversal rule of a word, also of its old name.
-
-    Raises
-    ------
-    ModelError
-        If there is none of that name.
-    """
+    """Reversal rule of a word, also of its old name; `ModelError` where there is none."""
     word = OLD_NAMES.get(word, word)
     if word not in VARIANTS:
         raise ModelError(
@@ -137,13 +131,7 @@ def force(
 
 
 def check_laws(laws: FloatArray) -> None:
-    """Refuse parameter sets (K, Fy, beta, gamma), shape (m, 4), that the law does not allow.
-
-    Raises
-    ------
-    ModelError
-        With the value and what is allowed.
-    """
+    """Refuse parameter sets (K, Fy, beta, gamma), shape (m, 4), that the law does not allow (`ModelError`)."""
     _check("K", "kN/mm", laws[:, 0], 0.0, np.inf)
     _check("Fy", "kN", laws[:, 1], 0.0, np.inf)
     _check("beta", "", laws[:, 2], *BETA_RANGE)

@@ -18,28 +18,15 @@ PREFIX = "measured_"  # before the name of a channel, so that no name is that of
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A further channel in one run.
+    """A further channel in one run."""
 
-    Parameters
-    ----------
-    unit : str
-        As its header says; empty where none did.
-    time_s : array, shape (n,)
-        Time since the first sample of the run, ascending, s.
-    values : array, shape (n,)
-        In its unit, without noise; straight lines lie between them.
-    low, high : float
-        Least and largest value in all runs.
-    reference : float
-        Median over all runs: what the channel is taken to be where nothing is known of it.
-    """
-
-    unit: str
-    time_s: FloatArray
-    values: FloatArray
+    unit: str  # as its header says; empty where none did
+    time_s: FloatArray  # shape (n,): time since the first sample of the run, ascending, s
+    values: FloatArray  # shape (n,): in its unit, without noise; straight lines lie between them
+    # low, high: least and largest value in all runs
     low: float
     high: float
-    reference: float
+    reference: float  # median over all runs: what the channel is taken to be where nothing is known of it
 
     def __post_init__(self) -> None:
         """Refuse a channel without a range."""

@@ -14,21 +14,11 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the law or of the noise.
+    """One parameter of the law or of the noise."""
 
-    Parameters
-    ----------
-    name : str
-        Name as users see it (docs/glossary.md).
-    unit : str
-        Unit, ``"1"`` where there is none.
-    meaning : str
-        A few plain words.
-    """
-
-    name: str
-    unit: str
-    meaning: str
+    name: str  # name as users see it (docs/glossary.md)
+    unit: str  # unit, ``"1"`` where there is none
+    meaning: str  # a few plain words
 
 
 def _table(*parameters: Parameter) -> dict[str, Parameter]:
@@ -57,6 +47,11 @@ SHAREABLE = ("K", "beta", "gamma")
 def run_name(name: str, run: int) -> str:
     """Name of a per-run parameter; the second run's ratio is plainly ``ratio``."""
     return "ratio" if name == "ratio" and run == 2 else f"{name}_{run}"
+
+
+def base_of(name: str) -> str:
+    """Give a name, of whatever it is, without the number of a run behind it: K of K_3, ratio of ratio."""
+    return name.partition("_")[0]
 
 
 def base_and_run(name: str) -> tuple[str, int]:

@@ -38,31 +38,19 @@ MAX_SPREAD = 5.0  # squares of what lies 30 spreads out, as far as the sampler c
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior law of one parameter.
-
-    Parameters
-    ----------
-    name, unit : str
-        Parameter and its unit.
-    law : {"normal", "cauchy", "lognormal", "uniform", "loguniform"}
-        ``normal`` (mean, sd), ``cauchy`` (median, scale = half the distance of the quartiles: heavy tails),
-        ``lognormal`` (median, spread = standard deviation of the natural logarithm),
-        ``uniform`` and ``loguniform`` (low, high).
-    a, b : float
-        The two numbers of the law, in that order.
-    source : str
-        Why this law.
-    earlier : bool
-        Whether it is the result of an earlier test.
-    """
+    """Prior law of one parameter."""
 
     name: str
     unit: str
+    # "normal", "cauchy", "lognormal", "uniform", "loguniform": ``normal`` (mean, sd), ``cauchy`` (median, scale = half
+    # the distance of the quartiles: heavy tails), ``lognormal`` (median, spread = standard deviation of the natural
+    # logarithm), ``uniform`` and ``loguniform`` (low, high)
     law: str
+    # a, b: the two numbers of the law, in that order
     a: float
     b: float
-    source: str
-    earlier: bool = False
+    source: str  # why this law
+    earlier: bool = False  # whether it is the result of an earlier test
 
     def __post_init__(self) -> None:
         """Refuse laws that are no probability laws."""
@@ -173,26 +161,13 @@ TAU_SLOW = Prior("tau_slow", "s", "lognormal", 3.0, 1.0, "As in the shipped fami
 
 @dataclass(frozen=True)
 class Priors:
-    """Priors of one device family.
-
-    Parameters
-    ----------
-    family : str
-        Name of the family.
-    statement : str
-        What devices it is meant for.
-    priors : dict of str to Prior
-        By parameter name.
-    sha256 : str
-        Digest of the file.
-    earlier : dict of str to Prior
-        What earlier tests say, by the name of the sampled parameter itself: a ``ratio`` says nothing of ``ratio_3``.
-    """
+    """Priors of one device family."""
 
     family: str
-    statement: str
-    priors: dict[str, Prior]
-    sha256: str
+    statement: str  # what devices it is meant for
+    priors: dict[str, Prior]  # by parameter name
+    sha256: str  # digest of the file
+    # what earlier tests say, by the name of the sampled parameter itself: a ``ratio`` says nothing of ``ratio_3``
     earlier: dict[str, Prior] = field(default_factory=dict)
 
     def of(self, name: str) -> Prior:

@@ -17,40 +17,19 @@ from shj_bayes.recording.recording import Finding, Recording, Source
 
 @dataclass(frozen=True)
 class Truth:
-    """Parameters of a simulated device.
+    """Parameters of a simulated device."""
 
-    Parameters
-    ----------
-    K : float
-        Stiffness, kN/mm.
-    Fy : float
-        Sliding force of the first run, kN.
-    beta : float
-        Sharpness.
-    gamma : float
-        Speed coefficient, s/mm.
-    ratio : float
-        Sliding force of the second run / first.
-    sigma : float
-        Force noise scale, kN.
-    phi : float
-        Lag-one correlation of the force noise at the sampling rate.
-    sigma_slow, tau_slow : float
-        Slow noise on top of it, kN, and its correlation time, s.
-    displacement_noise_mm : float
-        Standard deviation of independent displacement noise, mm.
-    """
-
-    K: float = 18.0
-    Fy: float = 80.0
-    beta: float = 10.0
-    gamma: float = 0.0
-    ratio: float = 0.875
-    sigma: float = 1.0
-    phi: float = 0.8
+    K: float = 18.0  # stiffness, kN/mm
+    Fy: float = 80.0  # sliding force of the first run, kN
+    beta: float = 10.0  # sharpness
+    gamma: float = 0.0  # speed coefficient, s/mm
+    ratio: float = 0.875  # sliding force of the second run / first
+    sigma: float = 1.0  # force noise scale, kN
+    phi: float = 0.8  # lag-one correlation of the force noise at the sampling rate
+    # sigma_slow, tau_slow: slow noise on top of it, kN, and its correlation time, s
     sigma_slow: float = 0.0
     tau_slow: float = 3.0
-    displacement_noise_mm: float = 0.02
+    displacement_noise_mm: float = 0.02  # standard deviation of independent displacement noise, mm
 
     def __post_init__(self) -> None:
         """Refuse values outside what the law and the noise allow."""
@@ -65,11 +44,6 @@ class Truth:
                 raise ModelError(f"{name} = {getattr(self, name):g} {unit}: a noise scale must be 0 or more")
         if not -1 < self.phi < 1:
             raise ModelError(f"phi = {self.phi:g}: allowed is above -1 and below 1")
-
-    @property
-    def dep_mm_s(self) -> float | None:
-        """Dep = 1/gamma, mm/s; None where there is no speed dependence."""
-        return 1 / self.gamma if self.gamma else None
 
 
 def simulate_device(

@@ -27,30 +27,16 @@ Pair = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Classical:
-    """Tests of one quantity; None where a test cannot be made.
+    """Tests of one quantity; None where a test cannot be made."""
 
-    Parameters
-    ----------
-    welch_p : float or None
-        Welch's test, two-sided; over strata with Satterthwaite's degrees of freedom.
-    behrens_fisher_p : float or None
-        Behrens-Fisher (the posterior of both means under vague priors, spreads unequal); one stratum only.
-    variance_p : float or None
-        Two-sided F test that both sides spread alike.
-    permutation_p : float or None
-        Exact stratified permutation of the sides, two-sided.
-    arrangements : int
-        How many there are; above half a million a random 20 000 of them are used.
-    permutation_least : float or None
-        Smallest p that any assignment of these values to the two sides can give: three against three devices never
-        give less than 0.10, however far apart they lie.
-    """
-
-    welch_p: float | None
+    welch_p: float | None  # Welch's test, two-sided; over strata with Satterthwaite's degrees of freedom
+    # Behrens-Fisher (the posterior of both means under vague priors, spreads unequal); one stratum only
     behrens_fisher_p: float | None
-    variance_p: float | None
-    permutation_p: float | None
-    arrangements: int
+    variance_p: float | None  # two-sided F test that both sides spread alike
+    permutation_p: float | None  # exact stratified permutation of the sides, two-sided
+    arrangements: int  # how many there are; above half a million a random 20 000 of them are used
+    # smallest p that any assignment of these values to the two sides can give: three against three devices never give
+    # less than 0.10, however far apart they lie
     permutation_least: float | None = None
 
     def leading(self, n_tests: int) -> tuple[str, float | None]:
@@ -128,10 +114,7 @@ def variance_ratio(strata: Sequence[Pair]) -> float | None:
 def permutation(strata: Sequence[Pair], seed: int = 0) -> tuple[float, float, int]:
     """Exact two-sided p of the mean difference over strata, sides exchanged within each stratum.
 
-    Returns
-    -------
-    float, float, int
-        p, the smallest p that any arrangement of these values has, and the number of arrangements.
+    Then the smallest p that any arrangement of these values has, and the number of arrangements.
     """
     observed = sum(float(a.mean() - b.mean()) for a, b in strata)
     together = [np.concatenate(pair) for pair in strata]

@@ -16,111 +16,57 @@ from shj_bayes.population.classical import Classical, Pair, classical, holm
 from shj_bayes.population.compare_words import ROPE_SPEED, multiplicity_words, sentence
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.power import assurance, devices_needed, representative
-from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.quantities import QUANTITIES, Band, FloatArray, band_of
 from shj_bayes.population.selectors import Stratum, strata_of
 
 ROPE = 0.10
 """Half-width of the region of practical equivalence: 10 % of the value; for gamma 10 % of the force at 10 mm/s."""
-LEVELS = (0.05, 0.5, 0.95)
-Band = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """One quantity of a against b.
+    """One quantity of a against b."""
 
-    Parameters
-    ----------
-    quantity, unit : str
-        What is compared; the unit is "1" for a quotient.
-    kind : {"quotient", "difference"}
-        a/b for K, Fy, ratio, beta; a - b for gamma.
-    q05, q50, q95 : float
-        Of the quotient or difference between the typical devices (medians) of both sides.
-    difference : tuple of float
-        5, 50 and 95 % of a - b of typical devices in ``difference_unit``.
-    difference_unit : str
-        Unit of the quantity.
-    probability_level : float
-        Probability that the typical device of a is above that of b.
-    superiority : float
-        Probability that a new device of a is above a new device of b.
-    rope : tuple of float
-        Region of practical equivalence, of the quotient or difference.
-    probability_rope : float
-        Probability that the typical devices differ by less than that.
-    n_a, n_b : int
-        Devices that give the quantity.
-    spread_factor : tuple of float
-        5, 50 and 95 % of tau_a / tau_b.
-    tests : Classical
-        Welch, Behrens-Fisher, variances, permutation on the point values.
-    holm_p : float or None
-        p of ``holm_test``, adjusted for all quantities compared here; None where no test of these devices can reach
-        0.05 after the adjustment.
-    holm_test : str
-        "permutation" where it can reach 0.05 after the adjustment, otherwise "Welch"; "" for neither.
-    power_edge : float
-        Chance that a sample of this size finds a true difference at the edge of practical equivalence, averaged over
-        what is known of the spread.
-    n_to_decide : int
-        Devices a side that would find a difference at that edge with a power of 0.80, averaged likewise.
-    other_priors : mapping of str to tuple of float
-        5 and 95 % under each other prior of the spread.
-    sentence : str
-        The same in words; "settled" only when every prior of the spread says so.
-    """
-
+    # quantity, unit: what is compared; the unit is "1" for a quotient
     quantity: str
     unit: str
-    kind: str
+    kind: str  # "quotient", "difference": a/b for K, Fy, ratio, beta; a - b for gamma
+    # q05 to q95: of the quotient or difference between the typical devices (medians) of both sides
     q05: float
     q50: float
     q95: float
-    difference: Band
-    difference_unit: str
-    probability_level: float
-    superiority: float
-    rope: tuple[float, float]
-    probability_rope: float
+    difference: Band  # 5, 50 and 95 % of a - b of typical devices in ``difference_unit``
+    difference_unit: str  # unit of the quantity
+    probability_level: float  # probability that the typical device of a is above that of b
+    superiority: float  # probability that a new device of a is above a new device of b
+    rope: tuple[float, float]  # region of practical equivalence, of the quotient or difference
+    probability_rope: float  # probability that the typical devices differ by less than that
+    # n_a, n_b: devices that give the quantity
     n_a: int
     n_b: int
-    spread_factor: Band
-    tests: Classical
+    spread_factor: Band  # 5, 50 and 95 % of tau_a / tau_b
+    tests: Classical  # Welch, Behrens-Fisher, variances, permutation on the point values
+    # p of ``holm_test``, adjusted for all quantities compared here; None where no test of these devices can reach 0.05
+    # after the adjustment
     holm_p: float | None
-    holm_test: str
+    holm_test: str  # "permutation" where it can reach 0.05 after the adjustment, otherwise "Welch"; "" for neither
+    # chance that a sample of this size finds a true difference at the edge of practical equivalence, averaged over what
+    # is known of the spread
     power_edge: float
-    n_to_decide: int
-    other_priors: Mapping[str, tuple[float, float]]
-    sentence: str
-
-    @property
-    def welch_p(self) -> float | None:
-        """Two-sided p of Welch's test."""
-        return self.tests.welch_p
+    n_to_decide: int  # devices a side that would find a difference at that edge with a power of 0.80, averaged likewise
+    other_priors: Mapping[str, tuple[float, float]]  # 5 and 95 % under each other prior of the spread
+    sentence: str  # the same in words; "settled" only when every prior of the spread says so
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sides compared in every pooled quantity.
-
-    Parameters
-    ----------
-    set_a, set_b : str
-        Names.
-    contrasts : tuple of Contrast
-        One per quantity.
-    strata : int
-        Pairs of sets that the comparison runs over; 1 for two sets.
-    multiplicity : str
-        How many comparisons were made here, and how that is allowed for.
-    """
+    """Two sides compared in every pooled quantity."""
 
     set_a: str
     set_b: str
-    contrasts: tuple[Contrast, ...]
-    strata: int = 1
-    multiplicity: str = ""
+    contrasts: tuple[Contrast, ...]  # one per quantity
+    strata: int = 1  # pairs of sets that the comparison runs over; 1 for two sets
+    multiplicity: str = ""  # how many comparisons were made here, and how that is allowed for
 
     def to_table(self) -> pd.DataFrame:
         """One row per quantity."""
@@ -204,8 +150,8 @@ def _contrast(
 ) -> Contrast:
     fit, q = result.fit(name), QUANTITIES[name]
     shift = _shift(result, name, strata, "default")
-    band = _band(q.natural(shift))
-    others = {label: _band(q.natural(_shift(result, name, strata, label))) for label in result.other_priors}
+    band = band_of(q.natural(shift))
+    others = {label: band_of(q.natural(_shift(result, name, strata, label))) for label in result.other_priors}
     none = 1.0 if q.logarithmic else 0.0
     settled = {label: not x[0] < none < x[2] for label, x in {"default": band, **others}.items()}
     first, second = ([i for s in strata for i in s[side]] for side in (0, 1))
@@ -221,7 +167,10 @@ def _contrast(
     needed = devices_needed(edge, spreads, strata=len(strata))
     chance = assurance(edge, spreads, *n, strata=len(strata))
     away = [
-        ndtr((fit.mu[:, [i]] - fit.mu[:, [j]]) / np.hypot(fit.tau[:, [i]], fit.tau[:, [j]])) for i, j in _pairs(strata)
+        ndtr((fit.mu[:, [i]] - fit.mu[:, [j]]) / np.hypot(fit.tau[:, [i]], fit.tau[:, [j]]))
+        for one, other in strata
+        for i in one
+        for j in other
     ]
     return Contrast(
         quantity=name,
@@ -230,7 +179,7 @@ def _contrast(
         q05=band[0],
         q50=band[1],
         q95=band[2],
-        difference=_band(np.mean(apart, axis=0)),
+        difference=band_of(np.mean(apart, axis=0)),
         difference_unit=q.unit,
         probability_level=float(np.mean(shift > 0)),
         superiority=float(np.mean(away)),
@@ -238,7 +187,7 @@ def _contrast(
         probability_rope=float(np.mean(inside)),
         n_a=n[0],
         n_b=n[1],
-        spread_factor=_band(tau_a / tau_b),
+        spread_factor=band_of(tau_a / tau_b),
         tests=classical(_points(result, name, strata), result.seed),
         holm_p=None,
         holm_test="",
@@ -256,12 +205,3 @@ def _planning_spreads(result: PopulationResult, name: str, sets: list[int]) -> F
     """
     prior = "alike" if "alike" in result.other_priors else "default"
     return representative(np.sqrt(np.mean(result.fit(name, prior).tau[:, sets] ** 2, axis=1)))
-
-
-def _pairs(strata: Sequence[Stratum]) -> list[tuple[int, int]]:
-    return [(i, j) for a, b in strata for i in a for j in b]
-
-
-def _band(values: FloatArray) -> Band:
-    low, middle, high = (float(x) for x in np.quantile(values, LEVELS))
-    return low, middle, high

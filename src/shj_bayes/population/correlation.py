@@ -8,12 +8,10 @@ tied together, each with exactly the band it had by itself (a normal copula; inf
 
 from __future__ import annotations
 
-import zlib
-
 import numpy as np
 
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes.population.quantities import FloatArray, band_of, stream
 
 
 def scatter(result: PopulationResult, prior: str = "default") -> tuple[tuple[str, ...], FloatArray, int]:
@@ -72,7 +70,7 @@ def correlation_draws(result: PopulationResult, n_draws: int, prior: str = "defa
     k = len(names)
     if k == 1:
         return np.ones((n_draws, 1, 1))
-    seed = np.random.SeedSequence([result.seed, zlib.crc32(b"correlation"), zlib.crc32(prior.encode())])
+    seed = stream(result.seed, "correlation", prior)
     drawn = inverse_wishart(k + 1 + degrees, np.eye(k) + products, n_draws, np.random.default_rng(seed))
     scale = np.sqrt(np.einsum("nii->ni", drawn))
     return np.asarray(drawn / (scale[:, :, None] * scale[:, None, :]))
@@ -85,6 +83,6 @@ def correlation_table(result: PopulationResult) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     for i, a in enumerate(names):
         for j, b in enumerate(names[:i]):
-            low, middle, high = (float(x) for x in np.quantile(draws[:, i, j], (0.05, 0.5, 0.95)))
+            low, middle, high = band_of(draws[:, i, j])
             rows.append({"pair": [b, a], "q05": low, "q50": middle, "q95": high, "degrees_of_freedom": degrees})
     return rows

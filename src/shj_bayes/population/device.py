@@ -15,24 +15,12 @@ from shj_bayes.population.quantities import FloatArray, quantity
 
 @dataclass(frozen=True)
 class Tags:
-    """What makes a set what it is; the contrasts between sets are built on these.
+    """What makes a set what it is; the contrasts between sets are built on these."""
 
-    Parameters
-    ----------
-    coating : str
-        "none" when uncoated.
-    coverage_percent : float or None
-        Share of the sliding surface that is coated; None where no share applies.
-    corroded : bool
-        After the salt-water cycles.
-    material : str
-        Shim material, empty when not stated.
-    """
-
-    coating: str = "none"
-    coverage_percent: float | None = None
-    corroded: bool = False
-    material: str = ""
+    coating: str = "none"  # "none" when uncoated
+    coverage_percent: float | None = None  # share of the sliding surface that is coated; None where no share applies
+    corroded: bool = False  # after the salt-water cycles
+    material: str = ""  # shim material, empty when not stated
 
 
 NO_TAGS = Tags()
@@ -40,24 +28,13 @@ NO_TAGS = Tags()
 
 @dataclass(frozen=True)
 class DeviceEstimate:
-    """What is known about one device.
+    """What is known about one device."""
 
-    Parameters
-    ----------
-    name : str
-        Unique inside its set.
-    set_name : str
-        The set of nominally identical devices it belongs to.
-    measurements : mapping of str to Measurement
-        Per quantity (K, Fy, ratio, gamma, beta); what is missing is simply not known for this device.
-    tags : Tags
-        The same for all devices of a set.
-    """
-
-    name: str
-    set_name: str
+    name: str  # unique inside its set
+    set_name: str  # the set of nominally identical devices it belongs to
+    # per quantity (K, Fy, ratio, gamma, beta); what is missing is simply not known for this device
     measurements: Mapping[str, Measurement] = field(repr=False)
-    tags: Tags = Tags()
+    tags: Tags = Tags()  # the same for all devices of a set
 
     def __post_init__(self) -> None:
         """Refuse nameless devices, unknown quantities and devices that say nothing."""
@@ -144,10 +121,7 @@ class DeviceEstimate:
 def sets_of(devices: Sequence[DeviceEstimate]) -> dict[str, tuple[DeviceEstimate, ...]]:
     """Group devices by set, in the order in which the sets first appear.
 
-    Raises
-    ------
-    PopulationError
-        If there is no device, a name is used twice in a set, or devices of a set carry different tags.
+    `PopulationError` if there is no device, a name is used twice in a set, or devices of a set carry different tags.
     """
     if not devices:
         raise PopulationError("no device given; a population needs at least one")

@@ -14,7 +14,6 @@ values as well as for posterior draws (docs/decisions/0004-population.md).
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -30,7 +29,7 @@ from shj_bayes.population.kernel import log_likelihood_of_set, run_chain
 from shj_bayes.population.measurement import Likelihood, gathered
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
-from shj_bayes.population.quantities import DESIGN, QUANTITIES, FloatArray, quantity
+from shj_bayes.population.quantities import DESIGN, QUANTITIES, FloatArray, quantity, stream
 
 N_CHAINS = 4
 
@@ -150,25 +149,20 @@ def fit_quantity(
     )
 
 
-def _stream(seed: int, *labels: str) -> np.random.SeedSequence:
-    """Return the stream that belongs to a label, whatever else is fitted."""
-    return np.random.SeedSequence([seed, *(zlib.crc32(label.encode()) for label in labels)])
-
-
 def _until_met(
     name: str,
     sets: Sequence[Sequence[Likelihood]],
     prior: PopulationPrior,
-    stream: tuple[int, str, str],
+    labels: tuple[int, str, str],
     sweeps: Sweeps,
     workers: int,
 ) -> QuantityPosterior:
     """Fit a quantity; once more, with longer chains, where they have not met."""
-    fitted = fit_quantity(name, sets, prior, _stream(*stream), sweeps, workers=workers)
+    fitted = fit_quantity(name, sets, prior, stream(*labels), sweeps, workers=workers)
     if fitted.converged:
         return fitted
     longer = Sweeps(LONGER * sweeps.n_warm, sweeps.n_keep, LONGER * sweeps.thin)
-    return fit_quantity(name, sets, prior, _stream(*stream), longer, workers=workers)
+    return fit_quantity(name, sets, prior, stream(*labels), longer, workers=workers)
 
 
 def fit_population(

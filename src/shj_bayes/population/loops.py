@@ -10,10 +10,9 @@ from scipy.integrate import trapezoid
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
 from shj_bayes.population.predict import SECOND_RUN, NewDevice
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
 from shj_bayes.recording.protocol import Block, exact_motion
 
-LEVELS = (0.05, 0.5, 0.95)
 N_DRAWS, N_POINTS = 500, 121
 """Devices drawn at most; displacements at which a band is given."""
 _SAMPLES_PER_CYCLE = 400
@@ -25,33 +24,18 @@ class LoopBand:
     """5, 50 and 95 % of the force over a steady cycle, point by point.
 
     The band holds 90 % of devices at every displacement taken by itself, not whole loops.
-
-    Parameters
-    ----------
-    set_name : str
-        Set of the new device.
-    run : {1, 2}
-        First run, or second with the sliding force lowered by the ratio.
-    amplitude_mm, peak_speed_mm_s : float
-        Of the sine cycle.
-    displacement_mm : array, shape (n,)
-        From -amplitude to +amplitude.
-    push, pull : array, shape (3, n)
-        Force, kN, at 5, 50 and 95 %; push while displacement grows, pull while it falls.
-    energy_kN_mm : tuple of float
-        Energy of one cycle at 5, 50 and 95 %, kN mm (equal to joule).
-    n_devices, n_draws : int
-        Tested devices of the set; devices drawn.
     """
 
-    set_name: str
-    run: int
+    set_name: str  # set of the new device
+    run: int  # 1, 2: first run, or second with the sliding force lowered by the ratio
     amplitude_mm: float
     peak_speed_mm_s: float
-    displacement_mm: FloatArray = field(repr=False)
+    displacement_mm: FloatArray = field(repr=False)  # shape (n,): from -amplitude to +amplitude
+    # push, pull: shape (3, n): force, kN, at 5, 50 and 95 %; push while displacement grows, pull while it falls
     push: FloatArray = field(repr=False)
     pull: FloatArray = field(repr=False)
-    energy_kN_mm: tuple[float, float, float]
+    energy_kN_mm: tuple[float, float, float]  # energy of one cycle at 5, 50 and 95 %, kN mm (equal to joule)
+    # n_devices, n_draws: tested devices of the set; devices drawn
     n_devices: int
     n_draws: int
 
@@ -108,7 +92,6 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
     pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])
     cycle = slice(start[_PUSH], start[_PULL + 1] + 1)
     energy = trapezoid(force[:, cycle], x[cycle], axis=1)
-    e05, e50, e95 = np.quantile(energy, LEVELS)
     return LoopBand(
         device.set_name,
         run,
@@ -117,7 +100,7 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
         grid,
         np.quantile(push, LEVELS, axis=0),
         np.quantile(pull, LEVELS, axis=0),
-        (float(e05), float(e50), float(e95)),
+        band_of(energy),
         device.n_devices,
         chosen.size,
     )

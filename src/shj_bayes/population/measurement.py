@@ -24,24 +24,16 @@ MANY_DEVICES, NARROW = 30, 0.15
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Likelihood of a device's true value on the pooled scale, integrable against a normal in closed form.
+    """Likelihood of a device's true value on the pooled scale, integrable against a normal in closed form."""
 
-    Parameters
-    ----------
-    pieces : bool
-        True: constant ``weight`` on adjoining pieces between ``first`` and ``second``. False: normal components with
-        centre ``first``, standard deviation ``second`` and ``weight`` summing to one.
-    first, second, weight : array, shape (n,)
-        As above, pooled scale.
-    effective_draws : float
-        Kish effective number of importance draws behind it; infinity when it is exact.
-    """
-
+    # True: constant ``weight`` on adjoining pieces between ``first`` and ``second``. False: normal components with
+    # centre ``first``, standard deviation ``second`` and ``weight`` summing to one.
     pieces: bool
+    # first to weight: shape (n,): as above, pooled scale
     first: FloatArray
     second: FloatArray
     weight: FloatArray
-    effective_draws: float = np.inf
+    effective_draws: float = np.inf  # Kish effective number of importance draws behind it; infinity when it is exact
 
     def __post_init__(self) -> None:
         """Freeze the arrays; pieces must adjoin."""
@@ -85,16 +77,10 @@ class Rounded:
     """A printed value that stands for everything which rounds to it.
 
     The likelihood is the indicator of the interval, which is the same on every scale.
-
-    Parameters
-    ----------
-    value : float
-        As printed, natural unit.
-    lower, upper : float
-        What it stands for, natural unit.
     """
 
-    value: float
+    value: float  # as printed, natural unit
+    # lower, upper: what it stands for, natural unit
     lower: float
     upper: float
 
@@ -144,14 +130,9 @@ class Rounded:
 
 @dataclass(frozen=True)
 class RoundedRatio:
-    """The quotient of two rounded values, each uniform inside its own interval.
+    """The quotient of two rounded values, each uniform inside its own interval."""
 
-    Parameters
-    ----------
-    numerator, denominator : Rounded
-        For the ratio: sliding force of the second and of the first run, kN.
-    """
-
+    # numerator, denominator: for the ratio: sliding force of the second and of the first run, kN
     numerator: Rounded
     denominator: Rounded
 
@@ -159,8 +140,8 @@ class RoundedRatio:
         """Return the quotient of the printed values on the pooled scale."""
         return float(quantity.pool(self.numerator.value / self.denominator.value))
 
-    def likelihood(self, quantity: Quantity, n_pieces: int = 6) -> Likelihood:
-        """Density of the log quotient, constant on ``n_pieces`` equal pieces (error far below the rounding itself).
+    def likelihood(self, quantity: Quantity) -> Likelihood:
+        """Density of the log quotient, constant on six equal pieces (error far below the rounding itself).
 
         With n uniform on [a, b] and d on [c, e], the density of log(n/d) = u is, up to a constant,
         e^u times the integral of d over the d that keep d e^u inside [a, b].
@@ -169,7 +150,7 @@ class RoundedRatio:
             raise PopulationError(f"a quotient of rounded values needs a logarithmic scale, not {quantity.name}")
         a, b = float(quantity.pool(self.numerator.lower)), float(quantity.pool(self.numerator.upper))
         c, e = float(quantity.pool(self.denominator.lower)), float(quantity.pool(self.denominator.upper))
-        edges = np.linspace(a - e, b - c, n_pieces + 1)
+        edges = np.linspace(a - e, b - c, 7)
         middle = 0.5 * (edges[:-1] + edges[1:])
         low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
         density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)
@@ -183,17 +164,11 @@ class PosteriorDraws:
     The likelihood follows by weighting each draw with 1/prior (Hogg, Myers and Bovy 2010, eq. 9); the weighted draws
     are then summarised by a few normal components that keep their mean and variance, so that the sum
     over draws stays finite and smooth when the spread of the population is smaller than the gaps between draws.
-
-    Parameters
-    ----------
-    values : array, shape (n,)
-        Draws in natural units, equally weighted.
-    log_prior : array of shape (n,), or callable
-        Log density of the single-device prior at the draws, *on the pooled scale* (for K: the density
-        of log K), up to a constant. A callable is given the pooled values.
     """
 
-    values: FloatArray
+    values: FloatArray  # shape (n,): draws in natural units, equally weighted
+    # shape (n,): log density of the single-device prior at the draws, *on the pooled scale* (for K: the density of log
+    # K), up to a constant. A callable is given the pooled values.
     log_prior: FloatArray | Callable[[FloatArray], FloatArray] = field(repr=False)
 
     def __post_init__(self) -> None:
@@ -270,18 +245,10 @@ class PosteriorDraws:
 
 @dataclass(frozen=True)
 class Condensed:
-    """The likelihood of a posterior whose draws are not kept.
+    """The likelihood of a posterior whose draws are not kept."""
 
-    Parameters
-    ----------
-    value : float
-        Median of the likelihood, pooled scale.
-    kept : Likelihood
-        The likelihood.
-    """
-
-    value: float
-    kept: Likelihood
+    value: float  # median of the likelihood, pooled scale
+    kept: Likelihood  # the likelihood
 
     def point(self, _quantity: Quantity) -> float:
         """Return the median on the pooled scale."""
@@ -294,14 +261,9 @@ class Condensed:
 
 @dataclass(frozen=True)
 class Stated:
-    """A value with its standard deviation, as a report gives it.
+    """A value with its standard deviation, as a report gives it."""
 
-    Parameters
-    ----------
-    mean, sd : float
-        Natural unit.
-    """
-
+    # mean, sd: natural unit
     mean: float
     sd: float
 

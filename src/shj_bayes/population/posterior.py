@@ -28,26 +28,14 @@ ESS_LIMIT = 400.0
 
 @dataclass(frozen=True)
 class DeviceSet:
-    """A set of nominally identical devices.
-
-    Parameters
-    ----------
-    name : str
-        Name of the set.
-    devices : tuple of str
-        Names of its devices.
-    tags : Tags
-        What makes the set what it is.
-    points : mapping of str to tuple of float
-        Per quantity the point value of each device on the pooled scale; NaN where it gives none.
-    errors : mapping of str to tuple of float
-        How well each of these is known: standard deviation of the device's likelihood (rounding, or posterior).
-    """
+    """A set of nominally identical devices."""
 
     name: str
-    devices: tuple[str, ...]
-    tags: Tags
+    devices: tuple[str, ...]  # names of its devices
+    tags: Tags  # what makes the set what it is
+    # per quantity the point value of each device on the pooled scale; NaN where it gives none
     points: Mapping[str, tuple[float, ...]] = field(repr=False)
+    # how well each of these is known: standard deviation of the device's likelihood (rounding, or posterior)
     errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -59,32 +47,18 @@ class DeviceSet:
 
 @dataclass(frozen=True)
 class QuantityPosterior:
-    """Posterior of level and spread of one quantity over all sets, on its pooled scale.
+    """Posterior of level and spread of one quantity over all sets, on its pooled scale."""
 
-    Parameters
-    ----------
-    name : str
-        Pooled quantity.
-    mu, tau : array, shape (n_draws, n_sets)
-        Level and device-to-device standard deviation of each set; chain after chain.
-    hyper : array, shape (n_draws, 4)
-        M, S, tau0, omega.
-    n_devices : tuple of int
-        Devices of each set that give this quantity.
-    r_hat, ess : float
-        Worst rank-normalised split R-hat and smallest bulk effective sample size of all its scalars.
-    n_chains : int
-        Independent chains.
-    """
-
-    name: str
+    name: str  # pooled quantity
+    # mu, tau: shape (n_draws, n_sets): level and device-to-device standard deviation of each set; chain after chain
     mu: FloatArray = field(repr=False)
     tau: FloatArray = field(repr=False)
-    hyper: FloatArray = field(repr=False)
-    n_devices: tuple[int, ...]
+    hyper: FloatArray = field(repr=False)  # shape (n_draws, 4): M, S, tau0, omega
+    n_devices: tuple[int, ...]  # devices of each set that give this quantity
+    # r_hat, ess: worst rank-normalised split R-hat and smallest bulk effective sample size of all its scalars
     r_hat: float
     ess: float
-    n_chains: int
+    n_chains: int  # independent chains
 
     def __post_init__(self) -> None:
         """Freeze the arrays and check that they belong together."""
@@ -112,33 +86,17 @@ class QuantityPosterior:
 
 @dataclass(frozen=True, eq=False)
 class PopulationResult:
-    """A fitted population.
+    """A fitted population."""
 
-    Parameters
-    ----------
-    sets : tuple of DeviceSet
-        In the order given.
-    posteriors : mapping of str to QuantityPosterior
-        Per quantity, under the default prior of the spread.
-    other_priors : mapping of str to mapping of str to QuantityPosterior
-        The same under each other prior of the spread ("alike", "free").
-    priors : mapping of str to PopulationPrior
-        Default prior per quantity.
-    importance_draws : mapping of str to float
-        Smallest effective number of importance draws behind any device; infinity when all are tables.
-    seed : int
-        Seed of every number here.
-    tested : RangeTested or None
-        Amplitudes and speeds that the devices went through, as far as known.
-    """
-
-    sets: tuple[DeviceSet, ...]
-    posteriors: Mapping[str, QuantityPosterior]
+    sets: tuple[DeviceSet, ...]  # in the order given
+    posteriors: Mapping[str, QuantityPosterior]  # per quantity, under the default prior of the spread
+    # the same under each other prior of the spread ("alike", "free")
     other_priors: Mapping[str, Mapping[str, QuantityPosterior]]
-    priors: Mapping[str, PopulationPrior]
+    priors: Mapping[str, PopulationPrior]  # default prior per quantity
+    # smallest effective number of importance draws behind any device; infinity when all are tables
     importance_draws: Mapping[str, float]
-    seed: int
-    tested: RangeTested | None = None
+    seed: int  # seed of every number here
+    tested: RangeTested | None = None  # amplitudes and speeds that the devices went through, as far as known
 
     def __post_init__(self) -> None:
         """Freeze the mappings."""

@@ -7,7 +7,6 @@ run, has the spread of both and of their tie, as far as the devices tell it.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -20,9 +19,8 @@ from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.priors import ASSUMED
-from shj_bayes.population.quantities import LATER_RUNS, QUANTITIES, FloatArray, quantity
+from shj_bayes.population.quantities import LATER_RUNS, QUANTITIES, Band, FloatArray, band_of, quantity, stream
 
-LEVELS = (0.05, 0.5, 0.95)
 SECOND_RUN = "Fy_second"
 RUN_FORCES = {SECOND_RUN: "ratio"} | {f"Fy_run{run}": f"ratio_{run}" for run in LATER_RUNS}
 """Sliding force of each later run: the ratio that makes it from that of the first."""
@@ -32,23 +30,12 @@ ENOUGH_SETS = 5
 
 @dataclass(frozen=True)
 class NewDevice:
-    """Predictive draws of a device not yet tested.
+    """Predictive draws of a device not yet tested."""
 
-    Parameters
-    ----------
-    set_name : str
-        Its set, or "(any set)".
-    n_devices : int
-        Tested devices of that set.
-    prior : str
-        Prior of the spread it rests on.
-    draws : mapping of str to array, shape (n_draws,)
-        Natural units: K kN/mm, Fy kN, ratio 1, gamma s/mm, beta 1, Fy_second kN.
-    """
-
-    set_name: str
-    n_devices: int
-    prior: str
+    set_name: str  # its set, or "(any set)"
+    n_devices: int  # tested devices of that set
+    prior: str  # prior of the spread it rests on
+    # shape (n_draws,): natural units: K kN/mm, Fy kN, ratio 1, gamma s/mm, beta 1, Fy_second kN
     draws: Mapping[str, FloatArray] = field(repr=False)
 
     def __post_init__(self) -> None:
@@ -57,10 +44,9 @@ class NewDevice:
             values.setflags(write=False)
         object.__setattr__(self, "draws", MappingProxyType(dict(self.draws)))
 
-    def band(self, name: str) -> tuple[float, float, float]:
+    def band(self, name: str) -> Band:
         """5, 50 and 95 % quantiles, natural unit."""
-        q05, q50, q95 = np.quantile(self.draws[name], LEVELS)
-        return float(q05), float(q50), float(q95)
+        return band_of(self.draws[name])
 
 
 def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "default") -> NewDevice:
@@ -72,8 +58,7 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
     name = ANY_SET if index is None else result.set_names[index]
     levels, spreads, apart = [], [], []
     for q in result.posteriors:
-        labels = [zlib.crc32(text.encode()) for text in ("new device", name, q, prior)]
-        rng = np.random.default_rng(np.random.SeedSequence([result.seed, *labels]))
+        rng = np.random.default_rng(stream(result.seed, "new device", name, q, prior))
         mu, tau = result.fit(q, prior).level_and_spread(index, rng)
         levels.append(mu)
         spreads.append(tau)
@@ -130,11 +115,8 @@ def dep_words(low: float, high: float) -> str:
 def new_device_table(result: PopulationResult) -> pd.DataFrame:
     """5, 50 and 95 % of a new device, per set and quantity, with the same under the other priors.
 
-    Returns
-    -------
-    pandas.DataFrame
-        set, n_devices, quantity, unit, q05, q50, q95; ``width`` (q95/q05, for gamma q95 - q05 in s/mm);
-        q05 and q95 under each other prior; ``dep_mm_s`` in words beside gamma.
+    Columns: set, n_devices, quantity, unit, q05, q50, q95; ``width`` (q95/q05, for gamma q95 - q05 in s/mm); q05 and
+    q95 under each other prior; ``dep_mm_s`` in words beside gamma.
     """
     rows = []
     for name in (*result.set_names, ANY_SET):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import FloatArray, quantity
 
 
@@ -15,31 +16,18 @@ class PopulationPrior:
     """Prior of the hierarchy of one quantity, on its pooled scale.
 
     device ~ Normal(mu_set, tau_set), mu_set ~ Normal(M, S), log tau_set ~ Normal(log tau0, omega).
-
-    Parameters
-    ----------
-    centre, centre_sd : float
-        M ~ Normal(centre, centre_sd).
-    between_scale : float
-        S ~ half Student-t with 4 degrees of freedom and this scale.
-    spread_median : float
-        Median of tau0, the typical spread between devices of one set.
-    spread_log_sd : float
-        tau0 is log-normal with this standard deviation of the logarithm; 0 means half-Cauchy with
-        median (and scale) ``spread_median`` instead.
-    unequal_scale : float
-        omega ~ half-normal with this scale: how much the spread may differ from set to set.
-    source : str
-        Where the numbers come from.
     """
 
+    # centre, centre_sd: M ~ Normal(centre, centre_sd)
     centre: float
     centre_sd: float
-    between_scale: float
-    spread_median: float
+    between_scale: float  # S ~ half Student-t with 4 degrees of freedom and this scale
+    spread_median: float  # median of tau0, the typical spread between devices of one set
+    # tau0 is log-normal with this standard deviation of the logarithm; 0 means half-Cauchy with median (and scale)
+    # ``spread_median`` instead
     spread_log_sd: float
-    unequal_scale: float
-    source: str
+    unequal_scale: float  # omega ~ half-normal with this scale: how much the spread may differ from set to set
+    source: str  # where the numbers come from
 
     def __post_init__(self) -> None:
         """Refuse scales that are not above zero."""
@@ -96,7 +84,7 @@ _PRIORS = {
 def population_prior(name: str) -> PopulationPrior:
     """Return the default prior of one quantity."""
     quantity(name)
-    base = name.partition("_")[0]
+    base = base_of(name)
     return _PRIORS[base if base in _PRIORS else "Fy"]  # all forces read off a test are sliding forces
 
 
@@ -110,12 +98,9 @@ ASSUMED = {
 def other_priors(prior: PopulationPrior) -> dict[str, PopulationPrior]:
     """Return the two other priors of the spread that every answer is shown under.
 
-    Returns
-    -------
-    dict
-        ``alike``: all sets spread nearly alike (omega half-normal 0.25), so that no set is believed to be
-        tight because its few devices happen to agree. ``free``: typical spread half-Cauchy with twice the
-        median (Gelman 2006) and omega twice as free, so that the data alone limit it.
+    ``alike``: all sets spread nearly alike (omega half-normal 0.25), so that no set is believed to be tight because its
+    few devices happen to agree. ``free``: typical spread half-Cauchy with twice the median (Gelman 2006) and omega
+    twice as free, so that the data alone limit it.
     """
     return {
         "alike": replace(

@@ -27,55 +27,25 @@ class Held(StrEnum):
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement of the paper against its own numbers.
+    """One statement of the paper against its own numbers."""
 
-    Parameters
-    ----------
-    id : str
-        Short name.
-    claim : str
-        What the paper says, in our words.
-    verdict : Held
-        What its tables say.
-    values : mapping of str to number or tuple of numbers
-        The figures behind the verdict.
-    sentence : str
-        The same in plain words.
-    """
-
-    id: str
-    claim: str
-    verdict: Held
-    values: Mapping[str, Value]
-    sentence: str
+    id: str  # short name
+    claim: str  # what the paper says, in our words
+    verdict: Held  # what its tables say
+    values: Mapping[str, Value]  # the figures behind the verdict
+    sentence: str  # the same in plain words
 
 
 @dataclass(frozen=True)
 class PublishedRow:
-    """One device row of Tables 3-7.
+    """One device row of Tables 3-7."""
 
-    Parameters
-    ----------
-    table : int
-        3 to 7.
-    row : str
-        As printed, tidied.
-    set_name : str
-        The set it belongs to.
-    tags : Tags
-        Material, coating, coverage, corroded.
-    values : mapping of (quantity, run) to float
-        K kN/mm, Fy kN, beta 1, dep mm/s; runs 1 and 2.
-    steps : mapping of str to float
-        Rounding step per quantity; decades for beta.
-    """
-
-    table: int
-    row: str
-    set_name: str
-    tags: Tags
-    values: Mapping[tuple[str, int], float]
-    steps: Mapping[str, float]
+    table: int  # 3 to 7
+    row: str  # as printed, tidied
+    set_name: str  # the set it belongs to
+    tags: Tags  # material, coating, coverage, corroded
+    values: Mapping[tuple[str, int], float]  # K kN/mm, Fy kN, beta 1, dep mm/s; runs 1 and 2
+    steps: Mapping[str, float]  # rounding step per quantity; decades for beta
 
     @property
     def ratio(self) -> float:

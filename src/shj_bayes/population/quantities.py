@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,29 +11,30 @@ from numpy.typing import NDArray
 from shj_bayes.errors import PopulationError
 
 FloatArray = NDArray[np.float64]
+Band = tuple[float, float, float]
+LEVELS = (0.05, 0.5, 0.95)
 _FARTHEST = 300.0  # heavy tails of a spread that no data limit; keeps products of two quantities finite
+
+
+def band_of(values: FloatArray) -> Band:
+    """5, 50 and 95 % of draws."""
+    low, middle, high = (float(x) for x in np.quantile(values, LEVELS))
+    return low, middle, high
+
+
+def stream(seed: int, *labels: str) -> np.random.SeedSequence:
+    """Return the stream of chance that belongs to some labels, whatever else is drawn."""
+    return np.random.SeedSequence([seed, *(zlib.crc32(label.encode()) for label in labels)])
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One pooled quantity.
+    """One pooled quantity."""
 
-    Parameters
-    ----------
-    name : str
-        Word of the interface: K, Fy, beta, gamma or ratio; with a run number behind it where a run has its own.
-    unit : str
-        Natural unit.
-    logarithmic : bool
-        True when the logarithm is pooled (the quantity is positive), False when the value itself is.
-    meaning : str
-        One phrase for tables and pages.
-    """
-
-    name: str
-    unit: str
-    logarithmic: bool
-    meaning: str
+    name: str  # word of the interface: K, Fy, beta, gamma or ratio; with a run number behind it where a run has its own
+    unit: str  # natural unit
+    logarithmic: bool  # True when the logarithm is pooled (the quantity is positive), False when the value itself is
+    meaning: str  # one phrase for tables and pages
 
     def pool(self, natural: FloatArray | float) -> FloatArray:
         """Natural values on the pooled scale; `PopulationError` where one is not finite or has no logarithm."""

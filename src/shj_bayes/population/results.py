@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 import shj_bayes
 from shj_bayes._util.files import check_seal, damage_told, file_digest, read_json, replacing, sealed, write_text
@@ -19,7 +18,7 @@ from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import how_wide, new_device_table
 from shj_bayes.population.priors import PopulationPrior
-from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.tested import RangeTested
 
 _DRAWS = "population.npz"
@@ -34,45 +33,19 @@ def safe_cell(value: object) -> object:
     return "'" + value if runs else value
 
 
-def to_tables(result: PopulationResult) -> dict[str, pd.DataFrame]:
-    """Tables of a fitted population.
-
-    Returns
-    -------
-    dict of pandas.DataFrame
-        ``new_device``: 5/50/95 % per set and quantity, with the other priors beside it.
-        ``sets``: level and spread of every set (natural unit; spread as sd of the logarithm, of gamma in s/mm).
-        ``fit``: what every quantity rests on: prior, R-hat, effective sample size, importance draws.
-    """
-    sets, fits = [], []
-    for name, fit in result.posteriors.items():
-        q = QUANTITIES[name]
-        for i, group in enumerate(result.sets):
-            level = np.quantile(q.natural(fit.mu[:, i]), [0.05, 0.5, 0.95])
-            spread = np.quantile(fit.tau[:, i], [0.05, 0.5, 0.95])
-            row: dict[str, object] = {
-                "set": group.name,
-                "quantity": name,
-                "unit": q.unit,
-                "n_devices": fit.n_devices[i],
-            }
-            row |= dict(zip(("level_q05", "level_q50", "level_q95"), level.tolist(), strict=True))
-            row |= dict(zip(("spread_q05", "spread_q50", "spread_q95"), spread.tolist(), strict=True))
-            row["spread_unit"] = "sd of the logarithm" if q.logarithmic else q.unit
-            sets.append(row)
-        fits.append(
-            {
-                "quantity": name,
-                "r_hat": fit.r_hat,
-                "ess": fit.ess,
-                "chains": fit.n_chains,
-                "draws": fit.mu.shape[0],
-                "importance_draws": result.importance_draws[name],
-                "converged": fit.converged,
-                "prior": result.priors[name].source,
-            }
-        )
-    return {"new_device": new_device_table(result), "sets": pd.DataFrame(sets), "fit": pd.DataFrame(fits)}
+def _quantity_row(result: PopulationResult, name: str) -> dict[str, Any]:
+    """Say what a quantity rests on: prior, R-hat, effective sample size, importance draws."""
+    fit = result.posteriors[name]
+    return {
+        "quantity": name,
+        "r_hat": fit.r_hat,
+        "ess": fit.ess,
+        "chains": fit.n_chains,
+        "draws": fit.mu.shape[0],
+        "importance_draws": result.importance_draws[name],
+        "converged": fit.converged,
+        "prior": result.priors[name].source,
+    }
 
 
 def _finite(value: Any) -> Any:
@@ -88,9 +61,8 @@ def _finite(value: Any) -> Any:
 
 def to_json(result: PopulationResult) -> dict[str, Any]:
     """Return everything but the draws, ready for ``json.dumps``; schema "shj-bayes/population/1"."""
-    tables = to_tables(result)
     sets: list[dict[str, Any]] = []
-    by_set = dict(list(tables["new_device"].groupby("set", sort=False)))
+    by_set = dict(list(new_device_table(result).groupby("set", sort=False)))
     for group in (*result.sets, None):
         name = ANY_SET if group is None else group.name
         bands = {
@@ -116,7 +88,7 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
         "tested": None if result.tested is None else asdict(result.tested),
         "converged": result.converged,
         "sets": sets,
-        "quantities": tables["fit"].to_dict("records"),
+        "quantities": [_quantity_row(result, name) for name in result.posteriors],
         "priors": {k: asdict(v) for k, v in result.priors.items()},
         "other_priors": list(result.other_priors),
         "correlation_between_quantities": correlation_table(result),

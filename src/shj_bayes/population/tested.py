@@ -12,26 +12,18 @@ from shj_bayes.errors import PopulationError
 
 @dataclass(frozen=True)
 class RangeTested:
-    """Range of amplitudes and speeds that every device of a population went through.
+    """Range of amplitudes and speeds that every device of a population went through."""
 
-    Parameters
-    ----------
-    smallest_mm, largest_mm : float
-        Amplitudes (half strokes), mm.
-    slowest_mm_s, fastest_mm_s : float
-        Smallest and largest peak speed of a cycle, mm/s; within a stroke every speed from 0 to the peak occurs.
-    variant : str
-        Reversal rule of the law that the devices were fitted with ("published" or "continuous").
-    source : str
-        Where the range comes from.
-    """
-
+    # smallest_mm, largest_mm: amplitudes (half strokes), mm
     smallest_mm: float
     largest_mm: float
+    # slowest_mm_s, fastest_mm_s: smallest and largest peak speed of a cycle, mm/s; within a stroke every speed from 0
+    # to the peak occurs
     slowest_mm_s: float
     fastest_mm_s: float
+    # reversal rule of the law that the devices were fitted with ("published" or "continuous")
     variant: str = "published"
-    source: str = ""
+    source: str = ""  # where the range comes from
 
     def __post_init__(self) -> None:
         """Refuse ranges that are empty or not finite."""

@@ -18,12 +18,8 @@ from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.limits import CHUNK_BYTES
 from shj_bayes.recording.tables import Column, Table, as_floats, left_out, refuse_large
 
-_NUMERIC_CLASSES = {
-    "double",
-    "single",
-    "logical",
-    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
-}
+_INTEGERS = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+_NUMERIC_CLASSES = {"double", "single", "logical", *_INTEGERS}
 _V5_ORDERS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version and order of the bytes, at byte 124 of a v5 MAT file
 _COMPRESSED = 15  # type of a compressed element of a v5 MAT file
 

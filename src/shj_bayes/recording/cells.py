@@ -20,12 +20,7 @@ from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """Half-open index ranges over which a mask is True.
-
-    Returns
-    -------
-    list of (int, int)
-    """
+    """Half-open index ranges over which a mask is True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -61,13 +56,10 @@ def fill(time_s: FloatArray, values: FloatArray, name: str) -> tuple[FloatArray,
     bridged = np.where(filled, np.interp(time_s, time_s[~filled], values[~filled]), values)
     share = count / values.size
     message = f"{name}: {count} empty cells ({share:.2%}) bridged by straight lines and not used as evidence"
+    found = Finding("empty-cells", "repaired", message, count)
     if share > BAD_CELL_SHARE:
-        return (
-            bridged,
-            filled,
-            [Finding("empty-cells", "unusable", f"{message}; allowed are {BAD_CELL_SHARE:.0%}", count)],
-        )
-    return bridged, filled, [Finding("empty-cells", "repaired", message, count)]
+        found = Finding("empty-cells", "unusable", f"{message}; allowed are {BAD_CELL_SHARE:.0%}", count)
+    return bridged, filled, [found]
 
 
 def spikes(displacement_mm: FloatArray) -> BoolArray:

@@ -48,10 +48,7 @@ def _checked(recording: Recording) -> tuple[dict[str, Any], str]:
 def blocks_of(motion: Motion) -> list[dict[str, float]]:
     """Consecutive reversals of like amplitude.
 
-    Returns
-    -------
-    list of dict
-        ``amplitude_mm`` from the middle of the whole stroke, ``cycles`` (two reversals each) and ``peak_speed_mm_s``.
+    ``amplitude_mm`` from the middle of the whole stroke, ``cycles`` (two reversals each) and ``peak_speed_mm_s``.
     """
     turning = motion.turning_mm[1:]
     if turning.size == 0:

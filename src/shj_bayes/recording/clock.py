@@ -141,17 +141,9 @@ def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int,
 
 
 def longest_increasing(values: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Find a longest strictly increasing subsequence.
+    """Find the indices of a longest strictly increasing subsequence of values without NaN, shape (n,).
 
-    Parameters
-    ----------
-    values : array, shape (n,)
-        Without NaN.
-
-    Returns
-    -------
-    array of int
-        A single time that is far too large costs one row, not all that follow it.
+    A single time that is far too large costs one row, not all that follow it.
     """
     tails: list[float] = []
     at: list[int] = []
@@ -185,14 +177,10 @@ def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Find
     findings: list[Finding] = []
     spread = float(np.diff(np.percentile(steps, [5, 95]))[0]) / median
     if spread > JITTER_SHARE:
-        findings.append(
-            Finding(
-                "jitter",
-                "note",
-                f"time steps vary by {spread:.0%} of their median "
-                f"{1e3 * median:.4g} ms; each sample keeps its own time",
-            )
+        message = (
+            f"time steps vary by {spread:.0%} of their median {1e3 * median:.4g} ms; each sample keeps its own time"
         )
+        findings.append(Finding("jitter", "note", message))
     gaps = np.flatnonzero(steps > GAP_STEPS * median)
     if gaps.size:
         worst = int(gaps[np.argmax(steps[gaps])])

@@ -35,34 +35,21 @@ _HOW = "--columns time=...,displacement=...,force=... (column name, number, or a
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """The three channels in s, mm and kN, before any check.
+    """The three channels in s, mm and kN, before any check."""
 
-    Parameters
-    ----------
-    time_s, displacement_mm, force_kN : array, shape (n_rows,)
-        NaN where the file has no number.
-    columns, units : dict of str to str
-        What was read for each role.
-    findings : tuple of Finding
-        What was assumed.
-    named, assumed : frozenset of str
-        Roles whose column the user named, and roles whose unit nobody stated.
-    run_rows : tuple of int
-        Rows at which a run column says that a further run begins.
-    extras : tuple of Extra
-        Further channels that were asked for, at all rows.
-    """
-
+    # time_s to force_kN: shape (n_rows,): NaN where the file has no number
     time_s: FloatArray
     displacement_mm: FloatArray
     force_kN: FloatArray
+    # columns, units: what was read for each role
     columns: dict[str, str]
     units: dict[str, str]
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # what was assumed
+    # named, assumed: roles whose column the user named, and roles whose unit nobody stated
     named: frozenset[str] = frozenset()
     assumed: frozenset[str] = frozenset()
-    run_rows: tuple[int, ...] = ()
-    extras: tuple[Extra, ...] = ()
+    run_rows: tuple[int, ...] = ()  # rows at which a run column says that a further run begins
+    extras: tuple[Extra, ...] = ()  # further channels that were asked for, at all rows
 
 
 def choose(
@@ -188,12 +175,9 @@ def parse_columns(option: str | None) -> dict[str, str]:
 
 
 def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | None:
-    """Find a channel by its header; None where none fits. A match by a word in a longer header is a finding.
+    """Find a channel by its header; None where none fits, `RecordingError` where several fit equally well.
 
-    Raises
-    ------
-    RecordingError
-        If several fit equally well.
+    A match by a word in a longer header is a finding.
     """
     if not table.has_header:
         return None
@@ -302,13 +286,8 @@ def _steps(scaled: FloatArray, n: int, name: str, findings: list[Finding]) -> Fl
         raise RecordingError(
             f"time: the sampling interval {name or 'wf_increment'} is {step:g} s; it must be above zero"
         )
-    findings.append(
-        Finding(
-            "time-from-step",
-            "assumed",
-            f"time is made from the constant interval {name or 'wf_increment'} = {step:g} s",
-        )
-    )
+    message = f"time is made from the constant interval {name or 'wf_increment'} = {step:g} s"
+    findings.append(Finding("time-from-step", "assumed", message))
     return np.asarray(np.arange(n) * step, dtype=np.float64)
 
 
@@ -317,24 +296,14 @@ def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Findi
     header = value.columns[0].unit if value.plain else None
     if role in given:
         if header is not None and header != given[role] and not _same(header, given[role], role):
-            findings.append(
-                Finding(
-                    "unit-overruled",
-                    "warning",
-                    f"{role}: the header says {header}, --units says {given[role]}; {given[role]} is used",
-                )
-            )
+            message = f"{role}: the header says {header}, --units says {given[role]}; {given[role]} is used"
+            findings.append(Finding("unit-overruled", "warning", message))
         return given[role]
     if header is not None:
         return header
     name = value.columns[0].name if value.columns else role
-    findings.append(
-        Finding(
-            "unit-assumed",
-            "assumed",
-            f"{role}: {table.name} gives no unit for {name!r}; {TARGET[role]} is assumed; if not, use --units",
-        )
-    )
+    message = f"{role}: {table.name} gives no unit for {name!r}; {TARGET[role]} is assumed; if not, use --units"
+    findings.append(Finding("unit-assumed", "assumed", message))
     return TARGET[role]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.headers import bare_unit, is_unit_row, split_header
@@ -31,24 +31,12 @@ class NoNumbersError(RecordingError):
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text table is written.
+    """How a text table is written."""
 
-    Parameters
-    ----------
-    separator : str
-        ``","``, ``";"``, tab, or a blank for any run of blanks.
-    decimal : {".", ","}
-        Decimal sign.
-    first : int
-        Index of the first line of numbers.
-    width : int
-        Number of columns.
-    """
-
-    separator: str
-    decimal: str
-    first: int
-    width: int
+    separator: str  # ``","``, ``";"``, tab, or a blank for any run of blanks
+    decimal: str  # ".", ",": decimal sign
+    first: int  # index of the first line of numbers
+    width: int  # number of columns
 
     def cells(self, line: str) -> list[str]:
         """Cells of one line."""
@@ -130,7 +118,7 @@ def _without_empty_tail(dialect: Dialect, lines: list[str]) -> Dialect:
     width = dialect.width
     while width > 2 and all(len(row) < width or row[width - 1] == "" for row in sample):
         width -= 1
-    return Dialect(dialect.separator, dialect.decimal, dialect.first, width)
+    return replace(dialect, width=width)
 
 
 def _number_share(rows: list[list[str]], decimal: str) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -120,6 +121,4 @@ def _with_sheet_note(table: Table, used: str, names: list[str]) -> Table:
     if len(names) == 1:
         return table
     note = Finding("sheet", "assumed", f"sheet {used!r} is read, the first with numbers of {len(names)}")
-    return Table(
-        table.name, table.format, table.sha256, table.columns, table.has_header, table.scalars, (*table.findings, note)
-    )
+    return replace(table, findings=(*table.findings, note))

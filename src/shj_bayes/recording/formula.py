@@ -33,21 +33,11 @@ _HELP = (
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """A formula's value: a column, or a single number when ``values`` has no dimension.
+    """A formula's value: a column, or a single number when ``values`` has no dimension."""
 
-    Parameters
-    ----------
-    values : array
-        Numbers, shape (n_rows,) or ().
-    columns : tuple of Column
-        Columns it was made of; a plain column is one column unchanged.
-    plain : bool
-        Whether it is one column as it stands, so that the header's unit holds for it.
-    """
-
-    values: FloatArray
-    columns: tuple[Column, ...] = ()
-    plain: bool = False
+    values: FloatArray  # numbers, shape (n_rows,) or ()
+    columns: tuple[Column, ...] = ()  # columns it was made of; a plain column is one column unchanged
+    plain: bool = False  # whether it is one column as it stands, so that the header's unit holds for it
 
 
 def evaluate(text: str, table: Table) -> Value:

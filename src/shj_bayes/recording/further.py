@@ -30,28 +30,15 @@ class Refusal(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A further channel of one run, without its noise.
-
-    Parameters
-    ----------
-    name, unit : str
-        As of the `Extra`.
-    time_s : array, shape (n,)
-        Time since the first sample of the run, s.
-    values : array, shape (n,)
-        In its unit; of a refused channel without numbers there are none.
-    refused : Refusal or None
-        Why nothing can be said over it; None where it can serve.
-    share : float
-        What was found against the limit: the longest gap as a share of the run, the share of the variance that is noise
-        or that is shared with the force. 0 where neither was looked at.
-    """
+    """A further channel of one run, without its noise."""
 
     name: str
     unit: str
-    time_s: FloatArray
-    values: FloatArray
-    refused: Refusal | None = None
+    time_s: FloatArray  # shape (n,): time since the first sample of the run, s
+    values: FloatArray  # shape (n,): in its unit; of a refused channel without numbers there are none
+    refused: Refusal | None = None  # why nothing can be said over it; None where it can serve
+    # what was found against the limit: the longest gap as a share of the run, the share of the variance that is noise
+    # or that is shared with the force. 0 where neither was looked at.
     share: float = 0.0
 
     def __post_init__(self) -> None:
@@ -113,12 +100,7 @@ def _smoothed(values: FloatArray) -> tuple[FloatArray, float]:
 def at_samples(extra_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
     """Values of a channel at the samples of a recording, on straight lines; NaN where no number is near.
 
-    Parameters
-    ----------
-    extra_s, values : array, shape (m,)
-        Times, ascending, and values that are known.
-    time_s : array, shape (n_samples,)
-        Sampling times.
+    Known values have ascending times `extra_s`, both of shape (m,); `time_s` has shape (n_samples,).
     """
     if extra_s.size == 0:
         return np.full(time_s.size, np.nan)

@@ -29,10 +29,7 @@ Item = tuple[str, np.ndarray[Any, Any] | None, str | None]
 def apart(path: Path) -> Iterator[Item]:
     """Read a file in a process of its own: name, numbers (None for what is not numbers) and unit of each dataset.
 
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read, or the library dies or hangs on it.
+    `RecordingError` if the file cannot be read, or the library dies or hangs on it.
     """
     broken = f"{path.name}: the HDF5 library cannot read it and gave up"
     advice = "check that the file is complete; export it again"
@@ -119,7 +116,8 @@ def from_hdf5(path: Path) -> Iterator[Item]:
                 found.extend((field, shaped(table[field]), None) for field in item.dtype.names)
             else:
                 found.append((name, shaped(item[()]), _unit(item)))
-        found.extend((key, np.asarray(value), None) for key, value in file.attrs.items() if _is_number(value))
+        numbers = ((k, v) for k, v in file.attrs.items() if isinstance(v, int | float | np.integer | np.floating))
+        found.extend((key, np.asarray(value), None) for key, value in numbers)
     return iter(found)
 
 
@@ -133,10 +131,6 @@ def _holds_numbers(dtype: np.dtype[Any]) -> bool:
     if dtype.names:
         return all(dtype[name].kind in "fiub" for name in dtype.names)
     return dtype.kind in "fiub"
-
-
-def _is_number(value: object) -> bool:
-    return np.ndim(value) == 0 and isinstance(value, (int, float, np.integer, np.floating))  # type: ignore[arg-type]
 
 
 def _unit(item: Any) -> str | None:

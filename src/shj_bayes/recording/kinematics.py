@@ -72,7 +72,7 @@ def _motion(recording: Recording) -> Motion:
     # The second search works on the smoothed curve, so that its threshold may be as low as the noise that is left.
     threshold = max(REVERSAL_NOISE * curve.noise, floor)
     turns = hysteresis(curve.values, threshold)
-    turn_s, turn_mm = place(time, raw, curve.values, curve.velocity, turns, noise, curve.kinks_s)
+    turn_s, turn_mm = place(time, raw, curve, turns, noise)
     start = _boundaries(time, turn_s)
     sign = first_direction(curve.values, turns)
     direction = sign * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)

@@ -101,31 +101,16 @@ def exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
     (n_samples,). At most 1.8 in 26 public recordings; 12 and more with their columns exchanged, but for two that were
     digitised.
     """
-    return float(
-        np.prod(
-            [
-                measure(displacement_mm) / max(measure(force_kN), 1e-300)
-                for measure in (burstiness, roughness, half_cycles)
-            ]
-        )
-    )
+    measures = (burstiness, roughness, half_cycles)
+    return float(np.prod([measure(displacement_mm) / max(measure(force_kN), 1e-300) for measure in measures]))
 
 
 def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[FloatArray, list[Finding]]:
-    """Turn a force of the wrong sign round; name columns that seem swapped.
+    """Turn a force of the wrong sign round; name columns that seem swapped; arrays have shape (n_samples,).
 
     A passive device takes up energy. A loop that gives energy back has one channel with the wrong sign, or the two
-    channels swapped. Turning the force round is safe: it only exchanges the names push and pull. Swapping is not:
-    it is for the user to say which column is which.
-
-    Parameters
-    ----------
-    displacement_mm, force_kN : array, shape (n_samples,)
-
-    Returns
-    -------
-    force_kN : array
-    findings : list of Finding
+    channels swapped. Turning the force round is safe: it only exchanges the names push and pull. Swapping is not: it is
+    for the user to say which column is which.
     """
     area = dissipation(displacement_mm, force_kN)
     if area > -SIGN_SHARE:

@@ -17,36 +17,24 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The displacement history that drives the law.
+    """The displacement history that drives the law."""
 
-    Parameters
-    ----------
-    displacement_mm : array, shape (n_samples,)
-        Displacement, smoothed with the stated method where it was measured.
-    speed_mm_s : array, shape (n_samples,)
-        Speed, the absolute value of v, never negative.
-    start : array of int, shape (n_half + 1,)
-        Half-cycle k holds the samples ``start[k]:start[k+1]``; ``start[0] = 0``, ``start[-1] = n_samples``.
-    turning_mm : array, shape (n_half,)
-        Displacement at which half-cycle k starts: the first sample's for k = 0, else the reversal's (x_reset).
-    direction : array of int, shape (n_half,)
-        +1 where displacement grows in the half-cycle, -1 where it falls.
-    unsure : array of bool, shape (n_samples,)
-        Samples so near a reversal that the noise hides on which side they lie; no evidence for the law.
-    method : str
-        How reversals and speed were found, with the bandwidth in Hz; ``"exact"`` for simulated motion.
-    noise_mm : float
-        Estimated displacement noise (standard deviation), mm.
-    """
-
+    # shape (n_samples,): displacement, smoothed with the stated method where it was measured
     displacement_mm: FloatArray
-    speed_mm_s: FloatArray
+    speed_mm_s: FloatArray  # shape (n_samples,): speed, the absolute value of v, never negative
+    # shape (n_half + 1,): half-cycle k holds the samples ``start[k]:start[k+1]``; ``start[0] = 0``, ``start[-1] =
+    # n_samples``
     start: IntArray
+    # shape (n_half,): displacement at which half-cycle k starts: the first sample's for k = 0, else the reversal's
+    # (x_reset)
     turning_mm: FloatArray
-    direction: IntArray
+    direction: IntArray  # shape (n_half,): +1 where displacement grows in the half-cycle, -1 where it falls
+    # shape (n_samples,): samples so near a reversal that the noise hides on which side they lie; no evidence for the
+    # law
     unsure: BoolArray | None = None
+    # how reversals and speed were found, with the bandwidth in Hz; ``"exact"`` for simulated motion
     method: str = "exact"
-    noise_mm: float = 0.0
+    noise_mm: float = 0.0  # estimated displacement noise (standard deviation), mm
 
     def __post_init__(self) -> None:
         """Copy, check and freeze the arrays."""

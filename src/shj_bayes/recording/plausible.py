@@ -28,12 +28,8 @@ def plausibility_findings(
 ) -> list[Finding]:
     """Sizes that are unusual in a unit that was assumed, and columns that look like one another's.
 
-    Parameters
-    ----------
-    channels : Channels
-        What was chosen; says which units were assumed and which columns were named.
-    time_s, displacement_mm, force_kN : array, shape (n_samples,)
-        After the repairs.
+    The channels say which units were assumed and which columns were named; the arrays, of shape (n_samples,), are those
+    after the repairs.
     """
     stroke, force = float(np.ptp(displacement_mm)), float(np.max(np.abs(force_kN)))
     duration = float(time_s[-1] - time_s[0])

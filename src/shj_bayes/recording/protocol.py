@@ -12,21 +12,11 @@ from shj_bayes.recording.motion import FloatArray, Motion
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive sine cycles of one amplitude and frequency.
+    """Consecutive sine cycles of one amplitude and frequency."""
 
-    Parameters
-    ----------
-    amplitude_mm : float
-        Half of the peak-to-peak stroke, mm.
-    frequency_Hz : float
-        Frequency, Hz.
-    n_cycles : int
-        Full cycles, at least one.
-    """
-
-    amplitude_mm: float
-    frequency_Hz: float
-    n_cycles: int
+    amplitude_mm: float  # half of the peak-to-peak stroke, mm
+    frequency_Hz: float  # frequency, Hz
+    n_cycles: int  # full cycles, at least one
 
     def __post_init__(self) -> None:
         """Refuse blocks that hold no motion."""

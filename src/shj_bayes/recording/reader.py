@@ -73,7 +73,7 @@ def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: 
         run_starts=tuple(RunStart(at, shift) for at, shift in samples.items() if 0 < at < time_s.size),
         extras=tuple(_at_samples(extra, clock_s, time_s) for extra in channels.extras),
     )
-    return replace(recording, findings=(*recording.findings, *inspect(recording)))
+    return recording.with_findings(*inspect(recording))
 
 
 def _at_samples(extra: Extra, clock_s: FloatArray, time_s: FloatArray) -> Extra:

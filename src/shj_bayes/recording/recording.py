@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from itertools import pairwise
 from pathlib import Path
@@ -48,27 +48,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a recording came from.
+    """Where a recording came from."""
 
-    Parameters
-    ----------
-    name : str
-        File name without folders.
-    sha256 : str
-        Digest of the file as read; empty for recordings made in memory.
-    format : str
-        ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``.
-    columns : dict of str to str
-        Role (time, displacement, force) to the column or expression it was read from.
-    units : dict of str to str
-        Role to the unit it was read in.
-    """
-
-    name: str
-    sha256: str = ""
-    format: str = "simulated"
+    name: str  # file name without folders
+    sha256: str = ""  # digest of the file as read; empty for recordings made in memory
+    format: str = "simulated"  # ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``
+    # role (time, displacement, force) to the column or expression it was read from
     columns: dict[str, str] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)  # role to the unit it was read in
 
     def __post_init__(self) -> None:
         """Names of files and columns are text from outside: keep what can be shown and written."""
@@ -79,35 +66,20 @@ class Source:
 
 @dataclass(frozen=True)
 class RunStart:
-    """Where a further run begins in a file that tells its runs apart.
+    """Where a further run begins in a file that tells its runs apart."""
 
-    Parameters
-    ----------
-    sample : int
-        Its first sample.
-    shift_s : float
-        What was added to its times, so that they follow those of the run before, s.
-    """
-
-    sample: int
-    shift_s: float = 0.0
+    sample: int  # its first sample
+    shift_s: float = 0.0  # what was added to its times, so that they follow those of the run before, s
 
 
 @dataclass(frozen=True, eq=False)
 class Extra:
-    """A further channel that was asked for: bolt tension, temperature ...
+    """A further channel that was asked for: bolt tension, temperature ..."""
 
-    Parameters
-    ----------
-    name, unit : str
-        As given with ``--columns`` and as the header says; a force, which ``tension`` is, in kN.
-    values : array, shape (n_samples,)
-        At the samples of the recording; NaN where there is no number near.
-    """
-
+    # name, unit: as given with ``--columns`` and as the header says; a force, which ``tension`` is, in kN
     name: str
     unit: str
-    values: FloatArray
+    values: FloatArray  # shape (n_samples,): at the samples of the recording; NaN where there is no number near
 
     def __post_init__(self) -> None:
         """Names are text from outside; the values stay as they are."""
@@ -191,6 +163,10 @@ class Recording:
         ]
         body = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)
         return f"<table><caption>{escape(self.source.name)}</caption><tbody>{body}</tbody></table>"
+
+    def with_findings(self, *findings: Finding) -> Recording:
+        """Give the same recording with more to say of it."""
+        return replace(self, findings=(*self.findings, *findings))
 
     @property
     def n_samples(self) -> int:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from shj_bayes.recording.polynomial import hermite
 from shj_bayes.recording.recording import FloatArray
+
+if TYPE_CHECKING:
+    from shj_bayes.recording.smoothing import Smooth
+
 
 NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans: a sine within 0.71 rad of its peak
 _MIN_POINTS = 9
@@ -56,13 +62,7 @@ def first_direction(values: FloatArray, turns: list[int]) -> int:
 
 
 def place(
-    time_s: FloatArray,
-    raw: FloatArray,
-    smoothed: FloatArray,
-    velocity: FloatArray,
-    turns: list[int],
-    noise: float,
-    kinks_s: FloatArray,
+    time_s: FloatArray, raw: FloatArray, curve: Smooth, turns: list[int], noise: float
 ) -> tuple[FloatArray, FloatArray]:
     """Give every reversal its turning time and turning displacement.
 
@@ -72,19 +72,20 @@ def place(
 
     Parameters
     ----------
-    time_s, raw, smoothed, velocity : array, shape (n_samples,)
-        Time, displacement as measured and as smoothed, velocity of the latter.
+    time_s, raw : array, shape (n_samples,)
+        Time, and displacement as measured.
+    curve : Smooth
+        The same smoothed, with its velocity and the times of corners, starts and stops.
     turns : list of int
         Indices of the reversals in the smoothed displacement.
     noise : float
         Standard deviation of one raw sample.
-    kinks_s : array
-        Times of corners, starts and stops, s.
 
     Returns
     -------
     turn_s, turn_mm : array, shape (len(turns),)
     """
+    smoothed, kinks_s = curve.values, curve.kinks_s
     times, places = np.empty(len(turns)), np.empty(len(turns))
     edges = [0, *turns, raw.size - 1]
     for k, index in enumerate(turns):
@@ -98,7 +99,7 @@ def place(
                 found = rest  # the corner is where it begins, or elsewhere
         else:
             found = _quartic(time_s, raw, lo, hi, noise, peak) or rest
-        times[k], places[k] = found or _between_samples(time_s, smoothed, velocity, (lo, index, hi), peak)
+        times[k], places[k] = found or _between_samples(time_s, smoothed, curve.velocity, (lo, index, hi), peak)
     return times, places
 
 

@@ -43,22 +43,14 @@ _OTHER = "use --split or --one-run, or put each run into a file of its own"
 
 @dataclass(frozen=True)
 class Division:
-    """One way to part a recording into runs.
+    """One way to part a recording into runs."""
 
-    Parameters
-    ----------
-    why : {"file", "repeat", "rest"}
-        The file tells its runs apart; the protocol begins again; the device rests for long.
-    spans : tuple of (int, int)
-        First sample of each run, and the sample behind its last; a rest between two runs belongs to neither, but for
-        its last samples, which show the force from which the next run starts.
-    words : str
-        What was found, for a finding.
-    """
-
+    # the file tells its runs apart; the protocol begins again; the device rests for long
     why: Literal["file", "repeat", "rest"]
+    # first sample of each run, and the sample behind its last; a rest between two runs belongs to neither, but for its
+    # last samples, which show the force from which the next run starts
     spans: tuple[tuple[int, int], ...]
-    words: str
+    words: str  # what was found, for a finding
 
     @property
     def n_runs(self) -> int:
@@ -67,13 +59,7 @@ class Division:
 
 
 def divisions(recording: Recording) -> tuple[Division, ...]:
-    """Find the ways in which a recording may hold several runs.
-
-    Returns
-    -------
-    tuple of Division
-        The surest first; empty when nothing speaks for more than one run.
-    """
+    """Find the ways in which a recording may hold several runs, the surest first; none where nothing speaks for it."""
     told = [start.sample for start in recording.run_starts]
     found = [Division("file", _spans(recording, told), f"the file tells {len(told) + 1} runs apart")] if told else []
     sketch = _sketch(recording)
@@ -137,12 +123,7 @@ def split(recording: Recording, n_runs: int | None = None) -> tuple[Recording, .
 
 
 def check_runs(runs: Runs) -> None:
-    """Refuse what is neither a number of runs nor one of the two words.
-
-    Raises
-    ------
-    RecordingError
-    """
+    """Refuse what is neither a number of runs nor one of the two words (`RecordingError`)."""
     number = isinstance(runs, int) and not isinstance(runs, bool) and runs >= 1
     if not (number or runs in ("split", "one", None)):
         raise RecordingError(f'runs = {runs!r}: allowed are a number of runs from 1 on, "split" and "one"')
@@ -199,7 +180,7 @@ def _beyond_doubt(recording: Recording) -> tuple[Recording, ...]:
     else:
         message = f"{way.words}; read as one run; if it holds {way.n_runs}, {options}"
         finding = Finding("long-rests", "warning", message)
-    return (replace(recording, findings=(*recording.findings, finding)),)
+    return (recording.with_findings(finding),)
 
 
 def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
@@ -221,8 +202,7 @@ def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
             (*kept, said),
             extras=tuple(replace(extra, values=extra.values[a:b]) for extra in recording.extras),
         )
-        own = (*clock_findings(part.time_s, part.displacement_mm), *inspect(part))
-        parts.append(replace(part, findings=(*part.findings, *own)))
+        parts.append(part.with_findings(*clock_findings(part.time_s, part.displacement_mm), *inspect(part)))
     return tuple(parts)
 
 
@@ -244,18 +224,12 @@ class _Pause:
 
 @dataclass(frozen=True, eq=False)
 class _Sketch:
-    """The displacement thinned out: enough to see rests and strokes.
+    """The displacement thinned out: enough to see rests and strokes."""
 
-    Parameters
-    ----------
-    time_s, x_mm : array, shape (n,)
-    noise_mm : float
-        Of one sample.
-    """
-
+    # time_s, x_mm: shape (n,)
     time_s: FloatArray
     x_mm: FloatArray
-    noise_mm: float
+    noise_mm: float  # of one sample
 
     @property
     def threshold_mm(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -19,53 +20,27 @@ _CUBIC, _QUINTIC = 3, 5
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Evenly spaced version of the samples, on which the filters work.
+    """Evenly spaced version of the samples, on which the filters work."""
 
-    Parameters
-    ----------
-    time : array, shape (n_grid,)
-        s.
-    values : array, shape (n_grid,)
-        Mean of the samples of each cell, moved to the cell's centre.
-    step : float
-        s.
-    noise : float
-        Standard deviation of the noise of ``values``.
-    """
-
-    time: FloatArray
-    values: FloatArray
-    step: float
-    noise: float
+    time: FloatArray  # shape (n_grid,): s
+    values: FloatArray  # shape (n_grid,): mean of the samples of each cell, moved to the cell's centre
+    step: float  # s
+    noise: float  # standard deviation of the noise of ``values``
 
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """Smoothed displacement and its velocity at the samples.
+    """Smoothed displacement and its velocity at the samples."""
 
-    Parameters
-    ----------
-    values, velocity : array, shape (n_samples,)
-        mm and mm/s.
-    velocity_sd : array, shape (n_samples,)
-        Standard deviation of the noise left in ``velocity``, mm/s.
-    noise : float
-        Standard deviation of what noise is left in ``values`` with the narrowest window, mm.
-    half_width_s : tuple of float
-        Half of the narrowest and of the widest window, s.
-    bandwidth_Hz : tuple of float
-        Frequency at which the velocity has lost 3 dB, for the widest and the narrowest window.
-    kinks_s : array
-        Times of corners, starts and stops at which the windows end, s.
-    """
-
+    # values, velocity: shape (n_samples,): mm and mm/s
     values: FloatArray
     velocity: FloatArray
-    velocity_sd: FloatArray
-    noise: float
-    half_width_s: tuple[float, float]
+    velocity_sd: FloatArray  # shape (n_samples,): standard deviation of the noise left in ``velocity``, mm/s
+    noise: float  # standard deviation of what noise is left in ``values`` with the narrowest window, mm
+    half_width_s: tuple[float, float]  # half of the narrowest and of the widest window, s
+    # frequency at which the velocity has lost 3 dB, for the widest and the narrowest window
     bandwidth_Hz: tuple[float, float]
-    kinks_s: FloatArray
+    kinks_s: FloatArray  # times of corners, starts and stops at which the windows end, s
 
 
 def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -> Grid:
@@ -83,6 +58,24 @@ def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -
     return Grid(centres, np.interp(centres, mean_time, mean_value), step, noise / np.sqrt(max(1.0, time_s.size / n)))
 
 
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """A measured displacement with strictly increasing times, shape (n_samples,)."""
+
+    time_s: FloatArray
+    values: FloatArray
+    noise: float  # standard deviation of one
+
+    @cached_property
+    def step(self) -> float:
+        """Usual sampling interval, s."""
+        return float(np.median(np.diff(self.time_s)))
+
+    def grid(self, half_s: float) -> Grid:
+        """Average what a window of half a width (s) need not tell apart."""
+        return grid_of(self.time_s, self.values, self.noise, max(self.step, half_s / MAX_HALF_WIDTH))
+
+
 def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, threshold: float) -> Smooth:
     """Smooth a measured displacement and differentiate it.
 
@@ -97,25 +90,23 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, t
     threshold : float
         Hysteresis of the first search for half-cycles.
     """
-    step = float(np.median(np.diff(time_s)))
+    samples = Samples(time_s, values, noise)
     turns = hysteresis(values, threshold)
     # Neighbouring windows differ by the rounding error of a slow staircase without any bias, and noise that is not
     # white is larger than its third differences tell; a ten-thousandth of the range is no bias that a loop shows.
     coloured = min(BIAS_RANGE * float(np.ptp(values)), 4.0 * noise)
     allowed = max(BIAS_SHARE * noise, coloured, count / float(np.sqrt(12.0)))
     edges = np.concatenate([[time_s[0]], time_s[turns], [time_s[-1]]])
-    half_s = choose_half_width(time_s, values, noise, allowed, edges)
-    grid = grid_of(time_s, values, noise, max(step, half_s / MAX_HALF_WIDTH))
+    half_s = choose_half_width(samples, allowed, edges)
+    grid = samples.grid(half_s)
     half = max(2, round(half_s / grid.step))
     kinks_s = grid.time[find_kinks(grid, half, allowed, count)]
-    long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * step, grid.step))
+    long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * samples.step, grid.step))
     stops = np.sort(np.concatenate([kinks_s, time_s[long], time_s[long + 1]]))
-    widths = widen(time_s, values, noise, max(BIAS_SHARE * noise, count / float(np.sqrt(12.0))), edges, half_s, stops)
+    widths = widen(samples, max(BIAS_SHARE * noise, count / float(np.sqrt(12.0))), edges, half_s, stops)
     of_sample = widths[np.clip(np.searchsorted(time_s[turns], time_s, side="right"), 0, widths.size - 1)]
-    narrowest = max(2.0 * step, half_s / NARROWEST)
-    position, velocity, error = _narrowed(
-        time_s, values, noise, of_sample, stops, (max(allowed, 2.0 * count), narrowest, step)
-    )
+    narrowest = max(2.0 * samples.step, half_s / NARROWEST)
+    position, velocity, error = _narrowed(samples, of_sample, stops, max(allowed, 2.0 * count), narrowest)
     kernel = weights(2 * half + 1, _CUBIC)
     return Smooth(
         values=position,
@@ -129,12 +120,7 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, t
 
 
 def _narrowed(
-    time_s: FloatArray,
-    values: FloatArray,
-    noise: float,
-    of_sample: FloatArray,
-    stops: FloatArray,
-    limits: tuple[float, float, float],
+    samples: Samples, of_sample: FloatArray, stops: FloatArray, allowed: float, narrowest: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity and its standard deviation with the given windows, narrower where the curve bends at once.
 
@@ -144,21 +130,20 @@ def _narrowed(
     `LOCAL_SD` standard deviations of their difference (Lepski's rule: Goldenshluger and Nemirovski 1997, Mathematical
     Methods of Statistics 6, 135-170), in its neighbourhood as well, since a bias swings through zero.
     """
-    allowed, narrowest, step = limits
     ladder = [float(np.max(of_sample))]
     while ladder[-1] / 1.5 >= narrowest:
         ladder.append(ladder[-1] / 1.5)
     ladder.reverse()
-    position, velocity, sd = _curve(time_s, values, noise, (ladder[0], step), stops)
-    error = np.full(values.size, sd[1])
+    position, velocity, sd = _curve(samples, ladder[0], stops)
+    error = np.full(position.size, sd[1])
     # Intersection of what the narrower windows allow. The wider window holds their samples: the difference varies less
     # than the narrower estimate itself.
     low, high = position - allowed - LOCAL_SD * sd[0], position + allowed + LOCAL_SD * sd[0]
-    agrees = np.ones(values.size, dtype=np.bool_)
+    agrees = np.ones(position.size, dtype=np.bool_)
     for width in ladder[1:]:
-        x, v, sd = _curve(time_s, values, noise, (width, step), stops)
+        x, v, sd = _curve(samples, width, stops)
         agrees &= (low <= x) & (x <= high)
-        mine = (width <= of_sample * 1.01) & _all_within(agrees, round(width / step) // 2)
+        mine = (width <= of_sample * 1.01) & _all_within(agrees, round(width / samples.step) // 2)
         position[mine], velocity[mine], error[mine] = x[mine], v[mine], sd[1]
         low, high = np.maximum(low, x - allowed - LOCAL_SD * sd[0]), np.minimum(high, x + allowed + LOCAL_SD * sd[0])
     return position, velocity, error
@@ -172,30 +157,19 @@ def _all_within(true: BoolArray, reach: int) -> BoolArray:
     return np.asarray(false[last] == false[np.maximum(index - reach, 0)])
 
 
-def _curve(
-    time_s: FloatArray, values: FloatArray, noise: float, window: tuple[float, float], stops: FloatArray
-) -> tuple[FloatArray, FloatArray, tuple[float, float]]:
-    """Position, velocity and their standard deviations with one window (half and sampling step, s), by segment."""
-    half_s, step = window
-    grid = grid_of(time_s, values, noise, max(step, half_s / MAX_HALF_WIDTH))
+def _curve(samples: Samples, half_s: float, stops: FloatArray) -> tuple[FloatArray, FloatArray, tuple[float, float]]:
+    """Position, velocity and their standard deviations with one window (half of it, s), by segment."""
+    grid = samples.grid(half_s)
     half = max(2, round(half_s / grid.step))
     inner = np.rint((stops - grid.time[0]) / grid.step).astype(np.int64)
     breaks = np.unique(np.clip(np.concatenate([[0], inner, [grid.time.size - 1]]), 0, grid.time.size - 1))
-    position, velocity = _by_segment(time_s, grid, half, breaks)
+    position, velocity = _by_segment(samples.time_s, grid, half, breaks)
     kernels = [weights(2 * half + 1, _degree(2 * half + 1), k, grid.step) for k in (0, 1)]
     sd_position, sd_velocity = (float(grid.noise * np.sqrt(np.sum(kernel**2))) for kernel in kernels)
     return position, velocity, (sd_position, sd_velocity)
 
 
-def widen(
-    time_s: FloatArray,
-    values: FloatArray,
-    noise: float,
-    allowed: float,
-    edges: FloatArray,
-    half_s: float,
-    stops: FloatArray,
-) -> FloatArray:
+def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, stops: FloatArray) -> FloatArray:
     """Wider windows for slow half-cycles, each judged by itself with the criterion of `choose_half_width`.
 
     One window for all would be set by the fastest block: at Table 1 the slow blocks would keep four times the noise
@@ -203,10 +177,8 @@ def widen(
 
     Parameters
     ----------
-    time_s, values : array, shape (n_samples,)
-        Samples.
-    noise : float
-        Standard deviation of one sample.
+    samples : Samples
+        As measured.
     allowed : float
         Change of the curve that does not matter.
     edges : array, shape (n_half + 1,)
@@ -222,14 +194,13 @@ def widen(
     array, shape (n_half,)
         Half of the window of each, s; neighbours differ by a factor of 1.5 at most, since windows reach over.
     """
-    step = float(np.median(np.diff(time_s)))
     width = np.full(edges.size - 1, half_s)
     touched = np.searchsorted(stops, edges[1:] + half_s) > np.searchsorted(stops, edges[:-1] - half_s)
     growing = ~touched
     before = np.full(width.size, np.inf)
     trial = 1.5 * half_s
     while np.any(growing := growing & (trial <= SHORTEST_SHARE * np.diff(edges))):
-        grid = grid_of(time_s, values, noise, max(step, trial / MAX_HALF_WIDTH))
+        grid = samples.grid(trial)
         change, expected = _changes(grid, edges, (trial / 1.5, trial))
         growing = growing & (change <= np.maximum(np.maximum(allowed, expected), before))  # nan: too short to judge
         width[growing] = trial
@@ -242,7 +213,7 @@ def widen(
     return width
 
 
-def choose_half_width(time_s: FloatArray, values: FloatArray, noise: float, allowed: float, edges: FloatArray) -> float:
+def choose_half_width(samples: Samples, allowed: float, edges: FloatArray) -> float:
     """Widest window that moves the curve of no half-cycle by more than a share of the noise.
 
     Windows are widened by a factor 1.5. In each half-cycle (without its ends, where a corner may be) the difference
@@ -251,10 +222,8 @@ def choose_half_width(time_s: FloatArray, values: FloatArray, noise: float, allo
 
     Parameters
     ----------
-    time_s, values : array, shape (n_samples,)
-        Samples.
-    noise : float
-        Standard deviation of one sample.
+    samples : Samples
+        As measured.
     allowed : float
         Change of the curve that does not matter, whether or not it is noise.
     edges : array, shape (n_half + 1,)
@@ -265,15 +234,14 @@ def choose_half_width(time_s: FloatArray, values: FloatArray, noise: float, allo
     float
         Half of the window, s.
     """
-    step = float(np.median(np.diff(time_s)))
     # The first and the last half-cycle may be cut short or hold a rest, so only whole ones tell the shortest duration.
     whole = np.diff(edges)[1:-1] if edges.size > 3 else np.diff(edges)
     limit = SHORTEST_SHARE * float(np.min(whole))
-    accepted = 2.0 * step
+    accepted = 2.0 * samples.step
     before = np.full(edges.size - 1, np.inf)
     while accepted * 1.5 <= limit:
         trial = accepted * 1.5
-        grid = grid_of(time_s, values, noise, max(step, trial / MAX_HALF_WIDTH))
+        grid = samples.grid(trial)
         change, expected = _changes(grid, edges, (accepted, trial))
         # Noise that is not white changes the curve more than expected, but less and less as the window grows; a bias
         # grows with its fourth power.

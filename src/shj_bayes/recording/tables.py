@@ -13,71 +13,33 @@ from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROW
 from shj_bayes.recording.recording import Finding, FloatArray
 
 FORMATS = {
-    ".csv": "csv",
-    ".tsv": "csv",
-    ".txt": "csv",
-    ".dat": "csv",
-    ".asc": "csv",
-    ".xlsx": "xlsx",
-    ".json": "json",
-    ".mat": "mat",
-    ".h5": "hdf5",
-    ".hdf5": "hdf5",
-    ".tdms": "tdms",
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc"), "csv"),
+    **{".xlsx": "xlsx", ".json": "json", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".tdms": "tdms"},
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column of a file.
+    """One column of a file."""
 
-    Parameters
-    ----------
-    name : str
-        Name in the file, without the unit where the unit could be told apart; ``"#3"`` without a header.
-    values : array, shape (n_rows,)
-        Numbers; NaN where the cell was empty or held no number.
-    unit : str or None
-        Unit as written in the file.
-    header : str
-        Header as written, name and unit together.
-    """
-
-    name: str
-    values: FloatArray
-    unit: str | None = None
-    header: str = ""
+    name: str  # name in the file, without the unit where the unit could be told apart; ``"#3"`` without a header
+    values: FloatArray  # shape (n_rows,): numbers; NaN where the cell was empty or held no number
+    unit: str | None = None  # unit as written in the file
+    header: str = ""  # header as written, name and unit together
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What a file holds, before anything is chosen or converted.
+    """What a file holds, before anything is chosen or converted."""
 
-    Parameters
-    ----------
-    name : str
-        File name without folders.
-    format : str
-        ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5`` or ``tdms``.
-    sha256 : str
-        Digest of the file as it lies on the disk.
-    columns : tuple of Column
-        In the order of the file.
-    has_header : bool
-        Whether the columns have names of their own.
-    scalars : dict of str to float
-        Single numbers stored beside the columns (MAT variables, HDF5 and TDMS attributes).
-    findings : tuple of Finding
-        What was met while reading.
-    """
-
-    name: str
-    format: str
-    sha256: str
-    columns: tuple[Column, ...]
-    has_header: bool = True
+    name: str  # file name without folders
+    format: str  # ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5`` or ``tdms``
+    sha256: str  # digest of the file as it lies on the disk
+    columns: tuple[Column, ...]  # in the order of the file
+    has_header: bool = True  # whether the columns have names of their own
+    # single numbers stored beside the columns (MAT variables, HDF5 and TDMS attributes)
     scalars: dict[str, float] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # what was met while reading
 
     @property
     def summary(self) -> str:

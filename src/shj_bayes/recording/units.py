@@ -25,53 +25,24 @@ _KILOPOND_KN = 9.80665e-3
 _POUND_KN = 0.45359237 * _KILOPOND_KN
 # What laboratories write -> what pint understands. lb on a force channel is a pound-force.
 _ALIASES = {
-    '"': "inch",
-    "''": "inch",
-    "in": "inch",
-    "in.": "inch",
-    "ins": "inch",
-    "inches": "inch",
-    "lb": "lbf",
-    "lbs": "lbf",
-    "lb.": "lbf",
-    "lb-f": "lbf",
-    "pound": "lbf",
-    "pounds": "lbf",
-    "kips": "kip",
-    "klbf": "kip",
-    "sec": "s",
-    "secs": "s",
-    "sec.": "s",
-    "msec": "ms",
-    "usec": "us",
-    "mins": "min",
-    "hr": "hour",
-    "h": "hour",
-    "micron": "um",
-    "microns": "um",
-    "\u00b5m": "um",  # micro sign
-    "\u03bcm": "um",  # Greek mu
-    "\u00b5s": "us",
-    "\u03bcs": "us",
-    "kgf": "kgf",
-    "tonf": _TONNE,
-    "tf": _TONNE,
-    "kp": "kgf",
+    word: unit
+    for unit, words in {
+        "inch": ('"', "''", "in", "in.", "ins", "inches"),
+        "lbf": ("lb", "lbs", "lb.", "lb-f", "pound", "pounds"),
+        "kip": ("kips", "klbf"),
+        "s": ("sec", "secs", "sec."),
+        "ms": ("msec",),
+        "us": ("usec", "\u00b5s", "\u03bcs"),  # micro sign, Greek mu
+        "min": ("mins",),
+        "hour": ("hr", "h"),
+        "um": ("micron", "microns", "\u00b5m", "\u03bcm"),
+        "kgf": ("kgf", "kp"),
+        _TONNE: ("tonf", "tf"),
+    }.items()
+    for word in words
 }
 # Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
-_ANY_CASE = {
-    "kn": "kN",
-    "n": "N",
-    "mm": "mm",
-    "cm": "cm",
-    "s": "s",
-    "ms": "ms",
-    "in": "inch",
-    "kip": "kip",
-    "lbf": "lbf",
-}
-
-
+_ANY_CASE = {unit.lower(): unit for unit in ("kN", "N", "mm", "cm", "s", "ms", "kip", "lbf")} | {"in": "inch"}
 # Of what pint knows the units that recordings carry: importing it and its list takes longer than reading a recording.
 _USUAL: dict[str, tuple[Role, float]] = {
     **{name: ("time", factor) for name, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0))},
@@ -138,10 +109,7 @@ def role_of(text: str) -> Role | None:
 def factor(text: str, role: Role) -> float:
     """Multiplier from a unit (``lb`` is a pound-force) to the tool's unit of a channel: s, mm and kN.
 
-    Raises
-    ------
-    RecordingError
-        If it is not a unit of that channel.
+    `RecordingError` if it is not a unit of that channel.
     """
     text = text.strip()
     known = _known(text)

@@ -20,34 +20,21 @@ SAMPLES_PER_CYCLE = 240
 
 @dataclass(frozen=True, eq=False)
 class Beforehand:
-    """One steady sine cycle under prior, paper and posterior.
-
-    Parameters
-    ----------
-    amplitude_mm, peak_speed_mm_s : float
-        Of the cycle.
-    displacement_mm : array, shape (n,)
-        A closed loop.
-    prior_kN, paper_kN, posterior_kN : array, shape (m, n)
-        Forces; ``paper_kN`` has no rows when the priors are not those of the paper's kind of device.
-    prior_range_kN, posterior_range_kN : tuple of float
-        5 and 95 % of the largest force.
-    paper_range_kN : tuple of float
-        Smallest and largest of the published devices; empty without them.
-    paper_inside : int
-        Published loops whose largest force lies within the central 98 % of the prior of their run.
-    """
+    """One steady sine cycle under prior, paper and posterior."""
 
     amplitude_mm: float
     peak_speed_mm_s: float
-    displacement_mm: FloatArray = field(repr=False)
+    displacement_mm: FloatArray = field(repr=False)  # shape (n,): a closed loop
+    # prior_kN to posterior_kN: shape (m, n): forces; ``paper_kN`` has no rows when the priors are not those of the
+    # paper's kind of device
     prior_kN: FloatArray = field(repr=False)
     paper_kN: FloatArray = field(repr=False)
     posterior_kN: FloatArray = field(repr=False)
+    # prior_range_kN, posterior_range_kN: 5 and 95 % of the largest force
     prior_range_kN: tuple[float, float]
     posterior_range_kN: tuple[float, float]
-    paper_range_kN: tuple[float, ...]
-    paper_inside: int
+    paper_range_kN: tuple[float, ...]  # smallest and largest of the published devices; empty without them
+    paper_inside: int  # published loops whose largest force lies within the central 98 % of the prior of their run
 
 
 def beforehand(device: DeviceData, amplitude_mm: float, peak_speed_mm_s: float) -> Beforehand:

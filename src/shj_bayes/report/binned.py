@@ -15,22 +15,15 @@ N_SHIFTS = 3  # enough for a band
 
 @dataclass(frozen=True, eq=False)
 class StrokeProfile:
-    """Mean residual over stroke of one run and direction, arrays of shape (n_bins,).
+    """Mean residual over stroke of one run and direction, arrays of shape (n_bins,)."""
 
-    Parameters
-    ----------
-    run, direction : int
-        Number of the run; +1 push, -1 pull.
-    centre_mm, mean_kN : array
-        Middle of the bin and mean residual there.
-    low_kN, high_kN : array
-        5 and 95 % of what noise alone would give.
-    """
-
+    # run, direction: number of the run; +1 push, -1 pull
     run: int
     direction: int
+    # centre_mm, mean_kN: middle of the bin and mean residual there
     centre_mm: FloatArray = field(repr=False)
     mean_kN: FloatArray = field(repr=False)
+    # low_kN, high_kN: 5 and 95 % of what noise alone would give
     low_kN: FloatArray = field(repr=False)
     high_kN: FloatArray = field(repr=False)
 

@@ -20,10 +20,7 @@ PATIENCE_S = 120.0
 def page_of(place: Path, which: str | None = None) -> Path:
     """Page of a results folder: the one asked for (report, diagnosis, margins, plan), or the first that is there.
 
-    Raises
-    ------
-    ReportError
-        If there is none.
+    `ReportError` where there is none.
     """
     if place.suffix == ".html" and place.is_file():
         return place

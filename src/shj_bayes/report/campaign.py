@@ -14,7 +14,7 @@ from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.published import Claim, Held
 from shj_bayes.population.results import load_population
 from shj_bayes.report import words
-from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.report.campaign_file import WORDS, read_campaign
 from shj_bayes.report.campaign_physics import rows_of, statements, table
 from shj_bayes.report.page import PAGE, write_page
 from shj_bayes.report.residual_file import DIAGNOSIS, read_residual
@@ -110,21 +110,11 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
     """One device of the list: numbers where it was fitted, the reason where it was not."""
     place = str(device.get("folder", ""))
     row: dict[str, Any] = {
+        **{key: str(device.get(key, "")) for key in WORDS},
+        **dict.fromkeys(("link", "diagnosis_link", "with_set_link", "grade", "residual"), ""),
         "set": set_name,
-        "name": str(device.get("name", "")),
-        "status": str(device.get("status", "")),
-        "reason": str(device.get("reason", "")),
-        "verdict": str(device.get("verdict", "")),
-        "folder": place,
-        "link": "",
         "numbers": {},
         "intervals": {},
-        "grade": "",
-        "residual": "",
-        "diagnosis": str(device.get("diagnosis", "")),
-        "diagnosis_link": "",
-        "with_set": str(device.get("with_set", "")),
-        "with_set_link": "",
         "trouble": "; ".join(filter(None, (str(device.get(f"{key}_reason", "")) for key in ("diagnosis", "with_set")))),
     }
     if row["status"] == "failed":

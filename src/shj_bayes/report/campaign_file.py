@@ -18,10 +18,7 @@ WORDS = (  # of a device; all are texts
 def read_campaign(folder: Path) -> dict[str, Any]:
     """Read the record of a campaign: name, simulated, sets with devices.
 
-    Raises
-    ------
-    ReportError
-        If it is missing, altered or damaged, or names a folder that is not one below the campaign's.
+    `ReportError` if it is missing, altered or damaged, or names a folder that is not one below the campaign's.
     """
     path = folder / "campaign.json"
     record = read_json(path, ReportError)

@@ -24,43 +24,21 @@ NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: 
 
 @dataclass(frozen=True)
 class Row:
-    """A class of coordinates in a set.
+    """A class of coordinates in a set."""
 
-    Parameters
-    ----------
-    set_name : str
-        The set; empty for all devices of the campaign.
-    folders : tuple of str
-        Folders of its diagnosed devices.
-    action, coordinate, unit : str
-        The class.
-    probability : float
-        That the set has it.
-    enters : bool
-        Whether models of its devices hold it.
-    rivals : tuple of ClassId
-        Classes that may stand in its place.
-    of_devices : tuple of float
-        That each device has it.
-    alone : tuple of bool
-        Whether each device shows it alone.
-    effects : tuple of str
-        Effect that stands, or would stand, for it in each.
-    size_percent, change_percent : tuple of (float or None)
-        Size in each, and its change from one end of the coordinate to the other, per cent of Fy.
-    """
-
-    set_name: str
-    folders: tuple[str, ...]
+    set_name: str  # the set; empty for all devices of the campaign
+    folders: tuple[str, ...]  # folders of its diagnosed devices
     action: str
     coordinate: str
     unit: str
-    probability: float
-    enters: bool
-    rivals: tuple[ClassId, ...]
-    of_devices: tuple[float, ...]
-    alone: tuple[bool, ...]
-    effects: tuple[str, ...]
+    probability: float  # that the set has it
+    enters: bool  # whether models of its devices hold it
+    rivals: tuple[ClassId, ...]  # classes that may stand in its place
+    of_devices: tuple[float, ...]  # that each device has it
+    alone: tuple[bool, ...]  # whether each device shows it alone
+    effects: tuple[str, ...]  # effect that stands, or would stand, for it in each
+    # size_percent, change_percent: size in each, and its change from one end of the coordinate to the other, per cent
+    # of Fy
     size_percent: tuple[float | None, ...]
     change_percent: tuple[float | None, ...]
 

@@ -21,34 +21,20 @@ OLD = ("posterior_predictive", "observed_data")
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """One run: what was measured and what the posterior predicts, at all samples or, of a long one, at some.
+    """One run: what was measured and what the posterior predicts, at all samples or, of a long one, at some."""
 
-    Parameters
-    ----------
-    number : int
-        1 for the first run.
-    time_s, displacement_mm, speed_mm_s, force_kN : array, shape (n,)
-        Channels; displacement and speed as the law used them.
-    used : array of bool, shape (n,)
-        Samples that are evidence.
-    half_cycle : array of int, shape (n,)
-        Index of the half-cycle of each sample.
-    law_kN, predicted_kN : array, shape (m, n)
-        Posterior draws of the force without noise, and as it would be measured.
-    extras : mapping of str to array, shape (n,)
-        Further channels by name.
-    """
-
-    number: int
+    number: int  # 1 for the first run
+    # time_s to force_kN: shape (n,): channels; displacement and speed as the law used them
     time_s: FloatArray = field(repr=False)
     displacement_mm: FloatArray = field(repr=False)
     speed_mm_s: FloatArray = field(repr=False)
     force_kN: FloatArray = field(repr=False)
-    used: BoolArray = field(repr=False)
-    half_cycle: IntArray = field(repr=False)
+    used: BoolArray = field(repr=False)  # shape (n,): samples that are evidence
+    half_cycle: IntArray = field(repr=False)  # shape (n,): index of the half-cycle of each sample
+    # law_kN, predicted_kN: shape (m, n): posterior draws of the force without noise, and as it would be measured
     law_kN: FloatArray = field(repr=False)
     predicted_kN: FloatArray = field(repr=False)
-    extras: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
+    extras: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)  # shape (n,): further channels by name
 
     @property
     def reversals(self) -> IntArray:
@@ -82,24 +68,13 @@ class RunData:
 
 @dataclass(frozen=True, eq=False)
 class DeviceData:
-    """One device: its record, its draws and its runs.
+    """One device: its record, its draws and its runs."""
 
-    Parameters
-    ----------
-    record : dict
-        Content of ``fit.json``.
-    draws : mapping of str to array, shape (n_ensembles, n_draws)
-        Posterior in natural units, in the order of the record.
-    prior : mapping of str to array, shape (n,)
-        Prior draws.
-    runs : tuple of RunData
-        In the order they were made.
-    """
-
-    record: Mapping[str, Any]
+    record: Mapping[str, Any]  # content of ``fit.json``
+    # shape (n_ensembles, n_draws): posterior in natural units, in the order of the record
     draws: Mapping[str, FloatArray] = field(repr=False)
-    prior: Mapping[str, FloatArray] = field(repr=False)
-    runs: tuple[RunData, ...] = field(repr=False)
+    prior: Mapping[str, FloatArray] = field(repr=False)  # shape (n,): prior draws
+    runs: tuple[RunData, ...] = field(repr=False)  # in the order they were made
 
     @property
     def name(self) -> str:
@@ -114,10 +89,7 @@ class DeviceData:
 def read_device(folder: Path) -> DeviceData:
     """Read ``fit.json`` and ``posterior.nc`` of a finished fit.
 
-    Raises
-    ------
-    InferenceError
-        If a file is missing or damaged, or the posterior lacks what a page needs.
+    `InferenceError` if a file is missing or damaged, or the posterior lacks what a page needs.
     """
     record = read_record(folder)
     names = [row["name"] for row in record["parameters"]]

@@ -14,6 +14,7 @@ from shj_bayes.errors import ReportError
 from shj_bayes.inference.record import Remark
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
+from shj_bayes.model.parameters import base_of
 from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.device_numbers import Numbers, numbers_of
@@ -26,10 +27,7 @@ from shj_bayes.report.viewer import device_viewer, thinning_words
 def render_device(folder: Path) -> Path:
     """Write ``report.html`` of a finished fit, one file that needs nothing else.
 
-    Raises
-    ------
-    InferenceError, ReportError
-        If the folder holds no readable fit.
+    `InferenceError` or `ReportError` where the folder holds no readable fit.
     """
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
     from shj_bayes.report.device_pictures import draw  # noqa: PLC0415
@@ -160,7 +158,7 @@ def cards(device: DeviceData, one_speed: bool, unknown: Collection[str]) -> list
 
 def parameter_row(row: dict[str, Any], unknown: bool) -> dict[str, Any]:
     """One row of the parameter table: shown and exact."""
-    base = row["name"].partition("_")[0]
+    base = base_of(row["name"])
     keys = ("mean", "sd", "q05", "q50", "q95")
     return {
         "name": row["name"],

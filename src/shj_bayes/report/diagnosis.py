@@ -18,13 +18,7 @@ PAGE = "diagnosis.html"
 
 
 def render_diagnosis(folder: Path) -> Path:
-    """Write ``diagnosis.html`` of a finished diagnosis, one file that needs nothing else.
-
-    Raises
-    ------
-    ReportError
-        If the folder holds no readable diagnosis.
-    """
+    """Write ``diagnosis.html`` of a finished diagnosis, one file that needs nothing else; `ReportError` without one."""
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
     from shj_bayes.report.diagnosis_pictures import draw  # noqa: PLC0415
 

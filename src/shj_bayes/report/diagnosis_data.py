@@ -20,6 +20,7 @@ from shj_bayes.report.data import BoolArray, IntArray
 KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
 )  # fmt: skip
+FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
 KINDS: dict[str, tuple[type, type]] = {
     **dict.fromkeys(("effects", "family", "coordinates", "sets", "location", "aliases", "candidates"), (list, dict)),
     **{"shift": (dict, dict)},
@@ -29,31 +30,20 @@ PLAIN: dict[type, str] = {list: "list", dict: "table", str: "text"}
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """Samples of all runs, one after the other; arrays have shape (n,).
+    """Samples of all runs, one after the other; arrays have shape (n,)."""
 
-    Parameters
-    ----------
-    time_s, position_mm, speed_mm_s, slip_mm, travel_m : array
-        Time, displacement from mid-stroke, speed, distance since the last reversal, distance in all.
-    direction : array of int
-        +1 while displacement grows (push), -1 while it falls.
-    run, block : array of int
-        Number of the run, and of the cycle counted through all runs.
-    used : array of bool
-        Samples that are evidence.
-    force_kN, before_kN, after_kN : array
-        Measured, modelled by the base law, modelled by the law with what was found.
-    """
-
+    # time_s to travel_m: time, displacement from mid-stroke, speed, distance since the last reversal, distance in all
     time_s: FloatArray = field(repr=False)
     position_mm: FloatArray = field(repr=False)
     speed_mm_s: FloatArray = field(repr=False)
     slip_mm: FloatArray = field(repr=False)
     travel_m: FloatArray = field(repr=False)
-    direction: IntArray = field(repr=False)
+    direction: IntArray = field(repr=False)  # +1 while displacement grows (push), -1 while it falls
+    # run, block: number of the run, and of the cycle counted through all runs
     run: IntArray = field(repr=False)
     block: IntArray = field(repr=False)
-    used: BoolArray = field(repr=False)
+    used: BoolArray = field(repr=False)  # samples that are evidence
+    # force_kN to after_kN: measured, modelled by the base law, modelled by the law with what was found
     force_kN: FloatArray = field(repr=False)
     before_kN: FloatArray = field(repr=False)
     after_kN: FloatArray = field(repr=False)
@@ -71,18 +61,10 @@ class Channels:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisData:
-    """What a diagnosis left in its folder.
+    """What a diagnosis left in its folder."""
 
-    Parameters
-    ----------
-    record : mapping
-        Content of ``diagnosis.json``.
-    channels : Channels
-        Content of ``diagnosis.nc``.
-    """
-
-    record: Mapping[str, Any]
-    channels: Channels = field(repr=False)
+    record: Mapping[str, Any]  # content of ``diagnosis.json``
+    channels: Channels = field(repr=False)  # content of ``diagnosis.nc``
 
     @property
     def capacity_kN(self) -> float:
@@ -132,18 +114,11 @@ def _read_channels(folder: Path) -> Channels:
     try:
         with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
             channels = Channels(
-                **{
-                    name: np.asarray(data[name].to_numpy(), dtype=np.float64)
-                    for name in ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
-                },
+                **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
                 direction=_whole(np.sign(data["direction"].to_numpy())),
                 run=_whole(data["run"].to_numpy()),
                 block=_whole(data["block"].to_numpy()),
                 used=np.asarray(data["weight"].to_numpy() > 0),
-                **{
-                    name: np.asarray(data[name].to_numpy(), dtype=np.float64)
-                    for name in ("force_kN", "before_kN", "after_kN")
-                },
             )
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise ReportError(f"diagnosis.nc in {folder.name} cannot be read: {error}; run the diagnosis again") from error

@@ -18,35 +18,22 @@ FEWEST = 3  # samples of a bin that is drawn
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Mean direction-signed residual over one coordinate, arrays of shape (n_bins,); nan where there is no sample.
+    """Mean direction-signed residual over one coordinate, arrays of shape (n_bins,); nan where there is no sample."""
 
-    Parameters
-    ----------
-    centre : array
-        Middle of each bin.
-    push_kN, pull_kN : array
-        Mean residual; positive where the device resists more than the law says.
-    """
-
-    centre: FloatArray = field(repr=False)
+    centre: FloatArray = field(repr=False)  # middle of each bin
+    # push_kN, pull_kN: mean residual; positive where the device resists more than the law says
     push_kN: FloatArray = field(repr=False)
     pull_kN: FloatArray = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Mean direction-signed residual over stroke position and travel.
+    """Mean direction-signed residual over stroke position and travel."""
 
-    Parameters
-    ----------
-    position_mm, travel_m : array, shape (n + 1,), (m + 1,)
-        Edges.
-    push_kN, pull_kN : array, shape (m, n)
-        Mean residual, nan where there is no sample.
-    """
-
+    # position_mm, travel_m: shape (n + 1,): edges
     position_mm: FloatArray = field(repr=False)
     travel_m: FloatArray = field(repr=False)
+    # push_kN, pull_kN: shape (m, n): mean residual, nan where there is no sample
     push_kN: FloatArray = field(repr=False)
     pull_kN: FloatArray = field(repr=False)
 

@@ -15,7 +15,7 @@ from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.measured import PREFIX
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
@@ -127,7 +127,8 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     for e in found:
         # Of several effects the first screen names each; their causes stand where each is described. What may be
         # another effect has no cause yet, and nothing to be done about it.
-        cause = _cause(e) if len(found) == 1 and verdict == Verdict.NAMED else ""
+        told = len(found) == 1 and verdict == Verdict.NAMED and e.get("cause")
+        cause = f" Likely cause: {e['cause']}" if told else ""
         lead = (
             "A part of it: "
             if e.get("partial")
@@ -254,7 +255,8 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     before, after = (number(data.record[k].get("heldout_rmse_kN")) for k in ("before", "after"))
     floor = words.short(number(data.record["after"].get("noise_kN")))
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
-    noise = "This holds what no effect explains, beside the noise." if misfit_in_noise(data) else f"Noise: {floor} kN."
+    misfit = data.record["verdict"] == Verdict.UNKNOWN
+    noise = "This holds what no effect explains, beside the noise." if misfit else f"Noise: {floor} kN."
     out.append(_card("Error on cycles that were held out", words.short(before), words.short(after), "kN", noise))
     if not data.channels.changed:
         out = [card | {"before": ""} for card in out]
@@ -262,11 +264,6 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
         note = "An upper limit, corrected for everything that was tried. Small: something is missing."
         out.append(_card("Chance of so large a misfit if nothing were missing", "", chance, "", note))
     return out
-
-
-def misfit_in_noise(data: DiagnosisData) -> bool:
-    """Whether the noise floor of the record holds misfit that nothing in the law takes up."""
-    return bool(data.record["verdict"] == Verdict.UNKNOWN)
 
 
 def effects(data: DiagnosisData) -> list[dict[str, Any]]:
@@ -282,7 +279,7 @@ def effects(data: DiagnosisData) -> list[dict[str, Any]]:
             {
                 "id": e["id"],
                 "title": e.get("title") or title_of(e["id"]),
-                "family": family_of(e.get("family")),
+                "family": FAMILIES.get(str(e.get("family")), str(e.get("family") or "not known")),
                 "statement": spaced(str(e["statement"])),
                 "cause": e.get("cause") or (known.cause if known else ""),
                 "shows": e.get("shows") or (known.shows if known else ""),
@@ -328,6 +325,7 @@ def shift(data: DiagnosisData) -> list[dict[str, str]]:
     out = []
     for name, row in data.record["shift"].items():
         before, after = row["before"], row["after"]
+        gamma = base_of(name) == "gamma"
         moved = number(after.get("mean")) - number(before.get("mean"))
         out.append(
             {
@@ -340,9 +338,9 @@ def shift(data: DiagnosisData) -> list[dict[str, str]]:
                 "after": value(after),
                 "after_exact": repr(number(after.get("mean"))),
                 "after_sd": spread(after),
-                "before_dep": dep(before) if name.partition("_")[0] == "gamma" else "",
-                "after_dep": dep(after) if name.partition("_")[0] == "gamma" else "",
-                "change": _change(moved, number(before.get("mean")), gamma=name.partition("_")[0] == "gamma"),
+                "before_dep": dep(before) if gamma else "",
+                "after_dep": dep(after) if gamma else "",
+                "change": _change(moved, number(before.get("mean")), gamma=gamma),
             }
         )
     return out
@@ -504,15 +502,6 @@ def dep(row: Mapping[str, Any]) -> str:
     if not (math.isfinite(low) and math.isfinite(high)):
         return "dep not known"
     return words.dep_words({"q05": low, "q95": high})
-
-
-def family_of(name: Any) -> str:
-    """Plain name of a family."""
-    return FAMILIES.get(str(name), str(name) if name else "not known")
-
-
-def _cause(effect: Mapping[str, Any]) -> str:
-    return f" Likely cause: {effect['cause']}" if effect.get("cause") else ""
 
 
 def _card(what: str, before: str, after: str, unit: str, note: str) -> dict[str, str]:

@@ -11,18 +11,10 @@ SMALL_KN = 1.0
 
 @dataclass(frozen=True)
 class ForceUnit:
-    """Unit in which forces are shown.
+    """Unit in which forces are shown."""
 
-    Parameters
-    ----------
-    name : {"kN", "N"}
-        As printed.
-    factor : float
-        Of it in a kilonewton.
-    """
-
-    name: str
-    factor: float
+    name: str  # "kN", "N": as printed
+    factor: float  # of it in a kilonewton
 
     def of(self, unit: str) -> tuple[str, float]:
         """Give the unit in which one of a parameter is shown (N for kN, N/mm for kN/mm), and the factor to it."""

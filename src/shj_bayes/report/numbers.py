@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.population.quantities import LEVELS, band_of
 from shj_bayes.report.data import DeviceData, RunData
 
-LEVELS = (0.05, 0.5, 0.95)
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
 SLIDES = 0.7  # of the largest force: a middle of the stroke below it is no plateau
@@ -99,22 +99,13 @@ def energy_between(force_kN: FloatArray, displacement_mm: FloatArray, marks: Flo
 
 @dataclass(frozen=True, eq=False)
 class CycleEnergy:
-    """Energy per cycle of one run, arrays of shape (n_cycles,).
-
-    Parameters
-    ----------
-    run : int
-        Number of the run.
-    amplitude_mm, peak_speed_mm_s, duration_s : array
-        Of each cycle.
-    measured_J, low_J, median_J, high_J : array
-        Measured, and 5, 50 and 95 % of what the posterior predicts would be measured.
-    """
+    """Energy per cycle of one run, arrays of shape (n_cycles,)."""
 
     run: int
     amplitude_mm: FloatArray = field(repr=False)
     peak_speed_mm_s: FloatArray = field(repr=False)
     duration_s: FloatArray = field(repr=False)
+    # measured_J to high_J: measured, and 5, 50 and 95 % of what the posterior predicts would be measured
     measured_J: FloatArray = field(repr=False)
     low_J: FloatArray = field(repr=False)
     median_J: FloatArray = field(repr=False)
@@ -146,33 +137,24 @@ def cycle_energy(run: RunData) -> CycleEnergy:
 
 @dataclass(frozen=True, eq=False)
 class CycleShape:
-    """Envelope, plateau and damping of the cycles of one run, arrays of shape (n_cycles,).
-
-    Parameters
-    ----------
-    run : int
-        Number of the run.
-    push_kN, pull_kN : array
-        Largest and smallest measured force: the envelope.
-    turn_mm, turn_kN, model_turn_kN : array, shape (2 n_cycles,)
-        Displacement where the cycles turn, and measured and modelled force there: the backbone.
-    push_plateau_kN, pull_plateau_kN : array
-        Median measured force over the middle half of the stroke, displacement growing and falling; NaN where the
-        device does not slide there.
-    damping_percent, model_damping_percent : array
-        Equivalent viscous damping of the measured and of the modelled loop, W / (2 pi F x): W its energy, F half the
-        range of the force, x half that of the displacement (Chopra, Dynamics of Structures, section 3.9). 63.7 % is
-        a rectangle.
-    """
+    """Envelope, plateau and damping of the cycles of one run, arrays of shape (n_cycles,)."""
 
     run: int
+    # push_kN, pull_kN: largest and smallest measured force: the envelope
     push_kN: FloatArray = field(repr=False)
     pull_kN: FloatArray = field(repr=False)
+    # turn_mm to model_turn_kN: shape (2 n_cycles,): displacement where the cycles turn, and measured and modelled force
+    # there: the backbone
     turn_mm: FloatArray = field(repr=False)
     turn_kN: FloatArray = field(repr=False)
     model_turn_kN: FloatArray = field(repr=False)
+    # push_plateau_kN, pull_plateau_kN: median measured force over the middle half of the stroke, displacement growing
+    # and falling; NaN where the device does not slide there
     push_plateau_kN: FloatArray = field(repr=False)
     pull_plateau_kN: FloatArray = field(repr=False)
+    # damping_percent, model_damping_percent: equivalent viscous damping of the measured and of the modelled loop, W /
+    # (2 pi F x): W its energy, F half the range of the force, x half that of the displacement (Chopra, Dynamics of
+    # Structures, section 3.9). 63.7 % is a rectangle.
     damping_percent: FloatArray = field(repr=False)
     model_damping_percent: FloatArray = field(repr=False)
 
@@ -255,8 +237,6 @@ def degradation(device: DeviceData) -> tuple[Degradation, ...]:
     """Loss of sliding force for every run after the first, from the posterior of the ratios."""
     out = []
     for run in device.runs[1:]:
-        name = "ratio" if run.number == 2 else f"ratio_{run.number}"
-        loss = 100 * (1 - device.draws[name].ravel())
-        q05, q50, q95 = (float(v) for v in np.quantile(loss, LEVELS))
-        out.append(Degradation(run.number, q05, q50, q95))
+        name = run_name("ratio", run.number)
+        out.append(Degradation(run.number, *band_of(100 * (1 - device.draws[name].ravel()))))
     return tuple(out)

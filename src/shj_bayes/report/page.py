@@ -22,27 +22,13 @@ TABLES, LOOPS = ("sheet", "tables"), ("sheet", "tables", "loops")  # scripts of 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture on a page.
+    """A picture on a page."""
 
-    Parameters
-    ----------
-    address : str
-        The picture itself, as a data address.
-    alt : str
-        What it shows, for those who do not see it.
-    caption : str
-        What to see in it, one or two plain sentences.
-    title : str
-        A few words above it.
-    wide : bool
-        Takes the full width.
-    """
-
-    address: str
-    alt: str
-    caption: str
-    title: str = ""
-    wide: bool = False
+    address: str  # the picture itself, as a data address
+    alt: str  # what it shows, for those who do not see it
+    caption: str  # what to see in it, one or two plain sentences
+    title: str = ""  # a few words above it
+    wide: bool = False  # takes the full width
 
 
 @cache

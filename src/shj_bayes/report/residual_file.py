@@ -30,25 +30,15 @@ DIAGNOSED = tuple(Verdict)
 
 @dataclass(frozen=True)
 class LeftOver:
-    """What the model leaves over.
+    """What the model leaves over."""
 
-    Parameters
-    ----------
-    unexplained_percent : float
-        Root mean square of the residual beyond the scatter from one sample to the next, per cent of the sliding force.
-    n_cycles : int
-        Full cycles of all runs.
-    widening : float
-        Largest factor by which the fit widened an interval since the cycles scatter more than the model and its noise
-        allow; 1 where they do not.
-    diagnosed : str
-        Verdict of the diagnosis of the same recordings; empty where there is none.
-    """
-
+    # root mean square of the residual beyond the scatter from one sample to the next, per cent of the sliding force
     unexplained_percent: float
-    n_cycles: int
+    n_cycles: int  # full cycles of all runs
+    # largest factor by which the fit widened an interval since the cycles scatter more than the model and its noise
+    # allow; 1 where they do not
     widening: float = 1.0
-    diagnosed: str = ""
+    diagnosed: str = ""  # verdict of the diagnosis of the same recordings; empty where there is none
 
     @property
     def grade(self) -> str:

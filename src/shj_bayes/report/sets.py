@@ -35,30 +35,15 @@ Interval = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class SetBand:
-    """A new device of one set in one quantity.
-
-    Parameters
-    ----------
-    set_name : str
-        The set.
-    n_devices : int
-        Tested devices that give the quantity.
-    quantity, unit : str
-        What it is of.
-    band : tuple of float
-        5, 50 and 95 % of a new device.
-    others : mapping of str to (low, high)
-        The 90 % band under each other prior of the spread.
-    devices : tuple of (name, (low, middle, high))
-        The tested devices; low and high equal the middle where only a point is known.
-    """
+    """A new device of one set in one quantity."""
 
     set_name: str
-    n_devices: int
+    n_devices: int  # tested devices that give the quantity
     quantity: str
     unit: str
-    band: Interval
-    others: Mapping[str, tuple[float, float]] = field(repr=False)
+    band: Interval  # 5, 50 and 95 % of a new device
+    others: Mapping[str, tuple[float, float]] = field(repr=False)  # the 90 % band under each other prior of the spread
+    # the tested devices; low and high equal the middle where only a point is known
     devices: tuple[tuple[str, Interval], ...] = field(repr=False)
 
     @property

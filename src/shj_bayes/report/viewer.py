@@ -24,12 +24,9 @@ STEPS = 20_000  # of the range of a channel: finer than a screen, and coarse eno
 def device_viewer(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
     """Loops of a device with the model and the 90 % band.
 
-    Returns
-    -------
-    dict
-        ``runs`` (whole numbers by channel, ``cycles`` as places in them, ``every`` how they were thinned), ``scale``
-        (s, mm and force of one step), ``unit`` of the force, ``names`` of what is drawn, ``ink`` of the only law
-        ("base" as on a diagnosis page, or "model"), ``cycle`` to show first.
+    ``runs`` (whole numbers by channel, ``cycles`` as places in them, ``every`` how they were thinned), ``scale`` (s, mm
+    and force of one step), ``unit`` of the force, ``names`` of what is drawn, ``ink`` of the only law ("base" as on a
+    diagnosis page, or "model"), ``cycle`` to show first.
     """
     runs, unit = [], force_unit(device.record)
     shown = list(zip(device.runs, numbers.bands, strict=True))[:MOST]

@@ -8,6 +8,7 @@ from typing import Any
 
 from shj_bayes.inference.record import Remark
 from shj_bayes.mismatch.schema import Verdict
+from shj_bayes.model.parameters import base_of
 from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
@@ -124,7 +125,7 @@ def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0, *, f
     low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
     unit = "" if unit in ("", "1") else f" {unit}"
     if finding["kind"] == Remark.UNDETERMINED:
-        wanted = _DETERMINES.get(name.partition("_")[0])
+        wanted = _DETERMINES.get(base_of(name))
         return (
             f"{name} is not determined by this recording: it may lie almost anywhere in its prior, {low} to {high}"
             f"{unit} (90 %)" + (f"; {wanted} would tell." if wanted else ".")

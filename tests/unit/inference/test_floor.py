@@ -72,7 +72,7 @@ def test_noise_of_another_size_in_some_cycles_is_widened(make_small: Make) -> No
 def misfit(make_small: Make):
     """A finished fit of the pried device, by a plan that is long enough for chains that are in order."""
     small = pried(make_small(blocks=LONG, seed=4))
-    return fit(small.runs, small.model, plan=Plan(max_steps=2000), threads=1)
+    return fit(small.runs, small.model, plan=Plan(max_steps=2000, threads=1))
 
 
 def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:

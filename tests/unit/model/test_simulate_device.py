@@ -112,8 +112,3 @@ def test_what_simulate_refuses() -> None:
     for rate in (1.0, 2e5, math.nan):
         with pytest.raises(RecordingError, match=r"rate .* Hz: allowed is 1\.04 Hz .* to 100000 Hz"):
             simulate_device(Truth(), seed=1, blocks=BLOCKS, rate_Hz=rate)
-
-
-def test_dep_is_only_shown_where_there_is_one() -> None:
-    assert Truth(gamma=0.0).dep_mm_s is None
-    assert Truth(gamma=-0.02).dep_mm_s == -50.0

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shj_bayes.recording import Block, Recording, exact_motion, table_1
 from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.recording import Recording
 
 
 def friction_force(motion: Motion, stiffness: float = 18.0, capacity: float = 80.0) -> np.ndarray:

@@ -7,8 +7,10 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import Block, Recording, exact_motion, motion_of, table_1
+from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.noise import noise_of, resolution_of
+from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.reversals import hysteresis
 from shj_bayes.recording.smoothing import bandwidth, local_polynomial
 

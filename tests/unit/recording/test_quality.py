@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import Recording, inspect, motion_of, read, repair
 from shj_bayes.recording.cells import clipped, spikes
 from shj_bayes.recording.clock import longest_increasing
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.quality import inspect, repair
+from shj_bayes.recording.reader import read
+from shj_bayes.recording.recording import Recording
 
 
 def arrays(clean):

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import Block, Recording, exact_motion, read
 from shj_bayes.recording.clock import restarts
+from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.reader import read
+from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.runs import divisions, settle, split
 from shj_validation.proof.protocols import course
 

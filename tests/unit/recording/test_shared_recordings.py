@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import motion_of, read
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.reader import read
 from shj_bayes.recording.runs import settle
 
 SEALS = {"columns": "time=1,displacement=5,force=#7 - 49.0874*#6", "units": "ms,mm,N"}

@@ -13,7 +13,9 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import read, read_table, records, text
+from shj_bayes.recording import records, text
+from shj_bayes.recording.reader import read
+from shj_bayes.recording.tables import read_table
 
 HEAD = "time_s,displacement_mm,force_kN"
 

@@ -57,7 +57,7 @@ def diagnose_blind(
     runs = runs_of(recordings)
 
     def sample(found: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-        result = fit(runs, found, plan=Plan(max_steps=N_STEPS), tops=[top], threads=1)
+        result = fit(runs, found, plan=Plan(max_steps=N_STEPS, tops=(top,), threads=1))
         draws = {str(n): v.to_numpy().ravel() for n, v in result.data["posterior"].data_vars.items()}
         return draws, {"how": f"emcee; {'; '.join(result.verdict.reasons)}", "verdict": result.verdict.word}
 

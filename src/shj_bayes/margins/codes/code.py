@@ -14,52 +14,23 @@ from shj_bayes.margins.spread import Spread
 
 @dataclass(frozen=True)
 class Given:
-    """What a code is given of one set.
+    """What a code is given of one set."""
 
-    Parameters
-    ----------
-    set_name : str
-        The set, or "(any set)".
-    samples : mapping of str to Sample
-        Point values by quantity: of the devices, or of the sets for a set never tested.
-    spreads : mapping of str to tuple of Spread
-        Ways to come by the spread of each quantity.
-    devices : mapping of str to int
-        Tested devices behind each quantity.
-    parts : Parts
-        Nominal and delivered forces, ageing.
-    request : Request
-        Choices of the user.
-    """
-
-    set_name: str
+    set_name: str  # the set, or "(any set)"
+    # point values by quantity: of the devices, or of the sets for a set never tested
     samples: Mapping[str, Sample] = field(repr=False)
-    spreads: Mapping[str, tuple[Spread, ...]] = field(repr=False)
-    devices: Mapping[str, int]
-    parts: Parts
-    request: Request
+    spreads: Mapping[str, tuple[Spread, ...]] = field(repr=False)  # ways to come by the spread of each quantity
+    devices: Mapping[str, int]  # tested devices behind each quantity
+    parts: Parts  # nominal and delivered forces, ageing
+    request: Request  # choices of the user
 
 
 @dataclass(frozen=True)
 class Code:
-    """A design code.
+    """A design code."""
 
-    Parameters
-    ----------
-    id : str
-        Name of its file.
-    title : str
-        As it is cited.
-    text : str
-        How far its text could be read, in words.
-    rows : callable
-        From what is given of a set to its margins.
-    place : int
-        Order on the sheet.
-    """
-
-    id: str
-    title: str
-    text: str
-    rows: Callable[[Given], Iterator[Margin]]
-    place: int
+    id: str  # name of its file
+    title: str  # as it is cited
+    text: str  # how far its text could be read, in words
+    rows: Callable[[Given], Iterator[Margin]]  # from what is given of a set to its margins
+    place: int  # order on the sheet

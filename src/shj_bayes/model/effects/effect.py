@@ -24,39 +24,23 @@ FAMILIES = (
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
-    """What an effect does to the law in one run; every part has a neutral default, and parts combine freely.
+    """What an effect does to the law in one run; every part has a neutral default, and parts combine freely."""
 
-    Parameters
-    ----------
-    clamping : array, shape (n_samples,), or float
-        Multiplies Fy (the clamping force or the friction coefficient).
-    added_kN : array, shape (n_samples,), or float
-        Added to the force.
-    slack_mm, take_up_mm : float
-        Free travel at zero force after each reversal, and the distance over which it then comes back to full
-        stiffness.
-    open_at_start : float
-        Share of the free travel that lies ahead of the first motion, where the run starts without force: which side of
-        its clearance a device rests against is chance.
-    compliance_mm_per_kN : float
-        Elastic part in series (grip, frame).
-    smooth_reversal : float
-        Share of the continuous reversal rule, 0 (Eq. 1 as published) to 1 (no jump).
-    gamma_s_per_mm : float
-        Added to gamma of Eq. (2).
-    second_surface : tuple of float
-        Share of the capacity on a second sliding surface, the clearance (mm) that it crosses at zero force, and its
-        stiffness over that share of K.
-    """
-
+    # shape (n_samples,): multiplies Fy (the clamping force or the friction coefficient)
     clamping: FloatArray | float = 1.0
-    added_kN: FloatArray | float = 0.0
+    added_kN: FloatArray | float = 0.0  # shape (n_samples,): added to the force
+    # slack_mm, take_up_mm: free travel at zero force after each reversal, and the distance over which it then comes
+    # back to full stiffness
     slack_mm: float = 0.0
     take_up_mm: float = 0.0
+    # share of the free travel that lies ahead of the first motion, where the run starts without force: which side of
+    # its clearance a device rests against is chance
     open_at_start: float = 0.5
-    compliance_mm_per_kN: float = 0.0
-    smooth_reversal: float = 0.0
-    gamma_s_per_mm: float = 0.0
+    compliance_mm_per_kN: float = 0.0  # elastic part in series (grip, frame)
+    smooth_reversal: float = 0.0  # share of the continuous reversal rule, 0 (Eq. 1 as published) to 1 (no jump)
+    gamma_s_per_mm: float = 0.0  # added to gamma of Eq. (2)
+    # share of the capacity on a second sliding surface, the clearance (mm) that it crosses at zero force, and its
+    # stiffness over that share of K
     second_surface: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
@@ -80,68 +64,36 @@ Act = Callable[[History, Values, Base], Contribution]
 
 @dataclass(frozen=True)
 class Effect:
-    """One physical effect.
-
-    Parameters
-    ----------
-    id, family : str
-        As in INTERFACE.
-    title : str
-        A few words, for headings.
-    statement : str
-        One plain sentence that an engineer can act on; may hold ``{name}`` of a parameter.
-    equation : str
-        Plain-text equation.
-    cause : str
-        Likely mechanical cause.
-    shows : str
-        Where in a recording it shows.
-    next_test : str
-        The cheapest change of the test that would tell it from its rivals.
-    parameters : tuple of Prior
-        Parameters with unit, law and source; the first one is the size, 0 (or its neutral value) means no effect.
-    neutral : mapping of str to float
-        Parameter values at which the effect is absent.
-    act : callable
-        ``act(history, values, base)`` gives the `Contribution` to one run.
-    source : str
-        Equation or paper.
-    start : mapping of str to tuple of float
-        Values to start a search from, per parameter; every combination is one start (a few, or a grid of up to 300
-        that is scanned to first order). A parameter that is not named starts at the middle of its prior.
-    initial : tuple of str
-        Parameters that say how the device stood when the test began: only the first cycle tells of them, so they are
-        not predicted for it from the others.
-    acts : tuple of (str, str)
-        How it acts and on which coordinate it depends, e.g. ``("capacity", "travel")``; see `model.coordinates`.
-    mechanism, form : str
-        Where one mechanism has several published formulas, each is an effect: the id of the mechanism (by default its
-        own) and the word for the formula (empty for the first).
-    forms : tuple of Effect
-        The other formulas of the mechanism; see `with_form`.
-    delay : str
-        Parameter that is the time by which the force channel is behind the displacement channel, s; all effects act on
-        the motion of that moment. Empty for most.
-    """
+    """One physical effect."""
 
     id: str
     family: str
-    title: str
-    statement: str
-    equation: str
-    cause: str
-    shows: str
-    next_test: str
+    title: str  # a few words, for headings
+    statement: str  # one plain sentence that an engineer can act on; may hold ``{name}`` of a parameter
+    equation: str  # plain-text equation
+    cause: str  # likely mechanical cause
+    shows: str  # where in a recording it shows
+    next_test: str  # the cheapest change of the test that would tell it from its rivals
+    # parameters with unit, law and source; the first one is the size, 0 (or its neutral value) means no effect
     parameters: tuple[Prior, ...]
-    neutral: Values
-    act: Act
-    source: str
+    neutral: Values  # parameter values at which the effect is absent
+    act: Act  # ``act(history, values, base)`` gives the `Contribution` to one run
+    source: str  # equation or paper
+    # values to start a search from, per parameter; every combination is one start (a few, or a grid of up to 300 that
+    # is scanned to first order). A parameter that is not named starts at the middle of its prior.
     start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    # parameters that say how the device stood when the test began: only the first cycle tells of them, so they are not
+    # predicted for it from the others
     initial: tuple[str, ...] = ()
+    # how it acts and on which coordinate it depends, e.g. ``("capacity", "travel")``; see `model.coordinates`.
     acts: tuple[tuple[str, str], ...] = ()
+    # mechanism, form: where one mechanism has several published formulas, each is an effect: the id of the mechanism
+    # (by default its own) and the word for the formula (empty for the first)
     mechanism: str = ""
     form: str = ""
-    forms: tuple[Effect, ...] = ()
+    forms: tuple[Effect, ...] = ()  # the other formulas of the mechanism; see `with_form`
+    # parameter that is the time by which the force channel is behind the displacement channel, s; all effects act on
+    # the motion of that moment. Empty for most.
     delay: str = ""
 
     def __post_init__(self) -> None:

@@ -21,13 +21,7 @@ def noise_models() -> dict[str, Noise]:
 
 
 def noise_model(word: str) -> Noise:
-    """Noise model of a word.
-
-    Raises
-    ------
-    ModelError
-        If there is none, with those that there are.
-    """
+    """Noise model of a word; `ModelError` with those that there are where there is none."""
     known = noise_models()
     if word not in known:
         raise ModelError(

@@ -53,33 +53,18 @@ SHORT = 1e-4  # of the memory: a block for which the series is the more exact
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """When the averages of one run were taken, and how well their displacement is known.
+    """When the averages of one run were taken, and how well their displacement is known."""
 
-    Parameters
-    ----------
-    kind : array of int, shape (n,)
-        Row of `kinds` of each block; -1 for blocks that are no evidence.
-    kinds : array, shape (n_kinds, 3)
-        Number of samples m, spacing d within the block (s), gap g before it (s; infinity where the noise begins anew).
-    half : array of int, shape (n_half + 1,)
-        Half-cycle k holds the blocks ``half[k]:half[k+1]``.
-    step_s : float
-        Sampling interval of the recording, s.
-    displacement_noise_mm : float
-        Standard deviation of the error of one sample's displacement, mm.
-    turning_noise_mm : array, shape (n_half,)
-        Standard deviation of the error of each half-cycle's turning point, mm.
-    zero_noise_kN : float
-        Standard deviation of the error of the load cell's zero in this run, kN.
-    """
-
-    kind: IntArray
+    kind: IntArray  # shape (n,): row of `kinds` of each block; -1 for blocks that are no evidence
+    # shape (n_kinds, 3): number of samples m, spacing d within the block (s), gap g before it (s; infinity where the
+    # noise begins anew)
     kinds: FloatArray
-    half: IntArray
-    step_s: float
-    displacement_noise_mm: float
+    half: IntArray  # shape (n_half + 1,): half-cycle k holds the blocks ``half[k]:half[k+1]``
+    step_s: float  # sampling interval of the recording, s
+    displacement_noise_mm: float  # standard deviation of the error of one sample's displacement, mm
+    # shape (n_half,): standard deviation of the error of each half-cycle's turning point, mm
     turning_noise_mm: FloatArray
-    zero_noise_kN: float = 0.0
+    zero_noise_kN: float = 0.0  # standard deviation of the error of the load cell's zero in this run, kN
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""

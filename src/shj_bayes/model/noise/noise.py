@@ -15,49 +15,25 @@ Values = Mapping[str, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The two parts of the noise for m parameter sets; all arrays have shape (m,).
+    """The two parts of the noise for m parameter sets; all arrays have shape (m,)."""
 
-    Parameters
-    ----------
-    white_kN : array
-        Standard deviation of the part that is new in each sample.
-    slow_kN : array
-        Standard deviation of the part that is correlated in time.
-    nu : array
-        Degrees of freedom of what is new; infinity is Gaussian.
-    """
-
-    white_kN: FloatArray
-    slow_kN: FloatArray
-    nu: FloatArray
+    white_kN: FloatArray  # standard deviation of the part that is new in each sample
+    slow_kN: FloatArray  # standard deviation of the part that is correlated in time
+    nu: FloatArray  # degrees of freedom of what is new; infinity is Gaussian
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """One noise model.
+    """One noise model."""
 
-    Parameters
-    ----------
-    id : str
-        Word for ``--noise``; the file carries it.
-    statement : str
-        What it says, in one sentence.
-    equation : str
-        Plain-text equation.
-    parameters : tuple of str
-        Its parameters, in the order in which they are sampled; each has a prior in the prior files.
-    parts : callable
-        ``parts(values)`` gives the `Parts` from parameters by name, each of shape (m,).
-    decay : callable
-        ``decay(values, seconds, step_s)`` gives the correlation of the slow part after each of n times (s), shape
-        (n, m), for a channel sampled every ``step_s`` seconds.
-    """
-
-    id: str
-    statement: str
-    equation: str
+    id: str  # word for ``--noise``; the file carries it
+    statement: str  # what it says, in one sentence
+    equation: str  # plain-text equation
+    # its parameters, in the order in which they are sampled; each has a prior in the prior files
     parameters: tuple[str, ...]
-    parts: Callable[[Values], Parts]
+    parts: Callable[[Values], Parts]  # ``parts(values)`` gives the `Parts` from parameters by name, each of shape (m,)
+    # ``decay(values, seconds, step_s)`` gives the correlation of the slow part after each of n times (s), shape (n, m),
+    # for a channel sampled every ``step_s`` seconds
     decay: Callable[[Values, FloatArray, float], FloatArray]
 
     def __post_init__(self) -> None:
