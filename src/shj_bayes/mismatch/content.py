@@ -18,7 +18,7 @@ from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import SCHEMA, Verdict
 from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
-from shj_bayes.mismatch.state import State
+from shj_bayes.mismatch.state import State, drawn_from
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
@@ -430,10 +430,7 @@ def channels(scene: Scene, base: State, shown: State) -> xr.Dataset:
 
 def draws_of(state: State, seed: int, n: int = 2000) -> dict[str, FloatArray]:
     """Draw from the Gaussian around the most probable parameters of a model, natural units."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
-    root = np.linalg.cholesky(state.covariance + 1e-14 * np.eye(state.z.size))
-    z = state.z + rng.standard_normal((n, state.z.size)) @ root.T
-    theta = state.model.natural_of_law(z)
+    theta = state.model.natural_of_law(drawn_from(state, n, seed))
     return dict(zip(state.model.law_names, theta.T[: state.z.size], strict=True))
 
 

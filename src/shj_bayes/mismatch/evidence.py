@@ -42,8 +42,8 @@ def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
     dict
         ``classes``, the ids of all that were looked for; ``log_odds`` of each before the test; ``own``, the effect that
         stands for a class in the model that is shown; ``written``, the effect that would stand for each other class;
-        ``size_percent`` of both, per cent of Fy that nothing else could make; ``change_percent``, where a class is a
-        curve, from one end of its coordinate to the other, both to first order where the class is not in the model;
+        ``size_percent`` of both, per cent of Fy that the base law could not make; ``change_percent``, where a class is
+        a curve, from one end of its coordinate to the other, both to first order where the class is not in the model;
         ``sets``, each a list of positions in ``classes``, with its log weight over the empty set in ``nats``; the first
         ``fitted`` of them were fitted, the others are of first order.
     """
@@ -69,7 +69,7 @@ def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
     first = _FirstOrder(out, plain, list(others.values()))
     for i, (name, c) in enumerate(others.items()):
         mean = first.mean(i)
-        sizes[name] = visible(out.scene, plain.state.jacobian, first.columns[i] @ mean)
+        sizes[name] = float(visible(out.scene, plain.state.jacobian, (first.columns[i] @ mean)[:, None])[0])
         if c.variant.curve is not None:
             ends = c.variant.curve.rows(np.array([0.0, 1.0]), np.ones(2)) @ mean
             changes[name] = 100.0 * (ends[1] - ends[0])

@@ -14,11 +14,12 @@ from scipy.special import logsumexp
 from shj_bayes.mismatch.classes import Candidate
 from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, Hypothesis, Search, replaced
-from shj_bayes.mismatch.state import State, visible
+from shj_bayes.mismatch.state import State, drawn_from, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 T = TypeVar("T")
+N_SIZES = 60  # draws from which the upper limit of a size is taken
 
 
 class Reason(StrEnum):
@@ -47,7 +48,7 @@ class Finding:
     evidence : float
         Log Bayes factor over the model without it, nats: over the base law where it is the only one.
     size : float
-        Largest force that it makes and that nothing else could (99th percentile), as a share of Fy.
+        Largest force that it makes and that the base law could not (99th percentile), as a share of Fy.
     curve : Candidate or None
         The same as a curve, where there is one.
     curve_state : State or None
@@ -167,11 +168,12 @@ def answer_of(out: Search) -> Answer:
 
 
 def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
-    """Classes of a hypothesis of a size that matters: the smallest are left out one after another.
+    """Classes of a hypothesis that may be of a size that matters: the smallest are left out one after another.
 
-    What is left is taken at its size in a fit without them: two classes that stand in for each other are both small.
+    A class is left out where the upper limit of its size, exceeded with a probability of `DOUBT`, is too small. What is
+    left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
-    sizes = [size_of(out, h, i) for i in range(len(h.members))]
+    sizes = [float(np.quantile(sizes_of(out, h, i), 1.0 - DOUBT)) for i in range(len(h.members))]
     if min(sizes, default=math.inf) >= out.matters:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
@@ -181,7 +183,17 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
 
 
 def size_of(out: Search, h: Hypothesis, place: int) -> float:
-    """Size of a member: its force where nothing else could make it, as a share of Fy.
+    """Size of a member at the most probable parameters: its force that the base law could not make, a share of Fy."""
+    return float(_sizes_at(out, h, place, h.state.z[None])[0])
+
+
+def sizes_of(out: Search, h: Hypothesis, place: int) -> FloatArray:
+    """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy."""
+    return _sizes_at(out, h, place, drawn_from(h.state, N_SIZES))
+
+
+def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+    """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,).
 
     What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long.
     """
@@ -194,8 +206,9 @@ def size_of(out: Search, h: Hypothesis, place: int) -> float:
     effect = h.members[place].variant.effect
     rest = tuple(e for e in state.model.effects if e.id != effect.id)
     others = np.setdiff1d(np.arange(state.z.size), out.columns_of(state, place))
-    without = scene.residual(state.model.with_effects(rest), state.z[others][None])[0]
-    return visible(scene, jacobian[:, others], without - residual)
+    change = scene.residual(state.model.with_effects(rest), z[:, others]) - scene.residual(state.model, z)
+    given = np.isin(state.model.law_names, out.scene.device.law_names)
+    return visible(scene, jacobian[:, given], change.T)
 
 
 def _is_error_of_others(out: Search, h: Hypothesis, f: Finding) -> bool:
@@ -211,7 +224,7 @@ def _is_error_of_others(out: Search, h: Hypothesis, f: Finding) -> bool:
 def discrepancy_size(out: Search, state: State) -> float:
     """Size of what the generic discrepancy takes up of a residual (99th percentile), as a share of Fy."""
     taken = out.metric.discrepancy_of(state.residual)
-    return visible(out.scene, state.jacobian, taken)
+    return float(visible(out.scene, state.jacobian, taken[:, None])[0])
 
 
 def _findings(

@@ -86,7 +86,12 @@ class Scene:
     @cached_property
     def used(self) -> FloatArray:
         """1 for blocks that are evidence, 0 for the others, shape (n,)."""
-        return np.concatenate([part.count > 0 for part in self.posterior.averages]).astype(np.float64)
+        return (self.count > 0).astype(np.float64)
+
+    @cached_property
+    def count(self) -> FloatArray:
+        """Samples that each block is the mean of, shape (n,); 0 where it is no evidence."""
+        return np.concatenate([part.count for part in self.posterior.averages]).astype(np.float64)
 
     @cached_property
     def finer(self) -> Scene:

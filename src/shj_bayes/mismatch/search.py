@@ -202,17 +202,20 @@ class Search:
                 continue
             if len(followed) >= MOST and c.of.id not in followed:
                 continue
-            if visible(self.scene, h.state.jacobian, c.change) < PROMISING * self.matters:
+            if visible(self.scene, h.state.jacobian, c.change[:, None])[0] < PROMISING * self.matters:
                 continue
             tried[kind] = tried.get(kind, 0) + 1
             followed.add(c.of.id)
             self.add((*h.members, c), _joined(h, c))
 
-    def refine(self, h: Hypothesis) -> None:
-        """Try the published formulas in the place of each curve: where one is better, it is what the class holds."""
+    def refine(self, h: Hypothesis, *, again: bool = False) -> None:
+        """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
+
+        `again` tries them in the place of formulas too: the best one was chosen beside other classes and other noise.
+        """
         for place in range(len(h.members)):
             h = self.found[h.key]
-            if h.members[place].variant.curve is not None:
+            if again or h.members[place].variant.curve is not None:
                 for form in self.forms(h, place):
                     self.add(replaced(h, place, form), form.start)
 
@@ -264,6 +267,10 @@ class Search:
         near = [h for h in self.found.values() if h.log_weight > best.log_weight - RIVAL]
         less = [self.found[k] for m in best.members if (k := best.key - {m.of.id}) in self.found]
         ranked = sorted({h.key: h for h in (*near, *less)}.values(), key=lambda h: -h.log_weight)[:MOST_FINAL]
+        for h in ranked:
+            if h.log_weight > best.log_weight - RIVAL:
+                self.refine(h, again=True)
+        ranked = [self.found[h.key] for h in ranked]
         ranked += [h for h in (self.found[frozenset()],) if h not in ranked]
         search_metric, found = self.metric, {}
         for h in ranked:
@@ -343,8 +350,10 @@ def search(
         if out.best.key == before.key:
             break
         height = out.best.log_weight
+        # A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
+        least = height - max(RIVAL, (1.0 - EXPLAINED) * (height - before.log_weight))
         for h in sorted((h for h in out.found.values() if len(h.members) == depth + 1), key=lambda h: -h.log_weight):
-            if h.log_weight > height - RIVAL:
+            if h.log_weight > least:
                 out.refine(h)
         out.shrink(out.best)
         out.retune()

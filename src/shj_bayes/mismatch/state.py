@@ -55,6 +55,13 @@ class State:
         return np.column_stack([self.residual + self.jacobian @ self.z, self.jacobian, *columns])
 
 
+def drawn_from(state: State, n: int, seed: int = 1) -> FloatArray:
+    """Draw from the Gaussian around the most probable parameters, shape (n, n_law)."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+    root = np.linalg.cholesky(state.covariance + 1e-14 * np.eye(state.z.size))
+    return np.asarray(state.z + rng.standard_normal((n, state.z.size)) @ root.T)
+
+
 def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> State:
     """Go to the most probable parameters by Gauss-Newton steps, and linearise there.
 
@@ -114,8 +121,8 @@ def settle_under(scene: Scene, setting: NoiseSetting, model: DeviceModel, z: Flo
     return metric, settle(scene, metric, model, z)
 
 
-def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> float:
-    """Size of a change of the force that no change of the parameters can make up for, as a share of Fy.
+def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
+    """Size of changes of the force that no change of the parameters can make up for, as shares of Fy.
 
     Parameters
     ----------
@@ -123,17 +130,22 @@ def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> float:
         The recordings.
     jacobian : array, shape (n, d)
         Derivatives after the parameters that could.
-    change_kN : array, shape (n,)
-        The change.
+    change_kN : array, shape (n, p)
+        The changes.
 
     Returns
     -------
-    float
-        99th percentile of what is left.
+    array, shape (p,)
+        99th percentile over the samples of what is left.
     """
     used = scene.used > 0
-    left = orthogonal_to(jacobian[used], change_kN[used, None])[:, 0]
-    return float(np.percentile(np.abs(left), 99)) / scene.scale_kN
+    count = scene.count[used]
+    root = np.sqrt(count)[:, None]
+    left = np.abs(orthogonal_to(jacobian[used] * root, change_kN[used] * root) / root)
+    order = np.argsort(left, axis=0)
+    reached = np.cumsum(count[order], axis=0) >= 0.99 * count.sum()
+    ordered = np.take_along_axis(left, order, axis=0)
+    return np.asarray(ordered[reached.argmax(axis=0), np.arange(left.shape[1])] / scene.scale_kN)
 
 
 def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSetting | None = None) -> NoiseSetting:

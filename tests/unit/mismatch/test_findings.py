@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from shj_bayes.mismatch import findings
@@ -23,9 +24,15 @@ def search(monkeypatch):
         ("delay",): (0.014,),
         ("wear",): (0.003,),
         ("delay", "wear"): (0.02, 0.002),
+        ("taper",): (0.008,),
     }
     found = {frozenset(names): _hypothesis(*names) for names in sizes}
-    monkeypatch.setattr(findings, "size_of", lambda out, h, place: sizes[tuple(m.of.id for m in h.members)][place])
+
+    def draws(out, h, place):
+        """Every tenth draw is half as large again."""
+        return sizes[tuple(m.of.id for m in h.members)][place] * np.array([1.0] * 9 + [1.5])
+
+    monkeypatch.setattr(findings, "sizes_of", draws)
     return SimpleNamespace(found=found | {frozenset(): _hypothesis()}, matters=0.01)
 
 
@@ -41,3 +48,7 @@ def test_a_small_class_is_left_out(search):
 def test_sizes_are_those_there_are_where_the_smaller_set_was_not_fitted(search):
     del search.found[frozenset({"delay"})]
     assert findings.that_matter(search, search.found[frozenset({"delay", "wear"})]) == {"delay"}
+
+
+def test_a_class_matters_when_the_upper_limit_of_its_size_does(search):
+    assert findings.that_matter(search, search.found[frozenset({"taper"})]) == {"taper"}

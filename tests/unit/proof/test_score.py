@@ -158,6 +158,16 @@ def test_the_truth_of_a_device_without_effect_is_the_device():
     assert effect_truths(key)["load_offset"]["size"] == pytest.approx(0.05 + key.nuisance.offset_kN / key.device.Fy)
 
 
+def test_what_a_device_leaves_without_its_effect_does_not_make_the_effect_visible():
+    """A channel that is late leaves more than a small offset does; the offset has its own size all the same."""
+    key = stated_key("load_offset", 0.004, seed=9)
+    late = replace(key, nuisance=replace(key.nuisance, lag_s=0.05))
+    truth = truth_of(late)
+    assert truth.visible_share > 0.02
+    assert truth.each["load_offset"][0] == pytest.approx(0.004, abs=0.001)
+    assert not truth.detectable
+
+
 def test_a_tiny_effect_is_not_counted_as_detectable():
     assert not truth_of(stated_key("load_offset", 1e-4, seed=9)).detectable
 

@@ -10,11 +10,12 @@ from shj_bayes.errors import ModelError
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.reversals import hysteresis
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.device import Device
 from shj_validation.proof.make import make
 from shj_validation.proof.noise import NOISES, force_noise
-from shj_validation.proof.protocols import IMPROVED, Course, course
+from shj_validation.proof.protocols import IMPROVED, LEAST_MM, Course, course
 from shj_validation.proof.simulators import bolt, forms, friction, heat
 from shj_validation.proof.simulators.branch import STILL_MM
 from shj_validation.proof.simulators.iwan import elements
@@ -83,6 +84,13 @@ def test_tests_rest_at_the_end_of_a_stroke_without_turning_back():
     turned = np.flatnonzero(steps[1:] * steps[:-1] < 0)
     assert turned.size == 2 * sum(cycles for _, _, cycles, _ in IMPROVED)
     assert np.diff(turned).min() > 20
+
+
+def test_the_earthquake_turns_back_by_as_much_as_a_recorder_sees():
+    """Half of the motions as they are drawn first turn back by less."""
+    for seed in range(6):
+        x = course("earthquake", 20.0, 5, np.random.default_rng(seed), 9.0).x_mm
+        assert np.abs(np.diff(x[hysteresis(x, 0.0)])).min() > LEAST_MM
 
 
 def test_a_mass_cannot_follow_the_jump():

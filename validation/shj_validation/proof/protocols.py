@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.protocol import table_1
+from shj_bayes.recording.reversals import hysteresis
 
 PEAK_SPEED_MM_S = {
     "paper": 10.25,
@@ -17,6 +18,7 @@ PEAK_SPEED_MM_S = {
 }  # fastest that each protocol moves; bounds gamma and the earthquake
 EASE_S = 0.3  # a controller eases from one block into the next
 REST_S = 2.0  # recorded before the first block
+LEAST_MM = 0.5  # between two reversals of the earthquake
 # half stroke mm, peak speed mm/s, cycles, seconds of rest at the first positive end of the stroke
 IMPROVED: tuple[tuple[float, float, int, float], ...] = (
     (6.0, 10.0, 3, 0.0),
@@ -121,14 +123,21 @@ def _sine(amplitude: float, speed: float, cycles: int, rest: float, dt: float) -
 
 
 def _earthquake(rng: np.random.Generator, speed: float, dt: float) -> FloatArray:
-    """Random motion that swells and fades, 12 times its longest period, with a peak speed and within +-90 mm."""
+    """Random motion that swells and fades, 12 times its longest period, with a peak speed and within +-90 mm.
+
+    Motions that turn back by less than `LEAST_MM` are drawn again: no recorder sees such a reversal, and Eq. (1) as
+    published loses the force of a whole branch at each.
+    """
     longest = 2 * np.pi * 60.0 / speed
     time = np.arange(int(12 * longest / dt)) * dt
     swell = np.interp(time / time[-1], [0.0, 0.15, 0.5, 1.0], [0.0, 1.0, 0.8, 0.35])
-    x = np.zeros(time.size)
-    for k in range(24):
-        frequency = (0.6 + 2.4 * k / 23) / longest
-        x += np.sin(2 * np.pi * frequency * time + rng.uniform(0, 2 * np.pi)) / (0.4 + frequency * longest) ** 1.5
-    x *= swell
-    x *= speed / np.abs(np.gradient(x, dt)).max()
-    return np.asarray(x * min(1.0, 90.0 / np.abs(x).max()))
+    while True:
+        x = np.zeros(time.size)
+        for k in range(24):
+            frequency = (0.6 + 2.4 * k / 23) / longest
+            x += np.sin(2 * np.pi * frequency * time + rng.uniform(0, 2 * np.pi)) / (0.4 + frequency * longest) ** 1.5
+        x *= swell
+        x *= speed / np.abs(np.gradient(x, dt)).max()
+        x *= min(1.0, 90.0 / np.abs(x).max())
+        if np.abs(np.diff(x[hysteresis(x, 0.0)])).min() > LEAST_MM:
+            return np.asarray(x)

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
+from shj_bayes.model.masing import masing_force
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key
@@ -22,7 +23,8 @@ PRACTICAL = 0.01  # of Fy: the size that the tool calls negligible for design ; 
 EVIDENCE = 25.0  # log-likelihood that the visible part must be worth under the trial's own noise
 AVERAGED_HZ = 5.0  # noise and misfit are compared on averages: as many at any sampling rate
 ORDER = 8  # of the autoregression that stands for the averaged noise
-WIDTHS = np.array([1.0, 1.0, 1.5, 0.1, 1.0])  # of ln K, ln Fy, ln beta, gamma, ln ratio: hold what the test leaves open
+# of ln K, ln Fy, ln beta, gamma, ln ratio and Masing's share: hold what the test leaves open
+WIDTHS = np.array([1.0, 1.0, 1.5, 0.1, 1.0, 1.0])
 FIT_SAMPLES = 6000  # of both runs, for the fit
 
 
@@ -120,12 +122,11 @@ def truth_of(key: Key, made: list[Made] | None = None) -> Truth:
         return whole.share(part_kN, capacity), worth(part_kN, made)
 
     share, evidence = weigh(whole.misfit_kN)
-    each = {one.id: (share, evidence) for one in key.effects}
-    if len(key.effects) > 1:
-        for one in key.effects:
-            rest = make(key, effects=[other for other in key.effects if other is not one])
-            lesser = np.concatenate([run.clean_kN for run in rest[:2]])
-            each[one.id] = weigh(whole.visible(whole.force_kN - lesser))
+    each = {}
+    for one in key.effects:
+        rest = make(key, effects=[other for other in key.effects if other is not one])
+        lesser = np.concatenate([run.clean_kN for run in rest[:2]])
+        each[one.id] = weigh(whole.visible(whole.force_kN - lesser))
     return Truth(bare.base, share, evidence, bare.share(bare.misfit_kN, capacity), each)
 
 
@@ -178,18 +179,24 @@ def kept_base(key: Key) -> set[str]:
 
 
 def fit_perfect(key: Key, made: list[Made]) -> Perfect:
-    """Fit Eq. (1) and (2) under the key's reversal rule to what a recorder without noise would show."""
+    """Fit Eq. (1) and (2) under the key's reversal rule to what a recorder without noise would show.
+
+    In cycles that turn before the device slides it may follow Masing's rule instead, or lie between: a share is fitted.
+    """
     runs = runs_of([Recording(one.recording.time_s, one.x_mm, one.clean_kN) for one in made[:2]])
     force = np.concatenate([one.clean_kN for one in made[:2]])
     used = np.concatenate([run.used for run in runs])
     device = key.device
-    start = np.array([np.log(device.K), np.log(device.Fy), np.log(device.beta), device.gamma, np.log(device.ratio)])
+    start = np.array(
+        [np.log(device.K), np.log(device.Fy), np.log(device.beta), device.gamma, np.log(device.ratio), 0.0]
+    )
 
     def law(p: FloatArray) -> FloatArray:
         out = []
         for i, run in enumerate(runs):
-            values = np.array([[np.exp(p[0]), np.exp(p[1] + i * p[4]), np.exp(p[2]), p[3]]])
-            out.append(force_of_laws(run.motion, values, variant=key.reversal)[0])
+            values = np.array([np.exp(p[0]), np.exp(p[1] + i * p[4]), np.exp(p[2]), p[3]])
+            own = force_of_laws(run.motion, values[None], variant=key.reversal)[0]
+            out.append(own + p[5] * (masing_force(run.motion, values) - own))
         return np.concatenate(out)
 
     some = np.flatnonzero(used)[:: max(1, int(used.sum()) // FIT_SAMPLES)]
@@ -198,13 +205,11 @@ def fit_perfect(key: Key, made: list[Made]) -> Perfect:
     def off(p: FloatArray) -> FloatArray:
         return np.concatenate([(law(p)[some] - force[some]) / sd, (p - start) / WIDTHS])
 
-    bounds = (np.full(5, -np.inf), np.full(5, np.inf))
+    bounds = (np.full(6, -np.inf), np.full(6, np.inf))
     bounds[0][2], bounds[1][2] = np.add(np.log(BETA_RANGE), (0.01, -0.01))  # slopes are taken on both sides
-    best = least_squares(off, start, bounds=bounds, x_scale=np.array([0.1, 0.1, 0.3, 0.01, 0.1])).x
-    steps = np.array([1e-4, 1e-4, 1e-3, 1e-5, 1e-4])
-    slopes = np.column_stack(
-        [(law(best + d) - law(best - d)) / (2 * h) for h, d in zip(steps, np.diag(steps), strict=True)]
-    )
+    best = least_squares(off, start, bounds=bounds, x_scale=np.array([0.1, 0.1, 0.3, 0.01, 0.1, 1.0])).x
+    steps = np.diag([1e-4, 1e-4, 1e-3, 1e-5, 1e-4, 0.0])[:5]
+    slopes = np.column_stack([(law(best + d) - law(best - d)) / (2 * d.sum()) for d in steps])
     base = {"K": np.exp(best[0]), "Fy": np.exp(best[1]), "beta": np.exp(best[2]), "gamma": best[3]}
     base["ratio"] = np.exp(best[4])
     return Perfect({name: float(value) for name, value in base.items()}, force, force - law(best), used, slopes)
