@@ -199,7 +199,10 @@ def main() -> None:
 @WORKERS
 @QUIET
 def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
-    """Run the whole job on (simulated) data that ship with the project."""
+    """Run the whole job on simulated data.
+
+    They ship with the project.
+    """
     from shj_bayes._util.shipped import shipped
 
     manifest = shipped("data", "examples", "campaign.toml")
@@ -211,9 +214,9 @@ def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
 @READING
 @_with_output
 def check(recordings: tuple[Path, ...], output: Output, **reading: Any) -> None:
-    """Read and check recordings; say what was found, assumed and repaired.
+    """Read recordings; say what was found and assumed.
 
-    Exit status 1 when one of them cannot be used.
+    What was repaired is told too. Exit status 1 when one of them cannot be used.
     """
     reading = _reading(**reading)
     if not output.as_json and not any(path.exists() for path in recordings):
@@ -245,7 +248,10 @@ def fit(
     output: Output,
     **options: Any,
 ) -> None:
-    """Posterior of one device; several recordings are its consecutive runs."""
+    """Posterior of one device.
+
+    Several recordings are its consecutive runs.
+    """
     need_files(recordings, RecordingError)
     from shj_bayes.commands.finished import kept_result
 
@@ -286,7 +292,10 @@ def diagnose(
     output: Output,
     **options: Any,
 ) -> None:
-    """Fit, then locate, name, model and show what the base law leaves out."""
+    """Find, name and model what the base law leaves out.
+
+    Fits the device first, and shows the fit before and after.
+    """
     need_files(recordings, RecordingError)
     from shj_bayes.commands.options import Options
     from shj_bayes.commands.pipeline import diagnose_device
@@ -328,7 +337,9 @@ def campaign(
     diagnosis: str | None,
     output: Output,
 ) -> None:
-    """Fit and diagnose every device of a TOML manifest, then population and report; resumes where it stopped.
+    """Fit and diagnose all devices of a TOML manifest.
+
+    Then population and report; the same command goes on where it stopped.
 
     Exit status 3 when it is done but for devices that failed.
     """
@@ -372,7 +383,10 @@ def _run_campaign(
 @SEED
 @_with_output
 def tables(out: Path, seed: int, output: Output) -> None:
-    """Bands and comparisons from the published, rounded parameter tables alone."""
+    """Bands and comparisons of the published tables.
+
+    They give parameters alone, rounded.
+    """
     make_writable(out)
     from shj_bayes.commands.summary import summarise_tables
     from shj_bayes.commands.validation import paper_claims
@@ -418,7 +432,10 @@ def tables(out: Path, seed: int, output: Output) -> None:
 )
 @_with_output
 def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any) -> None:
-    """Draw up design margins of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
+    """Draw up design margins.
+
+    Of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json.
+    """
     need_population(folder)
     from shj_bayes.commands.margin_sheet import design_margins
     from shj_bayes.margins.request import Request
@@ -437,7 +454,10 @@ def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any)
 def export(
     folder: Path, target: str, out: Path | None, amplitude_mm: float | None, draws: int | None, output: Output
 ) -> None:
-    """Write lower, middle and upper bound materials of a campaign or of the tables for structural analysis."""
+    """Write materials for structural analysis.
+
+    Lower, middle and upper bounds of a campaign or of the tables in DIR.
+    """
     need_population(folder)
     from shj_bayes.commands.design import export_analysis
 
@@ -459,7 +479,7 @@ def export(
 )
 @_with_output
 def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -> None:
-    """Compare two sets of a campaign or of the tables in DIR.
+    """Compare two sets of a campaign or of the tables.
 
     A and B are names of sets, or kinds of sets that are compared pair by pair: corroded and uncorroded, coated and
     uncoated, "70 %" and "100 %".
@@ -489,7 +509,10 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -
 @SEED
 @QUIET
 def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None:
-    """Make recordings of two runs of Table 1 from stated parameters, with the truth beside them."""
+    """Make recordings from stated parameters.
+
+    Two runs of Table 1, with the truth beside them.
+    """
     from shj_bayes.commands.simulated import write_simulated
 
     for path in write_simulated(stem, dep_mm_s=dep, **options):
@@ -530,7 +553,10 @@ def plan(
     output: Output,
     **options: Any,
 ) -> None:
-    """Plan the next test of the devices whose results are in DIR, or of a new one from --priors."""
+    """Plan the next test of devices, or of a new one.
+
+    Of the devices whose results are in DIR, or from --priors.
+    """
     if example_rig is not None:
         from shj_bayes._util.files import write_text
         from shj_bayes._util.shipped import shipped
@@ -565,7 +591,10 @@ def plan(
 )
 @click.option("--pdf", is_flag=True, help="Print the page to PDF beside it, by an installed Chromium, Chrome or Edge.")
 def open_(folder: Path, page: str | None, pdf: bool) -> None:
-    """Open the page of a result in the browser, or print it to PDF; nothing is served."""
+    """Open the page of a result, or print it to PDF.
+
+    The browser reads it from the disk; nothing is served.
+    """
     from shj_bayes.report.browse import open_page, page_of, write_pdf
 
     found = page_of(folder, page)
@@ -580,7 +609,10 @@ def open_(folder: Path, page: str | None, pdf: bool) -> None:
 @main.command()
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print what makes a shell complete commands and options; the guide says where to put it."""
+    """Print what makes a shell complete commands.
+
+    It completes options too; the guide says where to put it.
+    """
     from click.shell_completion import get_completion_class
 
     found = get_completion_class(shell)
@@ -612,7 +644,10 @@ def prove(
     workers: int | None,
     output: Output,
 ) -> None:
-    """Concealed-effect trials: sealed, diagnosed behind a fence, opened, scored; or --check of a finished proof."""
+    """Prove the diagnosis on concealed effects.
+
+    Trials are sealed, diagnosed behind a fence, opened and scored; or --check of a finished proof.
+    """
     if checked is not None:
         from shj_bayes.commands.validation import check
 
@@ -638,7 +673,10 @@ def prove(
 @main.command()
 @JSON
 def doctor(as_json: bool) -> None:
-    """Say what is installed, whether it works, how fast this machine is."""
+    """Say what is installed and whether it works.
+
+    Also how fast this machine is.
+    """
     from shj_bayes.commands.doctor import examine
 
     record, text = examine()

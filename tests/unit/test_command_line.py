@@ -46,6 +46,7 @@ def test_help_answers_at_once_and_names_the_commands():
     assert result.exit_code == 0
     for command in ("campaign", "check", "compare", "demo", "diagnose", "doctor", "fit", "simulate", "tables"):
         assert command in result.output
+    assert "..." not in result.output.partition("Commands:")[2]  # each says in a line what it does
     assert "numba" not in set(sys.modules) - before
 
 

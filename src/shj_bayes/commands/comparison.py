@@ -47,7 +47,12 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
         f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
         for side, name, sets in (("a", comparison.set_a, first), ("b", comparison.set_b, second))
     ]
-    lines = [*who, *comparison_lines(comparison), "", *(f"- {c.sentence}" for c in comparison.contrasts)]
+    columns = (
+        f"P(a > b): the typical device of a is above that of b; P(same): they differ by less than {rope_percent:g} %; "
+        "new a > new b: a new device of a is above one of b; Welch, permuted, Holm: p-values; spread a/b: standard "
+        "deviation between devices of a over that of b."
+    )
+    lines = [*who, *comparison_lines(comparison), columns, "", *(f"- {c.sentence}" for c in comparison.contrasts)]
     lines += [f"- {curve_words(curve)}" for curve in curves]
     rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
     record = {
