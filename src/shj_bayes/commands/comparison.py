@@ -52,7 +52,7 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
         "new a > new b: a new device of a is above one of b; Welch, permuted, Holm: p-values; spread a/b: standard "
         "deviation between devices of a over that of b."
     )
-    lines = [*who, *comparison_lines(comparison), columns, "", *(f"- {c.sentence}" for c in comparison.contrasts)]
+    lines = [*who, *comparison_lines(comparison), "", columns, "", *(f"- {c.sentence}" for c in comparison.contrasts)]
     lines += [f"- {curve_words(curve)}" for curve in curves]
     rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
     record = {

@@ -68,12 +68,13 @@ def band_table(sheet: Sheet) -> list[dict[str, Any]]:
 
 
 def first_table(sheet: Sheet) -> list[dict[str, Any]]:
-    """One row per set: tested devices, the one number for drift and the one for capacity design, kN."""
+    """One row per set: tested devices, the numbers for drift and for capacity design, kN, and phi_o."""
     index = _index(sheet)
     rows = []
     for name in shown_sets(sheet):
         low, high = index[name, "force", DRIFT, LOW], index[name, "force", CAPACITY, HIGH]
-        numbers = {"drift": digits(low.value), "capacity": digits(high.value)}
+        over = index[name, "force", EQUIVALENTS[-1], HIGH]
+        numbers = {"drift": digits(low.value), "capacity": digits(high.value), "phi_o": digits(over.value)}
         rows.append({"name": name_of(name), "n": _devices(index, name)} | numbers)
     return rows
 
