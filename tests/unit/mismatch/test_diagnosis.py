@@ -211,6 +211,14 @@ def test_two_effects_are_both_found(trials, look):
     assert is_right(look(trials.simulate(both, 5)).record, set(both))
 
 
+def test_a_drift_that_is_zeroed_before_each_run_is_one_effect(trials, look):
+    """Beside the going-on drift of another form a constant would stand for the zeroing."""
+    record = look(trials.simulate({"drift_zeroed": {"size": 0.06, "warming": 3.0}}, 5)).record
+    assert names(record) == {"drift"}
+    assert record["effects"][0]["form"] == "zeroed"
+    assert classes(record) == {("added", "time")}
+
+
 def test_slow_noise_is_no_drift(with_noise_of_30_s, look):
     """A memory of half a minute in tests of ten minutes: the force channel wanders, and does not drift."""
     record = look(with_noise_of_30_s).record
