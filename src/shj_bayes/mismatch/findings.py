@@ -197,18 +197,17 @@ def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArr
 
     What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long.
     """
-    state, scene = h.state, out.scene
-    residual, jacobian = state.residual, state.jacobian
+    state, scene, device = h.state, out.scene, out.scene.device
     if h.members[place].of.action == "motion":
         scene = scene.finer_at(state.model, state.z)
-        residual = scene.residual(state.model, state.z[None])[0]
-        jacobian = scene.jacobian(state.model, state.z, residual)
     effect = h.members[place].variant.effect
     rest = tuple(e for e in state.model.effects if e.id != effect.id)
     others = np.setdiff1d(np.arange(state.z.size), out.columns_of(state, place))
     change = scene.residual(state.model.with_effects(rest), z[:, others]) - scene.residual(state.model, z)
-    given = np.isin(state.model.law_names, out.scene.device.law_names)
-    return visible(scene, jacobian[:, given], change.T)
+    # Of the law by itself: beside a constant of many times Fy, a change of Fy is a change of the constant.
+    law = state.z[np.isin(state.model.law_names, device.law_names)]
+    jacobian = scene.jacobian(device, law, scene.residual(device, law[None])[0])
+    return visible(scene, jacobian, change.T)
 
 
 def _is_error_of_others(out: Search, h: Hypothesis, f: Finding) -> bool:

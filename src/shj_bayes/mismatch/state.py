@@ -136,16 +136,22 @@ def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatA
     Returns
     -------
     array, shape (p,)
-        99th percentile over the samples of what is left.
+        99th percentile over the samples of what is left, or of the change itself where that is less.
     """
     used = scene.used > 0
     count = scene.count[used]
     root = np.sqrt(count)[:, None]
-    left = np.abs(orthogonal_to(jacobian[used] * root, change_kN[used] * root) / root)
-    order = np.argsort(left, axis=0)
+    left = orthogonal_to(jacobian[used] * root, change_kN[used] * root) / root
+    return np.minimum(_largest(left, count), _largest(change_kN[used], count)) / scene.scale_kN
+
+
+def _largest(columns: FloatArray, count: FloatArray) -> FloatArray:
+    """99th percentile of the sizes in each column over samples, so many in each row, shape (n, p) to (p,)."""
+    sizes = np.abs(columns)
+    order = np.argsort(sizes, axis=0)
     reached = np.cumsum(count[order], axis=0) >= 0.99 * count.sum()
-    ordered = np.take_along_axis(left, order, axis=0)
-    return np.asarray(ordered[reached.argmax(axis=0), np.arange(left.shape[1])] / scene.scale_kN)
+    ordered = np.take_along_axis(sizes, order, axis=0)
+    return np.asarray(ordered[reached.argmax(axis=0), np.arange(sizes.shape[1])])
 
 
 def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSetting | None = None) -> NoiseSetting:
