@@ -35,16 +35,14 @@ from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.delivered import delivered
+from shj_bayes.margins.delivered import NONE, delivered
 from shj_bayes.margins.outermost import DEFAULT, outer
-from shj_bayes.margins.pair import NONE
 from shj_bayes.margins.parts import Environment, Parts
 from shj_bayes.margins.quantities import counted_from, of_readings, pooled
 from shj_bayes.margins.request import PLAIN
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.sample import Sample, common_spread
 from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
-from shj_bayes.margins.spread import of_set
+from shj_bayes.margins.spread import Sample, common_spread, of_set
 from shj_bayes.margins.trial import LEAST_ERROR, own_readings, try_all
 from shj_bayes.margins.virtual_test import Readings, read_off
 from shj_bayes.model.device import DeviceModel, effects_named

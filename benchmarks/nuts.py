@@ -138,7 +138,7 @@ def main() -> int:
     diverging = int(np.sum(sampler.get_extra_fields().get("diverging", np.zeros(1))))
     good = apart < 1e-6
     print(f"{'':12}{'our mean':>12}{'NUTS mean':>12}{'apart, sd':>11}{'our sd':>11}{'NUTS sd':>11}{'ratio':>8}")
-    unbounded = (posterior.unbounded(draws), posterior.unbounded(theirs))
+    unbounded = (posterior.model.unbounded(draws), posterior.model.unbounded(theirs))
     for i, name in enumerate(posterior.names):
         own, other = (z[:, i] for z in unbounded)
         shift, ratio = (own.mean() - other.mean()) / other.std(), own.std() / other.std()

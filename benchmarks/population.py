@@ -26,7 +26,7 @@ from scipy.special import ndtr
 
 from shj_bayes.population.device import NO_TAGS
 from shj_bayes.population.hierarchy import Sweeps, fit_population, fit_quantity
-from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded
+from shj_bayes.population.measurement import Likelihood, Rounded, of_draws, weighted
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.priors import population_prior
@@ -67,20 +67,20 @@ class Recipe:
 
 def hogg(values: FloatArray, log_prior: FloatArray) -> Likelihood:
     """Sum over draws: normals of no width."""
-    pooled, weight = PosteriorDraws(np.exp(values), log_prior).weighted(FY)
+    pooled, weight = weighted("Fy", np.exp(values), log_prior)
     return Likelihood(False, pooled, np.zeros_like(pooled), weight)
 
 
 def one_normal(values: FloatArray, log_prior: FloatArray) -> Likelihood:
     """One normal with the mean and variance of the weighted draws."""
-    pooled, weight = PosteriorDraws(np.exp(values), log_prior).weighted(FY)
+    pooled, weight = weighted("Fy", np.exp(values), log_prior)
     mean = np.sum(weight * pooled)
     return Likelihood(False, np.array([mean]), np.sqrt([np.sum(weight * (pooled - mean) ** 2)]), np.ones(1))
 
 
 def few_normals(values: FloatArray, log_prior: FloatArray) -> Likelihood:
     """Likelihood as shipped."""
-    return PosteriorDraws(np.exp(values), log_prior).likelihood(FY)
+    return of_draws("Fy", np.exp(values), log_prior).likelihood
 
 
 RECIPES = (
@@ -208,7 +208,7 @@ def coverage(
         mu = rng.normal(np.log(80.0), 0.3, n_sets)
         tau = spread * np.exp(unequal * rng.standard_normal(n_sets))
         printed = 5.0 * np.maximum(np.round(np.exp(rng.normal(mu, tau, (n_devices, n_sets))) / 5.0), 1.0)
-        sets = [[Rounded.to_step(v, 5.0).likelihood(FY) for v in printed[:, s]] for s in range(n_sets)]
+        sets = [[Rounded.to_step(v, 5.0).of("Fy").likelihood for v in printed[:, s]] for s in range(n_sets)]
         stream = np.random.SeedSequence([seed, n_devices, c])
         fit = fit_quantity("Fy", sets, population_prior("Fy"), stream, Sweeps(400, 500))
         for s in range(n_sets):

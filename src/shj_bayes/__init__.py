@@ -7,8 +7,6 @@ For scripts and notebooks: read a `Recording`, `fit` it, `diagnose` it, `plan` i
 what was finished.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

@@ -4,8 +4,6 @@ Every function writes a folder as the command of its name does, and gives it bac
 in a temporary one that lives as long as the value.
 """
 
-from __future__ import annotations
-
 import shutil
 import weakref
 from collections.abc import Sequence
@@ -14,7 +12,7 @@ from functools import cached_property, partial
 from html import escape
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import pandas as pd
 
@@ -23,7 +21,7 @@ from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.commands.comparison import compare_sets
 from shj_bayes.commands.next_test import plan_next
 from shj_bayes.commands.options import Options
-from shj_bayes.commands.pipeline import diagnose_device, fit_device
+from shj_bayes.commands.pipeline import Work, diagnose_device, fit_device, step_told
 from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, PlanError, ReportError
@@ -229,7 +227,7 @@ class Campaign:
     manifest: Manifest
 
     @classmethod
-    def read(cls, path: str | Path) -> Campaign:
+    def read(cls, path: str | Path) -> Self:
         """Read a manifest.
 
         Raises
@@ -315,9 +313,8 @@ def fit(
     """
     folder, held = _place(out)
     shared = _options(options)
-    result = fit_device(
-        _listed(recordings, shared), folder, shared, name=name, progress=progress, threads=threads, force=force
-    )
+    work = Work(progress, threads, force, step_told if progress else Work.tell)
+    result = fit_device(_listed(recordings, shared), folder, shared, name=name, work=work)
     return FitResult(folder, result.record, held)
 
 
@@ -355,17 +352,8 @@ def diagnose(
     """
     folder, held = _place(out)
     shared = _options(options)
-    result = diagnose_device(
-        _listed(recordings, shared),
-        folder,
-        shared,
-        without=without,
-        name=name,
-        quick=quick,
-        progress=progress,
-        threads=threads,
-        force=force,
-    )
+    given, work = _listed(recordings, shared), Work(progress, threads, force)
+    result = diagnose_device(given, folder, shared, without=without, name=name, quick=quick, work=work)
     return Diagnosis(folder, result.record, held)
 
 

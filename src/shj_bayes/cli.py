@@ -3,8 +3,6 @@
 The rooms are imported inside the commands, so that ``shj-bayes --help`` answers at once.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +16,7 @@ import shj_bayes
 from shj_bayes._util.child_processes import quiet_libraries
 from shj_bayes._util.files import make_writable, need_files, need_population
 from shj_bayes.commands.examples import EXAMPLES
-from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError
+from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, system_words
 
 Command = Callable[..., Any]
 PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
@@ -75,9 +73,7 @@ class _Group(click.Group):
         except ShjError as error:
             click.echo(f"shj-bayes: {error}", err=True)
         except OSError as error:
-            where = f" ({Path(str(error.filename)).name})" if error.filename else ""
-            reason = error.strerror or str(error)
-            click.echo(f"shj-bayes: {reason}{where}; check the path, the rights and the free space", err=True)
+            click.echo(f"shj-bayes: {system_words(error)}", err=True)
         except KeyboardInterrupt:
             again = "goes on from the last checkpoint" if ctx.invoked_subcommand in RESUMING else "begins anew"
             click.echo(f"shj-bayes: stopped; the same command again {again}", err=True)
@@ -206,7 +202,7 @@ def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
     from shj_bayes._util.shipped import shipped
 
     manifest = shipped("data", "examples", "campaign.toml")
-    _run_campaign(manifest, out, seed=seed, workers=workers, output=Output(quiet=quiet))
+    _run_campaign(manifest, out, seed=seed, workers=workers or 0, output=Output(quiet=quiet))
 
 
 @main.command()
@@ -259,11 +255,11 @@ def fit(
     result = kept_result(recordings, out, options, name)
     if result is None:
         from shj_bayes.commands.options import Options
-        from shj_bayes.commands.pipeline import fit_device
+        from shj_bayes.commands.pipeline import Work, fit_device, step_told
 
-        shared = Options(**options)
-        threads, speak = workers or 0, output.speaks
-        result = fit_device(recordings, out, shared, name=name, progress=speak, threads=threads, force=force)
+        speak = output.speaks
+        work = Work(speak, workers or 0, force, step_told if speak else Work.tell)
+        result = fit_device(recordings, out, Options(**options), name=name, work=work)
     output.show(result.record, result.text)
     if result.record["verdict"] == "unusable":
         raise ShjError(f"{result.record['device']}: the posterior is unusable: {result.record['reasons'][0]}")
@@ -282,15 +278,7 @@ def fit(
 @WORKERS
 @_with_output
 def diagnose(
-    recordings: tuple[Path, ...],
-    out: Path,
-    without: tuple[str, ...],
-    quick: bool,
-    name: str | None,
-    force: bool,
-    workers: int | None,
-    output: Output,
-    **options: Any,
+    recordings: tuple[Path, ...], out: Path, force: bool, workers: int | None, output: Output, **options: Any
 ) -> None:
     """Find, name and model what the base law leaves out.
 
@@ -298,20 +286,11 @@ def diagnose(
     """
     need_files(recordings, RecordingError)
     from shj_bayes.commands.options import Options
-    from shj_bayes.commands.pipeline import diagnose_device
+    from shj_bayes.commands.pipeline import Work, diagnose_device
 
-    result = diagnose_device(
-        recordings,
-        out,
-        Options(**_listed(options)),
-        without=without,
-        name=name,
-        quick=quick,
-        progress=output.speaks,
-        threads=workers or 0,
-        force=force,
-        tell=output.tell,
-    )
+    how: dict[str, Any] = {key: options.pop(key) for key in ("without", "name", "quick")}
+    work = Work(output.speaks, workers or 0, force, output.tell)
+    result = diagnose_device(recordings, out, Options(**_listed(options)), work=work, **how)
     output.show(result.record, result.text)
 
 
@@ -323,20 +302,11 @@ def diagnose(
 @click.option("--dask", "cluster", metavar="ADDRESS", help="Of a dask scheduler whose workers fit the devices.")
 @click.option(
     "--diagnose",
-    "diagnosis",
     type=click.Choice(["quick", "full", "off"]),
     help="Look for what the law leaves out; by default as the manifest says, quick where it says nothing.",
 )
 @_with_output
-def campaign(
-    manifest: Path,
-    out: Path,
-    seed: int,
-    workers: int | None,
-    cluster: str | None,
-    diagnosis: str | None,
-    output: Output,
-) -> None:
+def campaign(manifest: Path, out: Path, workers: int | None, cluster: str | None, **options: Any) -> None:
     """Fit and diagnose all devices of a TOML manifest.
 
     Then population and report; the same command goes on where it stopped.
@@ -347,26 +317,17 @@ def campaign(
         raise click.UsageError("--workers is for this machine and --dask for a cluster; give one of them.")
     if cluster is not None and not cluster.strip():
         raise click.UsageError("--dask needs an address, such as tcp://10.0.0.5:8786.")
-    _run_campaign(manifest, out, seed=seed, workers=workers, cluster=cluster, diagnosis=diagnosis, output=output)
+    _run_campaign(manifest, out, workers=workers or 0, cluster=cluster or "", **options)
 
 
-def _run_campaign(
-    manifest: Path,
-    out: Path,
-    *,
-    seed: int,
-    workers: int | None,
-    output: Output,
-    cluster: str | None = None,
-    diagnosis: str | None = None,
-) -> None:
+def _run_campaign(manifest: Path, out: Path, *, seed: int, output: Output, **how: Any) -> None:
     need_files([manifest], CampaignError)
     make_writable(out)
     from shj_bayes.commands.campaign import read_manifest, run_campaign
     from shj_bayes.commands.summary import summarise_campaign
 
     plan, speak = read_manifest(manifest), output.speaks
-    outcomes = run_campaign(plan, out, workers=workers or 0, cluster=cluster or "", diagnose=diagnosis, progress=speak)
+    outcomes = run_campaign(plan, out, progress=speak, **how)
     result = summarise_campaign(plan, outcomes, out, seed=seed, progress=speak)
     output.show(result.record, result.text)
     if not result.usable:
@@ -441,7 +402,7 @@ def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any)
     from shj_bayes.margins.request import Request
 
     design = design_margins(folder, Request(sets=sets, **request), progress=output.speaks)
-    output.show(design.record, design.text)
+    output.show(design.record, f"{design.text}\n\nmargins: {folder / 'margins.html'}")
 
 
 @main.command()
@@ -634,39 +595,32 @@ def completion(shell: str) -> None:
 @WORKERS
 @_with_output
 def prove(
-    n: int,
-    seed: int,
     out: Path | None,
     checked: Path | None,
     recordings: Path | None,
-    full: bool,
-    open_now: bool,
     workers: int | None,
     output: Output,
+    full: bool,
+    **trials: Any,
 ) -> None:
     """Prove the diagnosis on concealed effects.
 
     Trials are sealed, diagnosed behind a fence, opened and scored; or --check of a finished proof.
     """
-    if checked is not None:
-        from shj_bayes.commands.validation import check
+    from shj_bayes.commands import validation
 
-        lines = check(checked, workers=workers or 2, progress=output.speaks)
+    how: dict[str, Any] = {"workers": workers or 2, "progress": output.speaks}
+    if checked is not None:
+        lines = validation.check(checked, **how)
         output.show({"checked": lines}, "\n".join([*lines, "the transcript holds"]))
         return
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
     if recordings is not None:
-        from shj_bayes.commands.validation import prove_recordings
-
-        real = prove_recordings(recordings, out, workers=workers or 2, progress=output.speaks)
+        real = validation.prove_recordings(recordings, out, **how)
         output.show(real.record, real.text)
         return
-    from shj_bayes.commands.validation import prove as run_proof
-
-    proof = run_proof(
-        out, n=n, seed=seed, workers=workers or 2, quick=not full, open_now=open_now, progress=output.speaks
-    )
+    proof = validation.prove(out, quick=not full, **trials, **how)
     output.show(proof.score, proof.text)
 
 

@@ -17,6 +17,7 @@
 """
 
 import unicodedata
+from pathlib import PurePath
 
 MAX_MESSAGE = 1000  # characters; a file that is quoted at length says less than its beginning
 _STEERING = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}  # control, direction marks, halves of characters, line separators
@@ -36,6 +37,12 @@ def shown(value: object, length: int = 80) -> str:
     except ValueError:
         return "a number of thousands of digits"
     return text if len(text) <= length else f"{text[:length]}..."
+
+
+def system_words(error: OSError) -> str:
+    """Say what the system refuses, of which file, and what to look at."""
+    where = f" ({PurePath(str(error.filename)).name})" if error.filename else ""
+    return f"{plain_text(error.strerror or str(error))}{where}; check the path, the rights and the free space"
 
 
 class ShjError(Exception):

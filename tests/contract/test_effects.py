@@ -35,6 +35,7 @@ FAMILY = {
     "reversal_form": "start_of_stroke",
     "end_bearing": "end_of_stroke",
     "wear": "slow_change",
+    "local_wear": "slow_change",
     "bedding_in": "slow_change",
     "thermal": "slow_change",
     "tension_step": "slow_change",

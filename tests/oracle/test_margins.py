@@ -9,13 +9,12 @@ from scipy import stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.asked import sine
 from shj_bayes.margins.codes import asce7, en1990, en15129, iso16269_6, nz
+from shj_bayes.margins.delivered import Bounds
 from shj_bayes.margins.link_elements import wen_exponent
 from shj_bayes.margins.opensees import SHARPEST, exponent_of_steel02
-from shj_bayes.margins.pair import NONE, Bounds
 from shj_bayes.margins.quantities import of_readings
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.sample import Sample
-from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, limit, sd_of_log, variation_of_log
+from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Sample, Spread, limit, sd_of_log, variation_of_log
 from shj_bayes.margins.virtual_test import drive, read_off
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories
@@ -180,7 +179,6 @@ def test_asce7():
     assert (total.low, total.high) == pytest.approx((0.595, 2.1229), abs=1e-4)
     assert asce7.with_floor(Bounds(0.9, 1.1)) == Bounds(0.85, 1.2)
     assert asce7.with_floor(Bounds(0.5, 2.0)) == Bounds(0.5, 2.0)
-    assert asce7.with_floor(NONE, "isolator") == Bounds(0.60, 1.8)
     assert Bounds.around(0.8, 1.3) == Bounds(0.8, 1.3)
     with pytest.raises(PopulationError, match="lower <= 1"):
         Bounds(1.1, 1.2)

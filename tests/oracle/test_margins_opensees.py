@@ -90,7 +90,10 @@ def test_opensees_draws_our_loop(script, amplitude):
         assert energy[0] == pytest.approx(energy[1], rel=ENERGY)
 
 
-DRAWN = (Drawn("zinc", 1, 12.0, 80.0, 64.0, 10.0, 0.9), Drawn(HOSTILE, 1, 18.0, 60.0, 60.0, 30.0, 1.2))
+DRAWN = (
+    Drawn("zinc", 1, 12.0, 80.0, 64.0, exponent_of_steel02(10.0), 0.9),
+    Drawn(HOSTILE, 1, 18.0, 60.0, 60.0, exponent_of_steel02(30.0), 1.2),
+)
 SPEED = 10.0
 
 

@@ -46,12 +46,13 @@ def files(tmp_path_factory: pytest.TempPathFactory, fitted: Path, hostile_name: 
     campaign = make_campaign(root / "campaign", fitted, hostile_name)
     tables = population(tuple("abcde"))
     write_population(replace(tables, tested=PUBLISHED), root / "tables")
+    design_margins(root / "tables")
     return {
         **{
             word: render_diagnosis(write(root / word, word, hostile_name)) for word in ("adequate", "family", "unknown")
         },
         "tables": render_tables(root / "tables", tables, paper_claims()),
-        "margins": design_margins(root / "tables").page,
+        "margins": root / "tables" / "margins.html",
         "proof": PROOF,
         "device": render_device(Path(shutil.copytree(fitted, root / "device"))),
         "diagnosis": render_diagnosis(write(root / "diagnosis", "named", hostile_name)),

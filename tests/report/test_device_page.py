@@ -12,14 +12,14 @@ from matplotlib import pyplot
 from matplotlib.figure import Figure
 from page_tools import Page, check_safe, folded
 
-from shj_bayes.commands.finished import DeviceResult
+from shj_bayes.commands.finished import device_text
 from shj_bayes.errors import ShjError
 from shj_bayes.report.data import read_device
 from shj_bayes.report.device import badges, content, render_device
-from shj_bayes.report.device_numbers import numbers_of
 from shj_bayes.report.device_pictures import draw as draw_page
 from shj_bayes.report.figures import canvas
 from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.numbers import numbers_of
 from shj_bayes.report.residual_file import LeftOver, left_over
 from shj_bayes.report.words import CONVERGENCE, rounded
 
@@ -92,7 +92,7 @@ def test_what_the_data_do_not_determine_is_no_number(fitted: Path) -> None:
     assert told["remarks"][0].startswith("K is not determined by this recording: it may lie almost anywhere")
     assert next(card for card in told["cards"] if card["name"] == "K")["value"] == "not determined"
     assert next(row for row in told["rows"] if row["name"] == "K")["unknown"]
-    text = DeviceResult(fitted, record, True).text
+    text = device_text(fitted, record)
     line = next(line for line in text.splitlines() if line.startswith("  K "))
     assert line.split() == ["K", "not", "determined", "kN/mm"]
 
@@ -145,7 +145,7 @@ def test_nothing_stands_beyond_the_edge_of_a_picture(copy_of: Path, monkeypatch:
     for factor in (1.0, 0.001):  # of Fy: a small device is drawn in newton, whose numbers are long
         rows = [row | {"q50": row["q50"] * factor} for row in device.record["parameters"]]
         shown = replace(device, record=dict(device.record) | {"parameters": rows})
-        draw_page(shown, numbers, left_over(shown))
+        draw_page(shown, numbers)
     assert beyond == []
 
 

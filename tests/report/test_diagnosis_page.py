@@ -9,7 +9,7 @@ import pytest
 from made_diagnosis import record, write
 from page_tools import Page, check_safe, folded
 
-from shj_bayes.commands.pipeline import DiagnosisResult
+from shj_bayes.commands.pipeline import diagnosis_text
 from shj_bayes.errors import ReportError
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.diagnosis_numbers import profile
@@ -61,8 +61,7 @@ def test_two_cycles_that_show_nothing_do_not_show_that_all_is_well(
     }
     (folder / "diagnosis.json").write_text(json.dumps(told), encoding="utf-8")
     page = Page(render_diagnosis(folder))
-    result = DiagnosisResult(folder, told, folder / "diagnosis.html")
-    for text in (page.text, result.text):
+    for text in (page.text, diagnosis_text(told, folder / "diagnosis.html")):
         assert ("2 cycles are too few to say that nothing is missing" in text) == (n_cycles == 2)
         assert ("The model describes these recordings" in text) == (n_cycles == 3)
 
@@ -200,7 +199,7 @@ def test_a_chance_that_did_not_decide_is_not_told_beside_the_verdict(tmp_path: P
         changed = record("unknown", hostile_name) | {"p_value": p, "reason": why, "modelled": {}}
         (folder / "diagnosis.json").write_text(json.dumps(changed), encoding="utf-8")
         page = Page(render_diagnosis(folder))
-        first = DiagnosisResult(folder, changed, folder / "diagnosis.html").text.splitlines()[0]
+        first = diagnosis_text(changed, folder / "diagnosis.html").splitlines()[0]
         assert ("if nothing were missing" in page.text) == ("if nothing were missing" in first) == told
         assert (why in first) != told
 
@@ -216,7 +215,7 @@ def test_what_is_not_determined_and_what_does_not_carry_over_is_said(tmp_path: P
     changed["heldout"] = changed["heldout"] | {"elpd_gain": -76.0}
     folder = write(tmp_path, "named", "seal")
     (folder / "diagnosis.json").write_text(json.dumps(changed), encoding="utf-8")
-    told = DiagnosisResult(folder, changed, folder / "diagnosis.html").text
+    told = diagnosis_text(changed, folder / "diagnosis.html")
     page = Page(render_diagnosis(folder)).text
     (stiffness,) = [line for line in told.splitlines() if line.startswith("  K ")]
     assert "not determined" in stiffness

@@ -46,7 +46,6 @@ def test_energy_between_is_the_area_of_a_triangle() -> None:
 def test_cycles_and_peak_speed(elastoplastic: RunData) -> None:
     energy = numbers.cycle_energy(elastoplastic)
     assert energy.amplitude_mm == pytest.approx([AMPLITUDE] * 4, rel=1e-3)
-    assert energy.duration_s == pytest.approx([20.0] * 4, abs=0.1)
     assert numbers.one_peak_speed((energy,)) == pytest.approx(2 * np.pi * 0.05 * AMPLITUDE, rel=0.01)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from shj_bayes.commands.finished import DeviceResult
+from shj_bayes.commands.finished import device_text
 from shj_bayes.report import words
 from shj_bayes.report.binned import N_STROKE, stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
@@ -93,7 +93,8 @@ def test_a_headline_holds_no_nonsense(percent: float, said: str) -> None:
 
 def test_the_word_of_the_calculation_does_not_stand_alone(tmp_path: Path, fitted: Path) -> None:
     record = json.loads((fitted / "fit.json").read_text(encoding="utf-8")) | {"verdict": "reliable"}
-    first = DeviceResult(tmp_path, record, True, LeftOver(310.0, 9)).text.splitlines()[0]
+    write_residual(tmp_path, LeftOver(310.0, 9))
+    first = device_text(tmp_path, record).splitlines()[0]
     assert first.endswith(": reliable; poor fit: more than 100 % of Fy unexplained")
 
 

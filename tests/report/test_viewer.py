@@ -10,8 +10,8 @@ from made_diagnosis import write
 
 from shj_bayes.report import viewer
 from shj_bayes.report.data import DeviceData
-from shj_bayes.report.device_numbers import numbers_of
 from shj_bayes.report.diagnosis_data import read_diagnosis
+from shj_bayes.report.numbers import numbers_of
 from shj_bayes.report.page import LOOPS, policy, script
 
 

@@ -44,9 +44,12 @@ def records(tmp_path_factory):
 
 @pytest.mark.parametrize("name", TRIALS)
 def test_what_is_concealed_is_named(name, records):
-    """Offset and asymmetry may stand in one family (both are even in direction); the others have no such twin."""
+    """Offset and asymmetry may stand in one family (both are even in direction); prying has no such twin.
+
+    Beside an amplitude that is followed late there may be a small change in time, or what its form misses.
+    """
     record = records(name)
-    allowed = RIGHT_OUTCOMES if name in ("load_offset", "asymmetry") else ("right",)
+    allowed = ("right",) if name == "prying" else RIGHT_OUTCOMES
     assert outcome(TRIALS[name], record) in allowed, record["reason"]
 
 

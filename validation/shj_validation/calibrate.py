@@ -20,8 +20,6 @@ in the likelihood too) and ``--broken signed`` (speed with its sign) break one t
 Sources: Talts et al. 2018, arXiv 1804.06788 (ranks); Saeilynoja, Buerkner, Vehtari 2022, Stat. Comput. 32 (envelopes).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -5,8 +5,6 @@ round, so that any first n draws are balanced. The displacement has noise of 0.0
 slack, wear or asymmetry in turn, drawn from its priors, and the fit is told of it.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any

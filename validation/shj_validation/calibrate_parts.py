@@ -1,7 +1,5 @@
 """Ranks, and the draws of the calibration's part `margins`: a new device; see `calibrate.py`, which runs it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Analysis of variance of balanced tables of devices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from scipy.special import fdtrc

@@ -1,7 +1,5 @@
 """What the paper says of its tables, computed from them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 

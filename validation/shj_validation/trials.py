@@ -4,8 +4,6 @@
 and test code; they prove nothing (`shj_validation.proof` does).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Python puts the current folder first on the path of a process started with ``-c`
 beside the recordings would then be run. ``-P`` (in the environment: PYTHONSAFEPATH) leaves that folder out.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import shutil
@@ -27,13 +25,7 @@ T = TypeVar("T")
 
 
 class Workers(ProcessPoolExecutor):
-    """Pool of spawned processes.
-
-    Parameters
-    ----------
-    n : int
-        How many.
-    """
+    """Pool of so many spawned processes."""
 
     def __init__(self, n: int) -> None:
         with _safe_path(), _deaf():  # the process that tracks semaphores starts here

@@ -4,14 +4,11 @@ The cluster's scheduler hands a task to a worker that is free, and hands it to a
 can reach a dask scheduler can run code on its workers: the address is trusted as the command line is.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from itertools import islice
 from pathlib import Path
-from types import ModuleType
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -34,28 +31,12 @@ def results_on(
     *,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[tuple[Item, Result | None, str]]:
-    """Results of a function as a cluster finishes them.
+    """Items, each with its result or None and why there is none, as a cluster finishes them.
 
-    Parameters
-    ----------
-    address : str
-        Of the scheduler (``tcp://10.0.0.5:8786``), or the file that it wrote with ``--scheduler-file`` (``x.json``).
-    folder : Path
-        Absolute path of a folder that all workers must see.
-    function, items
-        What is called, and on what; both travel to the workers.
-    tell : callable
-        Gets a few words on the cluster with each result.
-
-    Yields
-    ------
-    item, result or None, reason
-        The reason says why there is no result; it is empty where there is one.
-
-    Raises
-    ------
-    CampaignError
-        If dask is not installed, the cluster does not answer, or its workers cannot do this work.
+    `address` is that of the scheduler (``tcp://10.0.0.5:8786``), or the file that it wrote with ``--scheduler-file``
+    (``x.json``); all workers must see `folder`; function and items travel to them; `tell` gets a few words on the
+    cluster with each result. `CampaignError` if dask is not installed, the cluster does not answer, or its workers
+    cannot do this work.
     """
     library = _library()
     with _connect(library, address) as client:
@@ -92,8 +73,7 @@ def _library() -> Any:
             "--dask needs the package distributed, which is not installed; install it here and on the workers with "
             "pip install 'shj-bayes[dask]'"
         ) from error
-    library: ModuleType = distributed
-    return library
+    return distributed
 
 
 def _connect(library: Any, address: str) -> Any:

@@ -1,7 +1,5 @@
 """The nearest right word, for an error that names a wrong one."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """What a package holds, found module by module: adding a file is enough, nothing is registered."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Iterator

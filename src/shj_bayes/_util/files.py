@@ -1,7 +1,5 @@
 """Files that are written whole or not at all, files that are read with bounds, and names that are safe everywhere."""
 
-from __future__ import annotations
-
 import errno
 import glob
 import hashlib
@@ -29,22 +27,8 @@ MAX_SEARCHES = 60  # a file that a text of many lines makes hard to search is le
 def replacing(path: Path) -> Iterator[Path]:
     """Give the name of a file beside the old one to write to, then put it in the place of the old one.
 
-    What was begun is taken away when writing fails; the old file is then as it was.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-
-    Yields
-    ------
-    Path
-        Where to write.
-
-    Raises
-    ------
-    OSError
-        If the disk is full, the folder is read-only, or a library could not write for such a reason.
+    What was begun is taken away when writing fails, with `OSError` also where a library says it in another way; the old
+    file is then as it was.
     """
     # The process number keeps a worker that outlived its killed parent from writing into the file of its successor.
     part = path.with_name(f"{path.name}.{os.getpid()}.part")

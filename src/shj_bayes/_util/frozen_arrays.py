@@ -1,7 +1,5 @@
 """Arrays that stay as they are."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ in that cache is run. A ``matplotlibrc`` can call LaTeX, an ``arvizrc`` can stop
 and in the environment hold as before.
 """
 
-from __future__ import annotations
-
 import atexit
 import importlib
 import os

@@ -4,8 +4,6 @@ The lock is the operating system's, on a file that says who holds it; it goes wh
 A file that a killed process left is taken over. Where a file system knows no locks, nothing is held.
 """
 
-from __future__ import annotations
-
 import errno
 import functools
 import inspect
@@ -53,19 +51,8 @@ def alone_in(parameter: str, kept: str = "") -> Callable[[Callable[P, T]], Calla
 def alone(folder: Path, kept: str = "") -> Iterator[None]:
     """Hold a results folder for a while; a folder that was made for it and stayed empty is taken away again.
 
-    Parameters
-    ----------
-    folder : Path
-        Made where it is not there.
-    kept : str
-        As for `alone_in`.
-
-    Raises
-    ------
-    ShjError
-        If another process, or another thread of this one, is at work in it.
-    OSError
-        If it cannot be made or written into.
+    `kept` is as for `alone_in`. `ShjError` if another process, or another thread of this one, is at work in it;
+    `OSError` if it cannot be made or written into.
     """
     made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:

@@ -5,8 +5,6 @@ wrote, and what it said. A file that was altered, taken away or added makes the 
 whose own files are others: an updated checkout has the same version number.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Sequence
@@ -30,25 +28,10 @@ def digests(folder: Path, patterns: Sequence[str]) -> dict[str, str]:
 
 
 def made(folder: Path, stage: str, rests_on: Any, writes: Sequence[str], make: Callable[[], Said]) -> Said:
-    """Give what a stage says, from its last run where that still holds, otherwise by running it.
+    """Give what a stage says, values that JSON holds: from its last run where that still holds, else by running it.
 
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    stage : str
-        Name of the stage.
-    rests_on : values that JSON holds
-        Everything that the result depends on besides the package.
-    writes : sequence of str
-        Patterns of all files below `folder` that the stage writes.
-    make : callable
-        Runs the stage; gives values that JSON holds.
-
-    Returns
-    -------
-    value
-        What `make` gave.
+    `rests_on` is everything that the result depends on besides the package; `writes` are patterns of all files below
+    `folder` that the stage writes.
     """
     inputs = hashlib.sha256(json.dumps([package(), rests_on], sort_keys=True).encode()).hexdigest()
     known = _read(folder).get(stage)

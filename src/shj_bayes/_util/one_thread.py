@@ -1,7 +1,5 @@
 """Linear algebra of small matrices in one thread."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,14 +35,14 @@ from shj_bayes._util.files import (
 )
 from shj_bayes._util.lock import alone_in
 from shj_bayes._util.made import digests, made
-from shj_bayes.commands.finished import DeviceResult, kept_result
+from shj_bayes.commands.finished import Done, kept_result
 from shj_bayes.commands.mistaken import repeated
 from shj_bayes.commands.options import Options
-from shj_bayes.errors import CampaignError, ShjError, plain_text, shown
+from shj_bayes.errors import CampaignError, ShjError, plain_text, shown, system_words
 from shj_bayes.inference.record import is_simulated
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.report.campaign_file import WITH_SET
+from shj_bayes.report.campaign_file import WITH_SET, WORDS
 from shj_bayes.report.residual_file import DIAGNOSIS
 
 SCHEMA = "shj-bayes/campaign/1"
@@ -90,11 +91,12 @@ class Device:
     # "quick", "full", "off": how to look for what the law leaves out: a first look, with the posterior of what is
     # found, or not at all
     diagnose: str = DIAGNOSES[0]
+    below: str = ""  # of a fit with what the set has: its folder in that of the device
 
     @property
     def folder(self) -> str:
         """Results folder below the campaign's, safe on every system."""
-        return f"devices/{folder_name(f'{self.set_name} {self.name}')}"
+        return f"devices/{folder_name(f'{self.set_name} {self.name}')}{self.below}"
 
 
 @dataclass(frozen=True)
@@ -140,18 +142,9 @@ Job = Callable[[Device, Path], Outcome]
 
 
 def read_manifest(path: Path) -> Manifest:
-    """Read a campaign manifest, and check the whole of it before anything is fitted.
+    """Read a campaign manifest, and check the whole of it before anything is fitted; ``docs/manifest.md`` has the keys.
 
-    Parameters
-    ----------
-    path : Path
-        TOML file with ``schema``, ``name``, optional ``diagnose``, ``[defaults]`` and ``[[set]]`` tables, each with a
-        ``name`` and ``[[set.device]]`` tables of ``name`` and ``recordings`` (paths relative to the manifest).
-
-    Raises
-    ------
-    CampaignError
-        With the line, the table and the value at fault, and what is allowed.
+    `CampaignError` with the line, the table and the value at fault, and what is allowed.
     """
     for cache in (_priors, _fit_for):
         cache.cache_clear()  # the files may have changed since
@@ -166,11 +159,9 @@ def read_manifest(path: Path) -> Manifest:
     devices = tuple(_devices(top, table, defaults, _diagnose(top, table, DIAGNOSES[0])))
     if not 1 <= len(devices) <= MAX_DEVICES:
         raise CampaignError(f"{path.name} names {len(devices)} devices; allowed are 1 to {MAX_DEVICES}")
-    seen: set[str] = set()
-    for device in devices:
-        if device.folder in seen:
-            raise CampaignError(f"{path.name}: device '{device.name}' stands twice in set '{device.set_name}'")
-        seen.add(device.folder)
+    folders = Counter(device.folder for device in devices)
+    if twice := next((device for device in reversed(devices) if folders[device.folder] > 1), None):
+        raise CampaignError(f"{path.name}: device '{twice.name}' stands twice in set '{twice.set_name}'")
     return Manifest(name, devices, simulated)
 
 
@@ -186,26 +177,10 @@ def run_campaign(
 ) -> list[Outcome]:
     """Fit and diagnose every device that is missing or changed; one bad device never stops the rest.
 
-    Parameters
-    ----------
-    manifest : Manifest
-        What to fit.
-    folder : Path
-        Campaign folder; each device has its own folder below ``devices``.
-    workers : int
-        Processes, 0 for one per processor.
-    cluster : str
-        Address of a dask scheduler whose workers fit the devices instead; they must see `folder` and the recordings
-        under the same paths.
-    diagnose : {"quick", "full", "off"}, optional
-        For all devices, in place of what the manifest says.
-    progress : bool
-        Show a progress bar on standard error.
-
-    Returns
-    -------
-    list of Outcome
-        One per device, in the manifest's order; also written to ``campaign.json``.
+    Each device has its own folder below ``devices`` of `folder`. There are as many processes as `workers` (0 for one
+    per processor), or those of the `cluster`, the address of a dask scheduler, whose workers must see `folder` and the
+    recordings under the same paths. `diagnose` stands in for what the manifest says. The outcomes, in the manifest's
+    order, are written to ``campaign.json``, too.
     """
     make_writable(folder)
     devices = manifest.devices
@@ -216,40 +191,46 @@ def run_campaign(
         devices = tuple(replace(device, diagnose=diagnose) for device in devices)
     crew = _Crew(folder, workers or os.cpu_count() or 1, cluster, progress)
     outcomes = crew.run("fits", _fit_one, devices, [_kept(device, folder) for device in devices])
-    outcomes, found = _together(outcomes, folder)
-    outcomes = _fitted_with_sets(crew, outcomes, found.enter, folder)
-    record = campaign_record(manifest, outcomes, found.together)
+    outcomes, together, enter = _together(outcomes, folder)
+    outcomes = _fitted_with_sets(crew, outcomes, enter, folder)
+    record = campaign_record(manifest, outcomes, together)
     write_text(folder / "campaign.json", json.dumps(record, indent=1))
     return outcomes
 
 
-def _together(outcomes: Sequence[Outcome], folder: Path) -> tuple[list[Outcome], _Found]:
-    """Add up what the diagnosed devices of each set, and all of them, have in common."""
+def _together(
+    outcomes: Sequence[Outcome], folder: Path
+) -> tuple[list[Outcome], Sequence[dict[str, Any]], Mapping[str, Sequence[str]]]:
+    """Add up what the diagnosed devices of each set, and all of them, have in common.
+
+    Outcomes; what is common, as it stands in ``campaign.json``; and by device what of it enters its model.
+    """
     diagnosed = [o for o in outcomes if o.status != FAILED and o.diagnosis not in ("off", FAILED)]
     if not diagnosed:
-        return list(outcomes), _Found()
+        return list(outcomes), (), {}
 
     def add_up() -> dict[str, Any]:
         from shj_bayes.mismatch.together import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
 
-        devices, unread = [], {}
+        devices, failed = [], {}
         for o in diagnosed:
             place = o.device.folder
             try:
                 devices.append((o.device.set_name, read_diagnosed(folder / place / DIAGNOSIS, place)))
             except ShjError as error:
-                unread[place] = str(error)
+                failed[place] = str(error)
         groups = together(devices)
         enter = {place: effects for one in groups if one.set_name for place, effects in one.effects.items()}
-        return {"together": [one.to_dict() for one in groups], "enter": enter, "unread": unread}
+        return {"together": [one.to_dict() for one in groups], "enter": enter, "unread": failed}
 
     files = [(o.device.set_name, digests(folder, [f"{o.device.folder}/{DIAGNOSIS}/diagnosis.json"])) for o in diagnosed]
     said = made(folder, "together", files, (), add_up)
-    out = []
-    for o in outcomes:
-        why = said["unread"].get(o.device.folder)
-        out.append(o if why is None else replace(o, diagnosis=FAILED, diagnosis_reason=why))
-    return out, _Found(said["together"], said["enter"])
+    unread = said["unread"]
+    out = [
+        replace(o, diagnosis=FAILED, diagnosis_reason=unread[o.device.folder]) if o.device.folder in unread else o
+        for o in outcomes
+    ]
+    return out, said["together"], said["enter"]
 
 
 def _fitted_with_sets(
@@ -260,25 +241,18 @@ def _fitted_with_sets(
     for o in outcomes:
         if o.device.folder in enter:
             effects = (*o.device.options.effects, *enter[o.device.folder])
-            devices.append(replace(o.device, options=replace(o.device.options, effects=effects)))
-    known = [_kept_with_set(device, folder) for device in devices]
-    done = {o.device.folder: o for o in crew.run("with what the set has", _fit_with_set, devices, known)}
+            options = replace(o.device.options, effects=effects)
+            devices.append(replace(o.device, options=options, diagnose="off", below=f"/{WITH_SET}"))
+    known = [_kept(device, folder) for device in devices]
+    done = {o.device.folder: o for o in crew.run("with what the set has", _fit_one, devices, known)}
     out = []
     for o in outcomes:
-        new = done.get(o.device.folder)
+        new = done.get(f"{o.device.folder}/{WITH_SET}")
         if new is not None:
             verdict = FAILED if new.status == FAILED else new.verdict
             o = replace(o, with_set=verdict, with_set_reason=new.reason)  # noqa: PLW2901
         out.append(o)
     return out
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What sets have in common, as it stands in ``campaign.json``, and by device what of it enters its model."""
-
-    together: Sequence[dict[str, Any]] = ()
-    enter: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -330,13 +304,6 @@ def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
         return str(record["verdict"]) if whole else None
     except (CampaignError, OSError, KeyError, TypeError):
         return None
-
-
-def _kept_with_set(device: Device, folder: Path) -> Outcome | None:
-    """Outcome of a fit with what the set of the device has, where it was made earlier."""
-    place = folder / device.folder / WITH_SET
-    result = kept_result(device.recordings, place, asdict(device.options), device.name)
-    return None if result is None else _outcome(device, result)
 
 
 def _in_processes(job: Job, devices: Sequence[Device], folder: Path, workers: int) -> Iterator[Outcome]:
@@ -403,12 +370,13 @@ def _with_whole_paths(device: Device) -> Device:
 
 def _fit_one(device: Device, folder: Path) -> Outcome:
     """Fit and diagnose one device in a worker process."""
-    from shj_bayes.commands.pipeline import fit_device  # noqa: PLC0415  (a campaign in which nothing changed needs none)
+    # A campaign in which nothing changed needs none of it.
+    from shj_bayes.commands.pipeline import Work, fit_device  # noqa: PLC0415
     from shj_bayes.report.device import render_device  # noqa: PLC0415
 
-    place = folder / device.folder
-    off = device.diagnose == "off"
-    result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1, page=off))
+    place, off = folder / device.folder, device.diagnose == "off"
+    given = device.recordings, place, device.options
+    result = _tried(lambda: fit_device(*given, name=device.name, page=off, work=Work(threads=1)))
     if isinstance(result, str):
         return Outcome(device, FAILED, result)
     outcome = _outcome(device, result)
@@ -421,29 +389,17 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
 
 def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outcome:
     """Diagnose a fitted device, where that was not done earlier."""
-    from shj_bayes.commands.pipeline import diagnose_device  # noqa: PLC0415
+    from shj_bayes.commands.pipeline import Work, diagnose_device  # noqa: PLC0415
 
     known = _kept_diagnosis(device, place, key)
     if known is not None:
         return replace(outcome, diagnosis=known)
     quick = device.diagnose == "quick"
-    found = _tried(
-        lambda: diagnose_device(
-            device.recordings, place / DIAGNOSIS, device.options, name=device.name, quick=quick, threads=1
-        )
-    )
+    given = device.recordings, place / DIAGNOSIS, device.options
+    found = _tried(lambda: diagnose_device(*given, name=device.name, quick=quick, work=Work(threads=1)))
     if isinstance(found, str):
         return replace(outcome, status="done", diagnosis=FAILED, diagnosis_reason=found)
     return replace(outcome, status="done", diagnosis=str(found.record["verdict"]))
-
-
-def _fit_with_set(device: Device, folder: Path) -> Outcome:
-    """Fit one device with what its set makes certain, in a worker process."""
-    from shj_bayes.commands.pipeline import fit_device  # noqa: PLC0415
-
-    place = folder / device.folder / WITH_SET
-    result = _tried(lambda: fit_device(device.recordings, place, device.options, name=device.name, threads=1))
-    return Outcome(device, FAILED, result) if isinstance(result, str) else _outcome(device, result)
 
 
 def _tried(job: Callable[[], Result]) -> Result | str:
@@ -453,15 +409,14 @@ def _tried(job: Callable[[], Result]) -> Result | str:
     except ShjError as error:
         return str(error)
     except OSError as error:
-        where = f" ({Path(str(error.filename)).name})" if error.filename else ""
-        return f"{plain_text(error.strerror or str(error))}{where}; check the path, the rights and the free space"
+        return system_words(error)
     except MemoryError:
         return "not enough memory; use fewer --workers, or export fewer samples"
     except Exception as error:  # the type says that it is a bug
         return plain_text(f"unexpected {type(error).__name__}: {error}")
 
 
-def _outcome(device: Device, result: DeviceResult) -> Outcome:
+def _outcome(device: Device, result: Done) -> Outcome:
     """Outcome of a device that has a result."""
     inputs = result.record["inputs"]
     return Outcome(
@@ -480,10 +435,7 @@ def campaign_record(
     """Content of ``campaign.json``."""
     sets: dict[str, list[dict[str, str]]] = {}
     for o in outcomes:
-        entry = {"name": o.device.name, "folder": o.device.folder}
-        entry |= {"status": o.status, "reason": o.reason, "verdict": o.verdict}
-        entry |= {"diagnosis": o.diagnosis, "diagnosis_reason": o.diagnosis_reason}
-        entry |= {"with_set": o.with_set, "with_set_reason": o.with_set_reason}
+        entry = {"name": o.device.name, "folder": o.device.folder} | {word: getattr(o, word) for word in WORDS[2:]}
         sets.setdefault(o.device.set_name, []).append(entry)
     return sealed(
         {

@@ -1,7 +1,5 @@
 """Two sets of a finished campaign, or of the tables, held against each other; pages are not needed for it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -20,21 +18,10 @@ from shj_bayes.report.sets import curve_words, pairs
 
 
 def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.0) -> tuple[dict[str, Any], str]:
-    """Compare two sets, or two kinds of sets, of a folder that `campaign` or `tables` wrote.
+    """Compare two sets of a folder that `campaign` or `tables` wrote: for machines, and for people.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    set_a, set_b : str
-        Names of sets, or kinds: coated, uncoated, corroded, uncorroded, "70 %".
-    rope_percent : float
-        Half-width of the region of practical equivalence, per cent.
-
-    Returns
-    -------
-    dict, str
-        For machines, for people.
+    `set_a` and `set_b` are names of sets, or kinds: coated, uncoated, corroded, uncorroded, "70 %". `rope_percent` is
+    the half-width of the region of practical equivalence.
     """
     need_population(folder)
     result = load_population(folder)
@@ -76,12 +63,7 @@ def curve_records(curves: Sequence[CurveContrast]) -> list[dict[str, Any]]:
 def curves_of_pairs(folder: Path, result: PopulationResult) -> tuple[CurveContrast, ...]:
     """Compare the curves of the pairs of sets that a campaign page names, and write ``comparison-curves.csv``.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder.
-    result : PopulationResult
-        Its population; nothing is said of more devices than `MOST_DRAWN`.
+    Nothing is said of more devices than `MOST_DRAWN`.
     """
     few = sum(len(group.devices) for group in result.sets) <= MOST_DRAWN
     chosen = pairs(result) if few else ()
@@ -114,13 +96,10 @@ def comparison_lines(comparison: Comparison) -> list[str]:
             ]
         )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    first, *others = widths
     return [
-        "  "
-        + "   ".join(
-            f"{cell:>{width}}" if i else f"{cell:{width}}"
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
+        "   ".join([f"  {head:{first}}", *(f"{cell:>{width}}" for cell, width in zip(cells, others, strict=True))])
+        for head, *cells in rows
     ]
 
 

@@ -1,12 +1,12 @@
 """From a results folder to margins: population, diagnoses of its devices, sheet, files, page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.errors import PopulationError
@@ -41,7 +41,7 @@ MOST_DRAWN = 100  # devices whose loops are drawn and written
 def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[str, Any]:
     """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
 
-    ``record`` is the content of ``margins.json``, ``words`` the design table and what to mind, for people.
+    ``record`` is the content of ``margins.json``, ``text`` the design table and what to mind, for people.
     """
     result = load_population(folder)
     named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
@@ -59,7 +59,7 @@ def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[
     render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
     lines = [margin_text(sheet, request), "", *notes, "", *two_numbers(sheet, request)]
-    return {"record": to_json(sheet), "words": "\n".join(lines)}
+    return {"record": to_json(sheet), "text": "\n".join(lines)}
 
 
 def export_analysis(
@@ -70,26 +70,11 @@ def export_analysis(
     *,
     progress: bool = False,
 ) -> tuple[Path, ...]:
-    """Write the bounds of every set for structural analysis.
+    """Write the bounds of every set of a folder for structural analysis; by default into ``opensees`` below it.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder that ``campaign`` or ``tables`` wrote.
-    out : Path, optional
-        Where to; ``opensees`` below the folder by default.
-    amplitude_mm : float, optional
-        Of the cycle for effective stiffness and damping; the largest tested by default.
-    draws : int, optional
-        New devices of each set for Monte Carlo, besides the bounds.
-    progress : bool
-        Show a progress bar.
-
-    Returns
-    -------
-    tuple of Path
-        ``connection_materials.py``, ``connection_materials.tcl``, ``link-elements.csv``, ``loops.csv`` (bands of the
-        virtual test) and, with draws, ``connection_draws.py`` and ``connection_draws.csv``.
+    ``connection_materials.py`` and ``.tcl``, ``link-elements.csv``, ``loops.csv`` (bands of the virtual test) and, with
+    draws (new devices of each set for Monte Carlo), ``connection_draws.py`` and ``.csv``. The amplitude is that of the
+    cycle for effective stiffness and damping, the largest tested by default.
     """
     need_population(folder)
     result = load_population(folder)
@@ -127,23 +112,9 @@ def export_analysis(
 def tested_devices(
     folder: Path, result: PopulationResult
 ) -> tuple[dict[str, Any] | None, tuple[Specimen, ...], tuple[str, ...]]:
-    """Read the tested devices of a folder with the models that their diagnoses ended in.
+    """Read the tested devices of a folder with the models that their diagnoses ended in, and what these found.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder that ``campaign`` or ``tables`` wrote.
-    result : PopulationResult
-        Its population.
-
-    Returns
-    -------
-    campaign : dict or None
-        Content of ``campaign.json``; None for the published tables.
-    specimens : tuple of Specimen
-        The devices.
-    words : tuple of str
-        What the diagnoses found.
+    First comes the content of ``campaign.json``; None for the published tables.
     """
     if not (folder / "campaign.json").exists():
         return None, specimens_of_table(result), ()
@@ -199,8 +170,8 @@ def margin_text(sheet: Sheet, request: Request) -> str:
                 (line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan))
                 for head in ("EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
             ]
-            complete &= all(map(_known, ends))
-            pairs = [f"{low:.3g} to {high:.3g}" if _known((low, high)) else "-" for low, high in ends]
+            complete &= bool(np.isfinite(ends).all())
+            pairs = [f"{low:.3g} to {high:.3g}" if math.isfinite(low + high) else "-" for low, high in ends]
             band = f"{line['middle']:.3g} ({line['new device, low']:.3g} to {line['new device, high']:.3g})"
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
             head = f"{line['quantity']}{unit}"
@@ -215,10 +186,8 @@ def margin_text(sheet: Sheet, request: Request) -> str:
 
 def two_numbers(sheet: Sheet, request: Request) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
-    lines = ["Two numbers of each set, of the devices that were tested:"]
-    for name in _shown(sheet, request):
-        lines.append(f"  {name_of(name)}, {_behind(sheet, name)}: {first_words(sheet, name)}")
-    return lines
+    own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in _shown(sheet, request))
+    return ["Two numbers of each set, of the devices that were tested:", *own]
 
 
 def _shown(sheet: Sheet, request: Request) -> Sequence[str]:
@@ -233,11 +202,6 @@ def _behind(sheet: Sheet, name: str) -> str:
         return f"from {len(tested_sets(sheet))} tested sets"
     count = max(row.n_devices for row in sheet.rows if row.set_name == name)
     return f"{count} device{'' if count == 1 else 's'}"
-
-
-def _known(ends: tuple[float, float]) -> bool:
-    """Whether both ends of a range are given: a standard may have no factor for so few devices."""
-    return all(map(math.isfinite, ends))
 
 
 def first_words(sheet: Sheet, name: str) -> str:

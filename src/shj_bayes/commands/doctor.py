@@ -1,10 +1,9 @@
 """What is installed, whether it works, how fast this machine is."""
 
-from __future__ import annotations
-
 import os
 import platform
 import time
+import timeit
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ def examine() -> tuple[dict[str, Any], str]:
     error = {name: abs(theta[posterior.model.index(name)] / getattr(TRUTH, name) - 1) for name in ("K", "Fy", "gamma")}
     works = bool(max(error.values()) < 0.05)
     batch = np.repeat(theta[None], 16, axis=0)
-    seconds = min(_timed(posterior.log_likelihood, batch) for _ in range(20))
+    seconds = min(timeit.repeat(lambda: posterior.log_likelihood(batch), number=1, repeat=20))
     browser = find_browser()
     families = [f"{family} ({len(read_priors(family).priors)} laws)" for family in shipped_families()]
     record: dict[str, Any] = {
@@ -59,9 +58,3 @@ def examine() -> tuple[dict[str, Any], str]:
         "everything works" if works else "NOT WORKING: the fit of a simulated device misses the truth by more than 5 %",
     ]
     return record, "\n".join(lines)
-
-
-def _timed(function: Any, argument: Any) -> float:
-    begin = time.perf_counter()
-    function(argument)
-    return time.perf_counter() - begin

@@ -4,12 +4,10 @@ The noise keeps the priors of its family: it belongs to the laboratory, not to t
 ends: an earlier interval as a law with ends would forbid what lies beyond it.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,7 +31,7 @@ class Earlier:
     """What is known from earlier tests."""
 
     statement: str  # of which device or set
-    bands: dict[str, tuple[float, float, float]]  # 5, 50 and 95 % by parameter of the law
+    bands: Mapping[str, Sequence[float]]  # 5, 50 and 95 % by parameter of the law
     sha256: str  # digest of the files it comes from
     recordings: frozenset[str]  # digests of the recordings that it rests on
 
@@ -65,19 +63,9 @@ class Earlier:
 
 
 def earlier(where: str) -> Earlier:
-    """Read what earlier tests say.
+    """Read what earlier tests say, from the folder of a fit, or of a campaign with ``#SET`` behind it.
 
-    Parameters
-    ----------
-    where : str
-        Folder of a fit; or of a campaign, with ``#SET`` behind it where it has several sets.
-
-    Raises
-    ------
-    PriorError
-        If there is neither, or no such set.
-    InferenceError
-        If the fit is damaged.
+    `PriorError` if there is neither, or no such set; `InferenceError` if the fit is damaged.
     """
     name, _, chosen = where.partition("#")
     folder = Path(name)
@@ -97,7 +85,7 @@ def _of_device(folder: Path) -> Earlier:
     if record["verdict"] == "unusable":
         raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
     names = [name for name in draws if name in LAW or name.startswith("ratio_")]
-    bands = {name: _band(np.quantile(draws[name], (0.05, 0.5, 0.95))) for name in names}
+    bands = {name: tuple(np.quantile(draws[name], (0.05, 0.5, 0.95)).tolist()) for name in names}
     inputs = frozenset(str(entry["sha256"]) for entry in record["inputs"])
     return Earlier(f"device {record['device']}", bands, str(record.get("digest", "")), inputs)
 
@@ -116,7 +104,7 @@ def _of_set(folder: Path, chosen: str) -> Earlier:
         name = sets[chosen.casefold()]
         mine = {row["quantity"]: row for row in rows if row["set"] == name}
         keys = ("q05", "q50", "q95")
-        bands = {q: _band([float(mine[q][key]) for key in keys]) for q in LAW if q in mine}
+        bands = {q: tuple(float(mine[q][key]) for key in keys) for q in LAW if q in mine}
     except (KeyError, ValueError, TypeError) as error:
         raise PriorError(f"population.csv in {folder.name} is damaged ({error}); run the campaign again") from error
     return Earlier(f"a new device of set {name}", bands, hashlib.sha256(raw).hexdigest(), _recordings(folder, name))
@@ -134,12 +122,7 @@ def _recordings(folder: Path, name: str) -> frozenset[str]:
     return frozenset(str(entry["sha256"]) for one in records for entry in one["inputs"])
 
 
-def _band(values: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
-    low, middle, high = (float(v) for v in values)
-    return low, middle, high
-
-
-def _law(own: Prior, band: tuple[float, float, float], statement: str) -> Prior:
+def _law(own: Prior, band: Sequence[float], statement: str) -> Prior:
     """Law of a parameter with the 5, 50 and 95 % of an earlier result."""
     low, middle, high = band
     own = replace(own, source=f"Posterior of {statement}.", earlier=True)

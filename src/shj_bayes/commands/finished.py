@@ -1,7 +1,5 @@
 """A finished fit, recognised without what fitting needs: the same command again answers at once."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -18,70 +16,53 @@ from shj_bayes.inference.record import Remark, check_files, read_record
 from shj_bayes.model.parameters import BASE, base_of
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
-from shj_bayes.report.residual_file import LeftOver, read_residual
+from shj_bayes.report.residual_file import read_residual
 
 
 @dataclass(frozen=True, eq=False)
-class DeviceResult:
-    """A finished device."""
+class Done:
+    """What a command made."""
 
-    folder: Path  # where its files are
-    record: dict[str, Any]  # content of ``fit.json``
-    fresh: bool  # False when an earlier, unchanged result was found and kept
-    left: LeftOver | None = None  # what the model leaves over; None where no page was written
+    record: dict[str, Any]  # for machines: content of the file that it wrote
+    text: str  # what a person wants to read at the end
+    fresh: bool = True  # False where an earlier, unchanged result was found and kept
+    usable: bool = True  # False where no device of a campaign could be used
     note: str = ""  # why an earlier result was not kept although it is of the same fit: which file was damaged
 
-    @property
-    def text(self) -> str:
-        """What a person wants to read at the end of a fit."""
-        record, shown, left = self.record, force_unit(self.record), self.left
-        # The word of the calculation does not stand alone: a converged fit of a wrong model is no reliable answer.
-        fit = f"; {words.FIT[left.grade][0]}: {words.fit_words(left)}" if left else ""
-        lines = [f"{record['device']}: {record['verdict']}{fit}"]
-        lines += [f"  {reason}" for reason in record["reasons"]]
-        said = words.left_words(left, record["model"].get("effects", ())) if left else ""
-        lines += [f"  {extra}" for extra in (said, self.note) if extra]
-        remarks = record.get("remarks", [])
-        units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
-        family = record["model"]["priors"]
-        lines += [f"  warning: {words.remark(r, *units[r['parameter']], family=family)}" for r in remarks]
-        unknown = {r["parameter"] for r in remarks if r["kind"] == Remark.UNDETERMINED}
-        width = max(len(row["name"]) for row in record["parameters"]) + 1
-        lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
-        for row in map(shown.row, record["parameters"]):
-            numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
-            numbers += f"  {row['unit']}"
-            if base_of(row["name"]) == "gamma":
-                numbers += f"  ({words.dep_words(row)})"
-            if row["name"] in unknown:
-                numbers = f"{'not determined':>47}  {row['unit']}"
-            lines.append(f"  {row['name']:{width}}{numbers}")
-        notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
-        lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
-        lines += ["", f"report: {self.folder / 'report.html'}"]
-        return "\n".join(lines)
+
+def device_text(folder: Path, record: dict[str, Any], note: str = "") -> str:
+    """Say what a fit found, with what its page, where there is one, says of the residual."""
+    shown, left = force_unit(record), read_residual(folder)
+    # The word of the calculation does not stand alone: a converged fit of a wrong model is no reliable answer.
+    fit = f"; {words.FIT[left.grade][0]}: {words.fit_words(left)}" if left else ""
+    lines = [f"{record['device']}: {record['verdict']}{fit}"]
+    lines += [f"  {reason}" for reason in record["reasons"]]
+    said = words.left_words(left, record["model"].get("effects", ())) if left else ""
+    lines += [f"  {extra}" for extra in (said, note) if extra]
+    remarks = record.get("remarks", [])
+    units = {row["name"]: shown.of(row["unit"]) for row in record["parameters"]}
+    family = record["model"]["priors"]
+    lines += [f"  warning: {words.remark(r, *units[r['parameter']], family=family)}" for r in remarks]
+    unknown = {r["parameter"] for r in remarks if r["kind"] == Remark.UNDETERMINED}
+    width = max(len(row["name"]) for row in record["parameters"]) + 1
+    lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
+    for row in map(shown.row, record["parameters"]):
+        numbers = f"{row['mean']:12.5g}{row['sd']:11.2g}{row['q05']:12.5g}{row['q95']:12.5g}"
+        numbers += f"  {row['unit']}"
+        if base_of(row["name"]) == "gamma":
+            numbers += f"  ({words.dep_words(row)})"
+        if row["name"] in unknown:
+            numbers = f"{'not determined':>47}  {row['unit']}"
+        lines.append(f"  {row['name']:{width}}{numbers}")
+    notes = [f for run in record["inputs"] for f in run["findings"] if f["severity"] != "note"]
+    lines += dict.fromkeys(f"  {finding['severity']}: {finding['message']}" for finding in notes)
+    return "\n".join([*lines, "", f"report: {folder / 'report.html'}"])
 
 
-def device_result(folder: Path, record: dict[str, Any], *, fresh: bool, note: str = "") -> DeviceResult:
-    """Make the result of a folder, with what its page says of the residual."""
-    return DeviceResult(folder, record, fresh, read_residual(folder), note)
-
-
-def kept_result(
-    paths: Sequence[Path], folder: Path, options: Mapping[str, Any], name: str | None
-) -> DeviceResult | None:
+def kept_result(paths: Sequence[Path], folder: Path, options: Mapping[str, Any], name: str | None) -> Done | None:
     """Give the result of the same fit, finished earlier; None where it has to be made, or made whole.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Consecutive runs.
-    folder : Path
-        Results folder.
-    options : mapping of str to value
-        Fields of `shj_bayes.commands.options.Options`, all of them.
-    name : str, optional
-        Name of the device; the first file's name without ending by default.
+    `options` are all fields of `shj_bayes.commands.options.Options`.
     """
     if not (folder / "fit.json").is_file() or stale(folder) or options["priors_from"] is not None:
         return None
@@ -93,26 +74,15 @@ def kept_result(
         return None
     name = plain_name(name) if name else default_name(paths[0].name)
     record, _ = finished_record(folder, key_of(digests[:-1], options, digests[-1], name))
-    return None if record is None else device_result(folder, record, fresh=False)
+    return None if record is None else Done(record, device_text(folder, record), fresh=False)
 
 
 def key_of(
     digests: Sequence[str], options: Mapping[str, Any], priors_sha256: str, name: str, *, speed: bool = True
 ) -> str:
-    """Digest of all that a result depends on.
+    """Digest of all that a result depends on: digests of the recordings, in their order, all `Options`, priors, name.
 
-    Parameters
-    ----------
-    digests : sequence of str
-        One for each recording, in the order they were made.
-    options : mapping of str to value
-        Fields of `shj_bayes.commands.options.Options`, all of them.
-    priors_sha256 : str
-        Digest of the prior file.
-    name : str
-        Name of the device.
-    speed : bool
-        The law depends on speed.
+    `speed` says whether the law depends on it.
     """
     # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
     chosen = {**options, "priors": Path(options["priors"]).name, "effects": sorted(options["effects"])}

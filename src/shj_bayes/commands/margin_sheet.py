@@ -1,13 +1,12 @@
 """The margins of a folder: drawn up, or as they stand where nothing that they rest on changed."""
 
-from __future__ import annotations
-
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from shj_bayes._util.files import file_digest, need_population
 from shj_bayes._util.made import digests, made
+from shj_bayes.commands.finished import Done
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.report.campaign_file import read_campaign
 
@@ -16,46 +15,10 @@ PAGE = "margins.html"
 MARGINS = ("margins.csv", "margins.xlsx", "margins.json", "margins-devices.csv", "loops.csv", PAGE)
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
-    """Margins of a folder.
-
-    Parameters
-    ----------
-    record : dict
-        For machines: content of ``margins.json``.
-    words : str
-        For people: the design table, and what to mind.
-    page : Path
-        The designer's sheet.
-    """
-
-    record: dict[str, Any]
-    words: str
-    page: Path
-
-    @property
-    def text(self) -> str:
-        """For people: the same, and where the sheet is."""
-        return f"{self.words}\n\nmargins: {self.page}"
-
-
-def design_margins(folder: Path, request: Request = PLAIN, *, progress: bool = False) -> Design:
+def design_margins(folder: Path, request: Request = PLAIN, *, progress: bool = False) -> Done:
     """Draw up and write the margins of a folder that ``campaign`` or ``tables`` wrote.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    request : Request
-        Cycle and choices.
-    progress : bool
-        Show a progress bar.
-
-    Raises
-    ------
-    PopulationError
-        If a set that was asked for is not there, or a cycle was not tested; nothing is written then.
+    `PopulationError` if a set that was asked for is not there, or a cycle was not tested; nothing is written then.
     """
     need_population(folder)
 
@@ -69,7 +32,7 @@ def design_margins(folder: Path, request: Request = PLAIN, *, progress: bool = F
     if request.history is not None:
         chosen["history"] = [str(request.history), file_digest(request.history)]
     rests_on = [chosen, digests(folder, POPULATION), campaign_inputs(folder)]
-    return Design(**made(folder, "margins", rests_on, MARGINS, draw_up), page=folder / PAGE)
+    return Done(**made(folder, "margins", rests_on, MARGINS, draw_up))
 
 
 def campaign_inputs(folder: Path) -> dict[str, Any]:

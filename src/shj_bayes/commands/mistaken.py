@@ -1,7 +1,5 @@
 """Slips that spoil a result without a trace: the same recording twice, another device's folder, an idle option."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -26,12 +24,7 @@ def _digest(*arrays: object) -> str:
 def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[Recording]:
     """Warn where one of a device's recordings comes again, and where an option can have no effect.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Its runs.
-    free : sequence of str
-        Parameters that each run has for itself.
+    Such as `free`, the parameters that each run has for itself, where there is one run.
     """
     if len(recordings) == 1 and free:
         message = f"{', '.join(free)} cannot differ between runs where there is one run: --free has no effect"
@@ -54,19 +47,7 @@ def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[
 
 
 def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording], error: type[ShjError]) -> None:
-    """Refuse a folder that holds the result of another device: neither its name nor any of its recordings is the same.
-
-    Parameters
-    ----------
-    folder : Path
-        Where results are to go.
-    name : str
-        Name of the device.
-    recordings : sequence of Recording
-        Its runs.
-    error : type
-        Kind of error to raise.
-    """
+    """Refuse a folder that holds the result of another device: neither its name nor any recording is the same."""
     mine = {recording.source.sha256 for recording in recordings}
     for kind in ("fit", "diagnosis"):
         path = folder / f"{kind}.json"
@@ -85,18 +66,7 @@ def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording],
 
 
 def repeated(inputs: Iterable[tuple[str, str, str]]) -> list[str]:
-    """Say which recordings belong to several devices.
-
-    Parameters
-    ----------
-    inputs : iterable of (str, str, str)
-        Device with its set, name of the file, and its digest.
-
-    Returns
-    -------
-    list of str
-        One sentence for each such recording.
-    """
+    """Say which recordings belong to several devices, from device with its set, name of the file and its digest."""
     places: dict[str, dict[str, str]] = {}
     for device, name, digest in inputs:
         places.setdefault(digest, {}).setdefault(device, name)

@@ -1,15 +1,14 @@
 """Which test next: from folders of results, or from priors alone, to a protocol with its files and its page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from shj_bayes._util.files import make_writable
+from shj_bayes.commands.finished import Done
 from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.device import DeviceModel
@@ -30,20 +29,6 @@ FIRST_RATE_HZ = 20.0  # where no test has been made and nothing is said
 DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 
-@dataclass(frozen=True, eq=False)
-class Planned:
-    """A written plan."""
-
-    folder: Path  # where its files are
-    record: dict[str, Any]  # content of ``plan.json``
-    page: Path
-
-    @property
-    def text(self) -> str:
-        """What a person wants to read at the end."""
-        return f"{plan_text(self.record)}\n\nplan: {self.page}"
-
-
 def plan_next(
     folders: Sequence[Path],
     out: Path,
@@ -55,42 +40,18 @@ def plan_next(
     histories: Sequence[Path] = (),
     seed: int = 1,
     tell: Callable[[str], None] = lambda _: None,
-) -> Planned:
+) -> Done:
     """Plan the next test and write ``plan.json``, ``next-1.csv`` to ``next-3.csv`` and ``plan.html``.
 
-    Parameters
-    ----------
-    folders : sequence of Path
-        Results of diagnosed (or fitted) devices; none for a plan from priors alone.
-    out : Path
-        Folder for the plan.
-    limits : mapping of str to float, optional
-        Fields of `Rig`; what is not given is what the tests so far reached.
-    question : str, optional
-        ``which``, ``force`` or the name of a quantity; ``which`` by default where anything is undecided.
-    among : sequence of str
-        Mechanisms to tell apart, in place of the rivals that the diagnosis names; ``velocity`` is the base law.
-    priors : str
-        Family, where there are no folders.
-    histories : sequence of Path
-        Further candidates: displacement (mm) over time (s).
-    seed : int
-        Same seed and inputs, same plan.
-    tell : callable
-        Gets one line for each step.
-
-    Raises
-    ------
-    PlanError
-        If a folder, a limit or a question cannot be used.
+    Arguments are those of `shj_bayes.api.plan`; where `limits` say nothing, those that the tests so far reached hold.
+    `tell` gets one line for each step. `PlanError` if a folder, a limit or a question cannot be used.
     """
     make_writable(out)
     stored = [_read(folder) for folder in folders]
     if question == FORCE:
         further = further_devices([s.Fy[0] for s in stored], [s.Fy[1] for s in stored])
         record = force_record(further, tuple(s.name for s in stored), None, seed)
-        write_plan(out, record, None)
-        return Planned(out, record, render_plan(out, record, None))
+        return _written(out, record, None)
     base = DeviceModel(1, read_priors(priors))
     rig = _rig(stored, base, dict(limits or {}))
     first = proposals(rig, seed)
@@ -109,14 +70,13 @@ def plan_next(
     asked = question or (WHICH if undecided else DEFAULT_QUESTION)
     quantities = () if asked == WHICH else tuple(quantity_named(k, asked) for k in known)
     plan = make_plan(known, rig, first, given=given, question=asked, quantities=quantities, seed=seed, tell=tell)
-    return write(plan, out)
+    return _written(out, plan_record(plan), plan)
 
 
-def write(plan: Plan, out: Path) -> Planned:
-    """Write the files and the page of a plan."""
-    record = plan_record(plan)
-    write_plan(out, record, plan, plan.known[0].middle_mm)
-    return Planned(out, record, render_plan(out, record, plan))
+def _written(out: Path, record: dict[str, Any], plan: Plan | None) -> Done:
+    """Write the files and the page of a plan; what a question about further devices gives has no protocol."""
+    write_plan(out, record, plan, plan.known[0].middle_mm if plan else 0.0)
+    return Done(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
 
 
 def _read(folder: Path) -> Stored:

@@ -1,7 +1,5 @@
 """How a device is read and fitted: what users choose, checked without what fitting needs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from shj_bayes.commands.earlier import earlier

@@ -1,7 +1,5 @@
 """One device from files to page: read, check, fit, write, draw."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -12,7 +10,7 @@ from typing import Any
 from shj_bayes._util.files import plain_name
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.earlier import earlier
-from shj_bayes.commands.finished import DeviceResult, default_name, device_result, finished_record, key_of, stale
+from shj_bayes.commands.finished import Done, default_name, device_text, finished_record, key_of, stale
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import InferenceError, RecordingError, StrangeCheckpointError, plain_text
@@ -28,30 +26,15 @@ from shj_bayes.recording.runs import settle
 from shj_bayes.report.device import render_device
 
 
-@dataclass(frozen=True, eq=False)
-class DiagnosisResult:
-    """A finished diagnosis."""
+def diagnosis_text(record: dict[str, Any], page: Path) -> str:
+    """Say what a diagnosis found."""
+    from shj_bayes.report import diagnosis_words as say  # noqa: PLC0415  (for a diagnosis only)
 
-    folder: Path  # where its files are
-    record: dict[str, Any]  # content of ``diagnosis.json``
-    page: Path
-
-    @property
-    def text(self) -> str:
-        """What a person wants to read at the end of a diagnosis."""
-        from shj_bayes.report.diagnosis_words import (  # noqa: PLC0415  (for a diagnosis only)
-            chance_words,
-            sentences,
-            shift_lines,
-            verdict_words,
-        )
-
-        record = self.record
-        chance = chance_words(record)
-        why = f"chance of such a misfit if nothing were missing: {chance}" if chance else str(record.get("reason", ""))
-        lines = [f"{record['device']}: {record['verdict']} ({why})"]
-        lines += [f"  {sentence}" for sentence in (verdict_words(record)[2], *sentences(record))]
-        return "\n".join([*lines, "", *shift_lines(record), "", f"report: {self.page}"])
+    chance = say.chance_words(record)
+    why = f"chance of such a misfit if nothing were missing: {chance}" if chance else str(record.get("reason", ""))
+    lines = [f"{record['device']}: {record['verdict']} ({why})"]
+    lines += [f"  {sentence}" for sentence in (say.verdict_words(record)[2], *say.sentences(record))]
+    return "\n".join([*lines, "", *say.shift_lines(record), "", f"report: {page}"])
 
 
 def step_told(line: str) -> None:
@@ -60,8 +43,29 @@ def step_told(line: str) -> None:
         print(f"  {line}", file=sys.stderr)
 
 
-def ignored(line: str) -> None:
-    """Say nothing."""
+@dataclass(frozen=True)
+class Work:
+    """How a device is worked on; nothing of it changes a number."""
+
+    progress: bool = False  # show a progress bar
+    threads: int = 0  # ensembles that run at the same time, 0 for one per processor
+    force: bool = False  # replace the result of another device in the folder
+    tell: Callable[[str], None] = lambda _: None  # gets one line for each step
+
+    def begin(
+        self, paths: Sequence[Path | Recording], folder: Path, options: Options, name: str | None
+    ) -> tuple[list[Recording], str]:
+        """Read a device that may be written into a folder: its recordings and its name."""
+        recordings = _usable(paths, options, self.tell)
+        first = paths[0].source if isinstance(paths[0], Recording) else paths[0]
+        name = plain_name(name) if name else default_name(first.name)
+        if not self.force:
+            refuse_used_folder(folder, name, recordings, InferenceError)
+        return recordings, name
+
+    def plan(self, options: Options, tops: tuple[FloatArray, ...] = ()) -> Plan:
+        """How to sample; from `tops`, where the highest densities are known."""
+        return Plan(options.seed, max_steps=options.max_steps, tops=tops, threads=self.threads, progress=self.progress)
 
 
 @alone_in("folder", kept="fit.json")
@@ -71,57 +75,27 @@ def fit_device(
     options: Options,
     *,
     name: str | None = None,
-    progress: bool = False,
-    threads: int = 0,
-    force: bool = False,
     page: bool = True,
-) -> DeviceResult:
-    """Fit one device from its recordings and write its files and its page.
+    work: Work | None = None,
+) -> Done:
+    """Fit one device from its recordings and write its files and, with `page`, its page.
 
-    An unchanged finished result in `folder` is kept; an unfinished one is gone on with.
-
-    Parameters
-    ----------
-    paths : sequence of Path or Recording
-        Consecutive runs, in the order they were made; as files, or as read.
-    folder : Path
-        Results folder.
-    options : Options
-        How to read and fit.
-    name : str, optional
-        Name of the device; the first file's name without ending by default.
-    progress : bool
-        Show a progress bar.
-    threads : int
-        Ensembles that run at the same time, 0 for one per processor.
-    force : bool
-        Replace the result of another device in `folder`.
-    page : bool
-        Draw the page.
-
-    Raises
-    ------
-    RecordingError
-        If a recording cannot be used.
-    InferenceError
-        If `folder` holds the result of another device.
+    Arguments and errors are those of `shj_bayes.api.fit`. An unchanged finished result in `folder` is kept; an
+    unfinished one is gone on with.
     """
     options.check(len(paths))
-    recordings = _usable(paths, options, step_told if progress else ignored)
-    name = plain_name(name) if name else default_name(source_of(paths[0]))
-    if not force:
-        refuse_used_folder(folder, name, recordings, InferenceError)
+    work = work or Work()
+    recordings, name = work.begin(paths, folder, options, name)
     model = options.device_model(len(recordings), options.read_priors())
     key = _key(paths, recordings, options, model, name)
     finished, note = finished_record(folder, key)
     fresh = finished is None
     if finished is None:
-        plan = Plan(options.seed, max_steps=options.max_steps, threads=threads, progress=progress)
-        finished = _fit(runs_of(recordings), folder, model, plan, name=name, key=key)
+        finished = _fit(runs_of(recordings), folder, model, work.plan(options), name=name, key=key)
     if page and (fresh or stale(folder)):
-        (step_told if progress else ignored)("drawing the page")
+        work.tell("drawing the page")
         render_device(folder)
-    return device_result(folder, finished, fresh=fresh, note=note)
+    return Done(finished, device_text(folder, finished, note), fresh=fresh, note=note)
 
 
 def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, name: str, key: str) -> dict[str, Any]:
@@ -151,32 +125,18 @@ def diagnose_device(
     without: Sequence[str] = (),
     name: str | None = None,
     quick: bool = False,
-    progress: bool = False,
-    threads: int = 0,
-    force: bool = False,
-    tell: Callable[[str], None] = ignored,
-) -> DiagnosisResult:
+    work: Work | None = None,
+) -> Done:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
-    Parameters
-    ----------
-    paths, folder, options, name, progress, threads, force
-        As for `fit_device`.
-    without : sequence of str
-        ``velocity`` runs the base law without speed dependence; other ids are taken out of the catalogue.
-    quick : bool
-        A first look without sampling the posterior.
-    tell : callable
-        Gets one line for each step.
+    Arguments are those of `shj_bayes.api.diagnose`.
     """
     # Naming what is missing needs half of scipy, which a fit need not wait for.
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
     from shj_bayes.report.diagnosis import render_diagnosis  # noqa: PLC0415
 
-    recordings = _usable(paths, options, tell)
-    name = plain_name(name) if name else default_name(source_of(paths[0]))
-    if not force:
-        refuse_used_folder(folder, name, recordings, InferenceError)
+    work = work or Work()
+    recordings, name = work.begin(paths, folder, options, name)
     priors, runs = options.read_priors(), runs_of(recordings)
 
     def sample(model: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
@@ -184,31 +144,21 @@ def diagnose_device(
         key = _key(paths, recordings, options, model, name)
         record, _ = finished_record(folder, key)
         if record is None:
-            steps = options.max_steps
-            plan = Plan(options.seed, max_steps=steps, tops=(top,), threads=threads, progress=progress)
-            record = _fit(runs, folder, model, plan, name=name, key=key)
+            record = _fit(runs, folder, model, work.plan(options, (top,)), name=name, key=key)
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 
     given = options.device_model(len(runs), priors)
-    diagnosis = diagnose(
-        runs,
-        given,
-        name=name,
-        without=without,
-        seed=options.seed,
-        quick=quick,
-        sample=None if quick else sample,
-        tell=tell,
-    )
+    how: dict[str, Any] = {"name": name, "without": without, "seed": options.seed, "quick": quick, "tell": work.tell}
+    diagnosis = diagnose(runs, given, sample=None if quick else sample, **how)
     findings = [finding.code for recording in recordings for finding in recording.findings]
     key = _key(paths, recordings, options, given, name)  # of the fit that it looks beyond
     diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings, "key": key})
     diagnosis.write(folder)
-    tell("drawing the pages")
+    work.tell("drawing the pages")
     if (folder / "fit.json").exists():  # its page repeats the verdict
         render_device(folder)
-    return DiagnosisResult(folder, diagnosis.record, render_diagnosis(folder))
+    return Done(diagnosis.record, diagnosis_text(diagnosis.record, render_diagnosis(folder)))
 
 
 def _usable(paths: Sequence[Path | Recording], options: Options, tell: Callable[[str], None]) -> list[Recording]:
@@ -238,8 +188,3 @@ def _key(
     digests = [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
     chosen = asdict(options) | {"effects": [effect.id for effect in model.effects]}
     return key_of(digests, chosen, model.priors.sha256, name, speed=model.speed)
-
-
-def source_of(given: Path | Recording) -> str:
-    """Name of the file of a recording."""
-    return given.source.name if isinstance(given, Recording) else given.name

@@ -1,7 +1,5 @@
 """From finished devices, or from the published tables, to population, margins, comparison and the page over them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -27,19 +25,10 @@ SHOWN = ("Fy", *RUN_FORCES, *RUN_FORCES.values(), "K", "gamma")
 
 
 def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
-    """Pool devices, draw up margins, compare sets and write the page of a campaign.
+    """Pool devices, draw up margins, compare sets and write the page; without a device that can be used, the page.
 
-    Parameters
-    ----------
-    usable : sequence of Outcome
-        Its devices that can be used; without any there is only the page.
-    folder, seed, progress
-        As for `shj_bayes.commands.summary.summarise_campaign`.
-
-    Returns
-    -------
-    dict
-        ``record``: population, margins and curves for machines; ``lines``: the same for people.
+    Arguments are those of `shj_bayes.commands.summary.summarise_campaign`. ``record`` is for machines, ``lines`` for
+    people.
     """
     if not usable:
         for name in WRITES:  # of devices that are no longer there
@@ -67,7 +56,7 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     curves = curves_of_pairs(folder, population)
     render_campaign(folder, population, curves)
     record = {"population": to_json(population), "margins": design.record, "curves": curve_records(curves)}
-    return {"record": record, "lines": [band_text(population), "", design.words]}
+    return {"record": record, "lines": [band_text(population), "", design.text]}
 
 
 def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
@@ -83,7 +72,7 @@ def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress:
     render_tables(folder, population, claims)
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
     record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
-    return {"record": record, "lines": [band_text(population), "", *answers, "", design.words]}
+    return {"record": record, "lines": [band_text(population), "", *answers, "", design.text]}
 
 
 def band_text(population: PopulationResult) -> str:

@@ -1,7 +1,5 @@
 """Simulated recordings as files, labelled as such, with their truth beside them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -28,31 +26,8 @@ def write_simulated(
 ) -> list[Path]:
     """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
 
-    Parameters
-    ----------
-    stem : Path
-        Folder and beginning of the file names.
-    dep_mm_s : float or None
-        Speed dependence, mm/s; None for none.
-    seed : int
-        Same seed, same files.
-    rate_Hz : float
-        Sampling rate, Hz.
-    last_cycles : {5, 6}
-        Cycles in the last block of Table 1.
-    model : {"published", "continuous"}
-        Reversal rule.
-    displacement_noise : float
-        Standard deviation of the displacement noise, mm.
-    digits : int
-        Significant digits of the files.
-    **truth : float
-        K, Fy, beta, ratio, sigma, phi, sigma_slow, tau_slow in kN, mm and s.
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    ``dep`` is in mm/s, None for no speed dependence; the displacement noise is a standard deviation, mm; `truth` holds
+    further fields of `shj_bayes.model.simulate.Truth`. The same seed gives the same files.
     """
     if dep_mm_s is not None and dep_mm_s == 0:
         raise ModelError("dep = 0 mm/s: allowed is any other number; leave --dep out for no speed dependence")

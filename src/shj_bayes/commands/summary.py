@@ -1,9 +1,7 @@
 """End of a campaign: what became of its devices, and what they say together; worked out again only where it changed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ from shj_bayes._util.lock import alone_in
 from shj_bayes._util.made import digests, made
 from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import FAILED, Manifest, Outcome
+from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
 from shj_bayes.population.published import Claim
 from shj_bayes.report.campaign_file import read_campaign
@@ -20,34 +19,11 @@ from shj_bayes.report.campaign_physics import statements
 WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 
 
-@dataclass(frozen=True, eq=False)
-class Summary:
-    """End of a campaign or of the tables."""
-
-    record: dict[str, Any]  # for machines
-    text: str  # for people; ends with where the page is
-    usable: bool = True  # False when no device could be used
-
-
 @alone_in("folder")
 def summarise_campaign(
     manifest: Manifest, outcomes: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False
-) -> Summary:
-    """Pool the usable devices of a campaign and write its page.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        The campaign.
-    outcomes : sequence of Outcome
-        What became of each device.
-    folder : Path
-        Campaign folder.
-    seed : int
-        Same seed and devices, same numbers.
-    progress : bool
-        Show a progress bar.
-    """
+) -> Done:
+    """Pool the usable devices of a campaign and write its page; the same seed and devices, the same numbers."""
     usable = [o for o in outcomes if o.status != FAILED and o.verdict != "unusable"]
     record = read_campaign(folder)
     lines = [*map(_line, outcomes), *record["warnings"], *statements(record)]
@@ -62,11 +38,12 @@ def summarise_campaign(
     said = made(folder, "summary", [seed, who, campaign_inputs(folder)], WRITES, pool)
     if usable:
         lines += ["", *said["lines"], "", f"margins: {folder / PAGE}"]
-    return Summary(record | said["record"], "\n".join([*lines, f"report: {folder / 'report.html'}"]), bool(usable))
+    text = "\n".join([*lines, f"report: {folder / 'report.html'}"])
+    return Done(record | said["record"], text, usable=bool(usable))
 
 
 @alone_in("folder")
-def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progress: bool = False) -> Summary:
+def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progress: bool = False) -> Done:
     """Pool the published tables and write their page with the paper's claims; as for `summarise_campaign`."""
     make_writable(folder)
 
@@ -78,7 +55,7 @@ def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progre
     rests_on = [seed, digests(shipped("data", "published"), ["*"]), [vars(claim) for claim in claims]]
     said = made(folder, "tables", rests_on, (*POPULATION, *MARGINS, "report.html"), pool)
     where = [f"margins: {folder / PAGE}", f"report: {folder / 'report.html'}"]
-    return Summary(said["record"], "\n".join([*said["lines"], "", *where]))
+    return Done(said["record"], "\n".join([*said["lines"], "", *where]))
 
 
 def _line(o: Outcome) -> str:

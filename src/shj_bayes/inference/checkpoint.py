@@ -1,7 +1,5 @@
 """Checkpoints: everything needed to go on to the same bits, written whole or not at all."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from shj_bayes.errors import CheckpointError, StrangeCheckpointError
 from shj_bayes.model.parameters import FloatArray
 
 SCHEMA = "shj-bayes/checkpoint/1"
+ARRAYS = ("chain", "log_posterior", "accepted")
 _SEAL = b"SHA-256:"  # behind the HDF5 content, before the 32 bytes of its digest
 
 
@@ -43,17 +42,11 @@ def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]
         for number, ensemble in enumerate(ensembles):
             group = file.create_group(f"ensemble_{number}")
             name, keys, position, has_gauss, cached = ensemble.random_state
-            for key, values in (
-                ("chain", ensemble.chain),
-                ("log_posterior", ensemble.log_posterior),
-                ("accepted", ensemble.accepted),
-                ("random_keys", np.asarray(keys)),
-            ):
+            arrays = {key: getattr(ensemble, key) for key in ARRAYS} | {"random_keys": np.asarray(keys)}
+            for key, values in arrays.items():
                 group.create_dataset(key, data=values, fletcher32=True)
-            group.attrs["random_name"] = name
-            group.attrs["random_position"], group.attrs["random_has_gauss"] = position, has_gauss
-            group.attrs["random_cached"] = cached
-            group.attrs["n_failed"] = ensemble.n_failed
+            group.attrs.update(random_name=name, random_position=position, random_has_gauss=has_gauss)
+            group.attrs.update(random_cached=cached, n_failed=ensemble.n_failed)
     with replacing(path) as part:
         content = memory.getvalue()
         part.write_bytes(content + _SEAL + hashlib.sha256(content).digest())
@@ -86,17 +79,7 @@ def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
 
 def _read(group: h5py.Group) -> EnsembleState:
     a = group.attrs
-    state = (
-        str(a["random_name"]),
-        np.asarray(group["random_keys"]),
-        int(a["random_position"]),
-        int(a["random_has_gauss"]),
-        float(a["random_cached"]),
-    )
-    return EnsembleState(
-        np.asarray(group["chain"]),
-        np.asarray(group["log_posterior"]),
-        np.asarray(group["accepted"]),
-        state,
-        int(a["n_failed"]),
-    )
+    state = (str(a["random_name"]), np.asarray(group["random_keys"]), int(a["random_position"]))
+    gauss = (int(a["random_has_gauss"]), float(a["random_cached"]))
+    chain, log_posterior, accepted = (np.asarray(group[key]) for key in ARRAYS)
+    return EnsembleState(chain, log_posterior, accepted, (*state, *gauss), int(a["n_failed"]))

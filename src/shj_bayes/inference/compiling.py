@@ -1,7 +1,5 @@
 """Say so when the first evaluation waits for the compiler; afterwards the machine code is read from numba's cache."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Iterator

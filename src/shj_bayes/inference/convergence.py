@@ -4,8 +4,6 @@ The walkers of one ensemble are not independent chains, so R-hat compares whole 
 the smaller of the two estimates that can be made (autocorrelation time of the ensemble, and ranks over walkers).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -81,18 +79,9 @@ def _time_of_ensemble(chain: FloatArray) -> FloatArray:
 def diagnose_chains(
     names: tuple[str, ...], chains: Sequence[FloatArray], acceptance: FloatArray, n_failed: int = 0
 ) -> Diagnostics:
-    """Convergence figures.
+    """Convergence figures of chains of shape (n_steps, n_walkers, d), one per ensemble, all steps from the start.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Parameters.
-    chains : sequence of array, shape (n_steps, n_walkers, d)
-        One per ensemble, all steps from the start.
-    acceptance : array, shape (n_ensembles, n_walkers)
-        Accepted shares.
-    n_failed : int
-        Failed evaluations, passed through.
+    `acceptance` are the accepted shares, shape (n_ensembles, n_walkers); `n_failed` is passed through.
     """
     n_total = chains[0].shape[0]
     # The walkers start from a wide ball: the first fifth would lengthen the time that decides how much to drop.
@@ -113,11 +102,6 @@ def diagnose_chains(
     agreement = np.where(np.isfinite(agreement), agreement, np.inf)
     bulk, tail = (np.where(np.isfinite(values), values, 0.0) for values in (bulk, tail))
     return Diagnostics(names, tau, agreement, bulk, tail, np.asarray(acceptance), n_steps, burn, n_failed)
-
-
-def converged(d: Diagnostics) -> bool:
-    """Say whether every criterion of the verdict ``reliable`` holds."""
-    return judge(d).word == "reliable"
 
 
 def judge(d: Diagnostics) -> Verdict:

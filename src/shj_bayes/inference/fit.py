@@ -1,7 +1,5 @@
 """The fit of one device, from recordings to its files, without the page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

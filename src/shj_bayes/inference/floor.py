@@ -11,15 +11,12 @@ freedom (Satterthwaite 1946, Biometrics Bulletin 2, 110-114). The score of a var
 numbers, two or so of a slow noise in a cycle: its square scatters four times as much as that of a normal one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.start import Start
 from shj_bayes.model.noise.filter import whiten
@@ -41,10 +38,6 @@ class Floor:
     # shape (d,): standard deviation from cycle to cycle over that of the posterior, as it was found
     scatter: FloatArray
     n_pieces: int  # pieces that were left out one at a time; 0 where there are too few to say
-
-    def __post_init__(self) -> None:
-        """Freeze the arrays."""
-        freeze(self, "factor", "scatter")
 
     @property
     def widened(self) -> tuple[str, ...]:

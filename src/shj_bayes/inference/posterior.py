@@ -62,19 +62,10 @@ class Posterior:
         """Unbounded vectors, shape (m, d), to parameters in natural units, shape (m, d)."""
         return self.model.natural(z)
 
-    def unbounded(self, theta: FloatArray) -> FloatArray:
-        """Parameters in natural units, shape (m, d), to unbounded vectors."""
-        return self.model.unbounded(theta)
-
     def refined(self, theta: FloatArray, *, longest_s: float | None = None, coarser: float = 1.0) -> Posterior:
-        """Average the recordings anew, with blocks that follow the bends of the force at one parameter set.
+        """Average the recordings anew, with blocks that follow the bends of the force at one parameter set, shape (d,).
 
-        Parameters
-        ----------
-        theta : array, shape (d,)
-            Parameters in natural units, near the data.
-        longest_s, coarser : float, optional
-            Longest block, s, and how much longer than usual blocks are; see `reduce_runs`.
+        It is in natural units, near the data; for the other arguments see `reduce_runs`.
         """
         still = theta[None].copy()
         if self.model.speed:  # the speed is noisy, and its share of the force is straight

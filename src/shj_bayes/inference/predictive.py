@@ -1,7 +1,5 @@
 """What the posterior predicts: the force at points of the recordings, and the mean force of every half-cycle."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -11,7 +9,7 @@ from numpy.typing import NDArray
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages
 from shj_bayes.inference.run import Run
-from shj_bayes.model.noise.filter import Timing, _coefficients, density_and_zero
+from shj_bayes.model.noise.filter import Timing, density_and_zero, table_of
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
@@ -30,23 +28,9 @@ def points_of(run: Run, n_points: int) -> IntArray:
 def force_at_points(
     posterior: Posterior, theta: FloatArray, points: tuple[IntArray, ...], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Force at points of all runs one after the other.
+    """Force at points of all runs (`points_of`) one after the other, for parameter sets of shape (m, d), kN.
 
-    Parameters
-    ----------
-    posterior : Posterior
-        Recordings and model.
-    theta : array, shape (m, d)
-        Parameters in natural units.
-    points : tuple of array of int
-        Samples of each run, as `points_of` gives them.
-    rng : numpy.random.Generator
-        Source of the noise.
-
-    Returns
-    -------
-    clean, noisy : array, shape (m, n_points of all runs)
-        Force without noise, and as it would be measured, kN.
+    Without noise, and as it would be measured, both of shape (m, n_points of all runs).
     """
     model, values = posterior.model, posterior.model.noise_values(theta)
     clean, noise = [], []
@@ -79,23 +63,9 @@ def half_cycles(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean force of each half-cycle's evidence in the direction of motion: how likely, and what is predicted.
 
-    Parameters
-    ----------
-    posterior : Posterior
-        Recordings and model.
-    theta : array, shape (m, d)
-        Parameters in natural units.
-    rng : numpy.random.Generator
-        Source of the noise.
-    tested : bool
-        Whether the zero of the load cell is what the recordings say; if not, what was known before the test.
-
-    Returns
-    -------
-    log_likelihood, predicted : array, shape (m, n_half of all runs)
-        Log likelihood of each half-cycle given those before it; its mean force as it would be measured, kN.
-    measured : array, shape (n_half of all runs,)
-        Its mean force, kN; NaN where no sample is evidence.
+    For parameter sets of shape (m, d): log likelihood of each half-cycle given those before it, and its mean force as
+    it would be measured (kN), both of shape (m, n_half of all runs); its measured mean force, NaN where no sample is
+    evidence. The zero of the load cell is what the recordings say or, unless `tested`, what was known before the test.
     """
     likely, predicted, measured = [], [], []
     noise = posterior.model.noise
@@ -128,8 +98,7 @@ def _means(force_kN: FloatArray, part: Averages) -> FloatArray:
 def draw_noise(noise: Noise, values: Values, slope: FloatArray, timing: Timing, rng: np.random.Generator) -> FloatArray:
     """Draw averaged residuals whose density `log_density` gives where the zero is known, shape (m, n), kN."""
     parts = noise.parts(values)
-    seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
-    table = _coefficients(timing.kinds[:, 0], *np.split(noise.decay(values, seconds, timing.step_s), 2))
+    table = table_of(noise, values, timing)
     heavy = np.isfinite(parts.nu)
     out = rng.standard_normal(slope.shape)
     if heavy.any():

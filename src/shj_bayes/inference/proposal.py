@@ -1,7 +1,5 @@
 """A fixed proposal that resembles the posterior: Student-t components fitted by adaptive importance sampling."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from math import lgamma, log, pi
 
@@ -71,15 +69,6 @@ def fit_proposal(density: Density, start: Start, rng: np.random.Generator) -> Pr
     far are (population Monte Carlo for mixtures: Cappe, Douc, Guillin, Marin and Robert 2008, Statistics and Computing
     18, 447-459; with all draws: Cornuet, Marin, Mira and Robert 2012, Scandinavian Journal of Statistics 39, 798-812).
     Nothing of it enters the posterior: a poor proposal only slows the sampler down.
-
-    Parameters
-    ----------
-    density : Density
-        Log density in the unbounded space.
-    start : Start
-        Most probable point and covariance.
-    rng : numpy.random.Generator
-        Source of randomness.
     """
     d = start.free.size
     made, points, heights = [_first(density, start)], np.empty((0, d)), np.empty(0)

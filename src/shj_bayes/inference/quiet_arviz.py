@@ -1,7 +1,5 @@
 """ArviZ, before and after its rewrite; without the announcement of version 0.23 at every import, and without numba."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

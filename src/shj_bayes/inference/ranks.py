@@ -3,8 +3,6 @@
 ArviZ gives the same numbers, and the tests hold these against them; its import takes longer than sampling a device.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtri

@@ -1,7 +1,5 @@
 """``fit.json``, and what is read without the libraries that fit: results are looked at far more often than made."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum

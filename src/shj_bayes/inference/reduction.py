@@ -6,8 +6,6 @@ is the mean of the model at two points that have the mean and the variance of it
 that is a cubic of the displacement this is exact for evenly spread samples); a block of one sample has one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +14,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import Timing
@@ -50,11 +47,6 @@ class Averages:
     count: FloatArray  # shape (n,): samples in each block; 0 for one that only keeps a half-cycle from being empty
     timing: Timing  # when the blocks were taken
     start_force_kN: float  # rate-free force at the first sample of the run
-
-    def __post_init__(self) -> None:
-        """Freeze the arrays."""
-        freeze(self, "first", kind=np.int64)
-        freeze(self, "force_kN", "count")
 
     @property
     def n(self) -> int:
@@ -115,14 +107,10 @@ def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> li
         along = np.empty(keep.size)
         _bend_along(along, force, x[keep], place)
         totals.append(along[place[1:] - 1])
-        raw.append(np.interp(np.arange(x.size), keep, along + np.repeat(_before(along, place), np.diff(place))))
+        before = np.concatenate([[0.0], np.cumsum(totals[-1])[:-1]])  # bends of all half-cycles before each one
+        raw.append(np.interp(np.arange(x.size), keep, along + np.repeat(before, np.diff(place))))
     typical = float(np.median(np.concatenate(totals)))
     return [at * (PER_BEND / typical) if typical > 0.0 else np.zeros_like(at) for at in raw]
-
-
-def _before(along: FloatArray, place: IntArray) -> FloatArray:
-    """Bends of all half-cycles before each one."""
-    return np.concatenate([[0.0], np.cumsum(along[place[1:] - 1])[:-1]])
 
 
 def _reduce(

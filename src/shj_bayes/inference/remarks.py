@@ -1,7 +1,5 @@
 """What the data do not say of a parameter, as values: their sentences stand in ``report/words.py``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -17,18 +15,8 @@ AGAINST = 2.6  # standard deviations of the prior: 1 in 100 beyond it
 def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:
     """Parameters that the recordings do not determine, and those whose value the prior holds nearly impossible.
 
-    Parameters
-    ----------
-    model : DeviceModel
-        Says the priors.
-    chains : array, shape (..., d)
-        Draws in natural units.
-
-    Returns
-    -------
-    list of dict
-        ``parameter``, ``kind`` (a `Remark`), ``q50`` and the prior's ``prior_q05`` and
-        ``prior_q95``; of the law alone, since nobody designs with the noise.
+    From draws of shape (..., d) in natural units: ``parameter``, ``kind`` (a `Remark`), ``q50`` and the prior's
+    ``prior_q05`` and ``prior_q95``; of the law alone, since nobody designs with the noise.
     """
     flat = chains.reshape(-1, chains.shape[-1])
     out = []

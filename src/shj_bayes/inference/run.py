@@ -1,7 +1,5 @@
 """One run as evidence: the recording, its motion, and which of its samples count."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Independent emcee ensembles, run in rounds until they agree."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,7 +13,7 @@ from shj_bayes._util.import_safety import without
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
-from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, converged, diagnose_chains
+from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, diagnose_chains, judge
 from shj_bayes.inference.proposal import Proposal, fit_proposal
 from shj_bayes.inference.shared import Density, Shared, n_threads
 from shj_bayes.inference.start import Start
@@ -125,7 +123,7 @@ def run_ensembles(
             figures = _figures(names, states)
             if figures is not None:
                 bar.set_postfix_str(f"R-hat {figures.rhat.max():.3f}, ESS {figures.ess_bulk.min():.0f}")
-                if converged(figures) or states[0].chain.shape[0] >= plan.max_steps:
+                if judge(figures).word == "reliable" or states[0].chain.shape[0] >= plan.max_steps:
                     return states, figures
             steps = _next_round(plan, states[0].chain.shape[0], figures)
             states = _advance_all(pool, density, proposal, states, steps)

@@ -1,7 +1,5 @@
 """Points of one call shared out among threads, for the searches that come before the ensembles run side by side."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

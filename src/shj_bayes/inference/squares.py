@@ -1,7 +1,5 @@
 """Least squares of the force, held by the priors: where every search for the most probable parameters begins."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 from typing import Protocol
@@ -12,7 +10,6 @@ from scipy.optimize import least_squares
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Prior
 
 STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
 Z_LIMIT = 12.0  # of the standardised parameters
@@ -113,14 +110,9 @@ def orthogonal_to(slopes: FloatArray, columns: FloatArray) -> FloatArray:
 
 def start_values(effect: Effect) -> list[list[float]]:
     """Values in the unbounded space from which a search begins, for each parameter of an effect."""
-    return [_start_values(effect, prior) for prior in effect.parameters]
-
-
-def _start_values(effect: Effect, prior: Prior) -> list[float]:
-    """Free start values of one parameter of an effect."""
-    given = effect.start.get(prior.name)
-    if given:
-        return [float(prior.to_free(np.asarray(float(value)))) for value in given]
-    if prior.name in effect.neutral and prior.either_sign:
-        return [0.05 / prior.b]
-    return [0.0]
+    out = []
+    for prior in effect.parameters:
+        begin = 0.05 / prior.b if prior.name in effect.neutral and prior.either_sign else 0.0
+        given = effect.start.get(prior.name, ())
+        out.append([float(prior.to_free(np.asarray(float(value)))) for value in given] or [begin])
+    return out

@@ -1,7 +1,5 @@
 """Where the walkers start: the most probable parameters (MAP) and the curvature there."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -59,29 +57,14 @@ class LawOnly:
 def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatArray] = ()) -> tuple[Posterior, Start]:
     """Find the most probable parameters: a grid of laws, least squares, effects one by one, then the posterior's top.
 
-    Parameters
-    ----------
-    posterior : Posterior
-        As made from the recordings, in blocks for a first look.
-    threads : int
-        Points that are evaluated at the same time, 0 for as many as there are processors.
-    tops : sequence of array, shape (n_law,)
-        Further points to climb from, in the unbounded space: where a search has been already.
-
-    Returns
-    -------
-    Posterior, Start
-        The posterior with blocks that follow the bends of its force, and its top.
-
-    Raises
-    ------
-    InferenceError
-        If no parameters give a finite posterior density.
+    Further points to climb from (`tops`, shape (n_law,), unbounded) are where a search has been already. Gives the
+    posterior with blocks that follow the bends of its force, and its top; `InferenceError` if no parameters give a
+    finite density.
     """
     model, law = posterior.model, LawOnly(posterior)
     candidates = [*tops, *law_starts(posterior)]
     sizes = [float(np.std(law.residual(z))) for z in candidates]
-    refined = posterior.refined(model.natural(_with_noise(law, candidates[int(np.argmin(sizes))])[None])[0])
+    refined = posterior.refined(model.natural_of_law(candidates[int(np.argmin(sizes))][None])[0])
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
@@ -149,11 +132,6 @@ def _grid(posterior: Posterior) -> FloatArray:
             row.append(peak[run - 1] / peak[0] if base == "ratio" else values[base])
         rows.append([float(p.to_free(np.asarray(v))) for p, v in zip(model.laws_of_parameters, row, strict=False)])
     return np.array(rows)
-
-
-def _with_noise(law: LawOnly, z: FloatArray) -> FloatArray:
-    """Complete law parameters with noise parameters in the middle of their priors."""
-    return np.concatenate([z, np.zeros(len(law.model.names) - z.size)])
 
 
 def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:

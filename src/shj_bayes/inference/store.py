@@ -68,26 +68,13 @@ def inference_data(
 ) -> xr.DataTree:
     """Everything a reader of the fit needs, in the groups of ArviZ.
 
-    Parameters
-    ----------
-    posterior : Posterior
-        What was asked.
-    shown : array, shape (n_ensembles, n_steps, n_walkers, d)
-        Kept steps in the unbounded space, no narrower than the cycles scatter.
-    sampled : array of the same shape
-        The same as they were sampled.
-    heights : array, shape (n_ensembles, n_steps, n_walkers)
-        Log posterior of the latter.
-    seed : int
-        Seed of the fit; the predictive draws have a stream of their own.
+    `shown` are the kept steps in the unbounded space, shape (n_ensembles, n_steps, n_walkers, d), no narrower than the
+    cycles scatter; `sampled` the same as they were sampled, `heights` the log posterior of these.
 
-    Returns
-    -------
-    xarray.DataTree
-        ``chain`` is the ensemble; ``draw`` goes through steps and walkers, thinned to nearly independent draws.
-        Groups: posterior, prior, posterior_predictive, prior_predictive, log_likelihood, log_prior, sample_stats,
-        observed_data, constant_data, loops. Forces of half-cycles are there for all draws, those of samples (group
-        loops) for a few.
+    ``chain`` is the ensemble; ``draw`` goes through steps and walkers, thinned to nearly independent draws. Groups:
+    posterior, prior, posterior_predictive, prior_predictive, log_likelihood, log_prior, sample_stats, observed_data,
+    constant_data, loops. Forces of half-cycles are there for all draws, those of samples (group loops) for a few. The
+    predictive draws have a stream of their own.
     """
     n_ensembles, n_steps, n_walkers, d = shown.shape
     step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED)))

@@ -1,7 +1,5 @@
 """Do the lower and upper bounds of one sheet agree with each other? What was compared is said in words."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

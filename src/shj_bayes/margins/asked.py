@@ -6,8 +6,6 @@ the tested speed, travel or time the answer is refused, or, when extrapolation i
 agree with the tests and stay bounded.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -118,24 +116,8 @@ def from_file(path: Path) -> Asked:
 def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> dict[Course, tuple[History, ...]]:
     """Histories to drive a device through, for each law of what was not tested and each value of what is not known.
 
-    Parameters
-    ----------
-    asked : Asked or None
-        None for the device's own test.
-    specimen : Specimen
-        The device.
-    extrapolate : bool
-        Whether what was not tested may be spoken of.
-
-    Returns
-    -------
-    dict of Course to tuple of History
-        The typical one first.
-
-    Raises
-    ------
-    PopulationError
-        If the history leaves what was tested and extrapolation was not asked for.
+    Without `asked` the device's own test. The typical one comes first. `PopulationError` if the history leaves what was
+    tested and extrapolation was not asked for.
     """
     if asked is None:
         return {Course("tested"): specimen.histories}

@@ -1,7 +1,5 @@
 """Where a new device will lie: 5, 50 and 95 % of its predictive distribution, as margins."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 
@@ -27,27 +25,11 @@ LOSS = {
 
 
 def of_set(
-    result: PopulationResult,
-    set_name: str,
-    devices: Newcomers,
-    n_devices: Mapping[str, int],
+    result: PopulationResult, set_name: str, devices: Newcomers, n_devices: Mapping[str, int]
 ) -> Iterator[Margin]:
     """Bands of a new device of a set: the default prior of the spread, with few devices the outermost of all.
 
-    Parameters
-    ----------
-    result : PopulationResult
-        A fitted population.
-    set_name : str
-        The set, or ``ANY_SET``.
-    devices : mapping of str to NewDevice
-        By prior of the spread.
-    n_devices : mapping of str to int
-        Devices behind each quantity.
-
-    Yields
-    ------
-    Margin
+    `n_devices` are those behind each quantity.
     """
     for quantity in (*devices[DEFAULT].draws, DEGRADATION):
         of_ratio = quantity == DEGRADATION
@@ -62,20 +44,13 @@ def of_set(
                 for label, device in devices.items()
             }
             listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in by_prior.items())
-            few = len(count) > 1 and side != MIDDLE
-            yield Margin(
-                set_name,
-                quantity,
-                BANDS,
-                f"new device, {100 * level:.0f} %",
-                side,
-                outer(by_prior, side, own),
-                described(source).unit,
-                n_devices.get(source, 0),
-                math.nan,
+            note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"
+            head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side)
+            number = (outer(by_prior, side, own), described(source).unit, n_devices.get(source, 0), math.nan)
+            origin = (
                 "predictive distribution, decision 0004",
                 f"{100 * level:.0f} % quantile over draws of set level and spread",
                 f"{devices[DEFAULT].draws[source].size} draws; {listed}",
                 (LOSS if of_ratio else PURPOSE)[side],
-                f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own" if few else "",
             )
+            yield Margin(*head, *number, *origin, note if len(count) > 1 and side != MIDDLE else "")

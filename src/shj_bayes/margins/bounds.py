@@ -1,7 +1,5 @@
 """Lower, middle and upper bound of a connection for structural analysis: stiffness, force, sharpness."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -45,23 +43,11 @@ class Bound:
 
 
 def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm: float) -> tuple[Bound, ...]:
-    """Draw up three bounds of every set.
+    """Draw up three bounds of every set, from its pooled design quantities and parameters (for the sharpness).
 
-    Parameters
-    ----------
-    design : PopulationResult
-        Design quantities of the devices, pooled.
-    parameters : PopulationResult
-        Parameters of the law, pooled; for the sharpness.
-    amplitude_mm : float
-        For effective stiffness and damping.
-
-    Returns
-    -------
-    tuple of Bound
-        Lower: 5 % of the smallest plateau of all runs. Middle: 50 % of the mean plateau of the first run. Upper: 95 %
-        of the largest force of all runs. Stiffness 5, 50 and 95 %; sharpness its middle. Effective stiffness and
-        damping are those of an elastic-plastic loop: F / A and (2/pi)(1 - F / (K A)).
+    Lower: 5 % of the smallest plateau of all runs. Middle: 50 % of the mean plateau of the first run. Upper: 95 % of
+    the largest force of all runs. Stiffness 5, 50 and 95 %; sharpness its middle. Effective stiffness and damping are
+    those of an elastic-plastic loop of the amplitude: F / A and (2/pi)(1 - F / (K A)).
     """
     out = []
     # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.

@@ -7,8 +7,6 @@ any other quantity, then tied together by the correlation that devices of one se
 of at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -20,6 +18,7 @@ from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Base, Effect, combine
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.population.compare import shift_of
 from shj_bayes.population.compare_words import ROPE_SPEED
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.hierarchy import MAIN_PRIOR, Sweeps, fit_quantity
@@ -27,9 +26,11 @@ from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
 from shj_bayes.population.quantities import Band, stream
-from shj_bayes.population.selectors import members, strata_of
+from shj_bayes.population.selectors import Stratum, members, strata_of
 
 SPEED = "speed"
+COMPARED = tuple(name for name, one in coordinates().items() if name == "travel" or not one.of_base)
+"""Coordinates that are compared: those that mean the same in every device, and the distance slid, nearly so."""
 PLACES = 5
 """Stated values over the shared range, evenly spaced, the one that the factors are relative to among them."""
 ENDS = (0.005, 0.995)
@@ -74,21 +75,8 @@ def compare_curves(
 ) -> tuple[CurveContrast, ...]:
     """Compare two sets, or two kinds of sets, over every coordinate that models of both sides hold.
 
-    Parameters
-    ----------
-    result : PopulationResult
-        Their population: tags of the sets, seed.
-    specimens : sequence of Specimen
-        Tested devices with their models.
-    set_a, set_b : str
-        As for `population.compare.compare`.
-    rope : float
-        Half-width of the region of practical equivalence, as a share of the force.
-
-    Returns
-    -------
-    tuple of CurveContrast
-        Speed first, which the published law holds.
+    `result` gives the tags of the sets and the seed, `rope` the half-width of the region of practical equivalence as a
+    share of the force. Speed comes first, which the published law holds.
     """
     sides = members(result, strata_of(result, set_a, set_b)[2])
     held = [set().union(*(_held(s) for s in specimens if s.set_name in names)) for names in sides]
@@ -106,7 +94,7 @@ def _over(effect: Effect) -> str:
     """Coordinate that an effect on the capacity depends on; empty where it is another kind of effect."""
     curve = curve_named(effect.id)
     action, name = (curve.action, curve.coordinate) if curve else effect.acts[0]
-    return name if action == "capacity" and name in coordinates() and not coordinates()[name].of_base else ""
+    return name if action == "capacity" and name in COMPARED else ""
 
 
 def _held(specimen: Specimen) -> set[str]:
@@ -115,21 +103,16 @@ def _held(specimen: Specimen) -> set[str]:
 
 
 def _along(specimen: Specimen, coordinate: Coordinate) -> FloatArray:
-    """Coordinate at the samples of the first run; those that are compared do not depend on the parameters."""
-    return coordinate.values(specimen.histories[0], Base(1.0, 1.0, 1.0, 0.0, 1.0))
+    """Coordinate at the samples of the first run, for typical parameters of the device."""
+    belief = specimen.beliefs[0]
+    stiffness, force, beta, gamma = belief.model.run_laws(belief.typical, 1)[0].tolist()
+    return coordinate.values(specimen.histories[0], Base(stiffness, force, beta, gamma, force))
 
 
 def log_factors(specimen: Specimen, coordinate: Coordinate, at: FloatArray) -> FloatArray:
-    """Logarithm of the factor that a coordinate makes in the first run, mean of push and pull, shape (m, n).
+    """Logarithm of the factor that a coordinate makes in the first run, mean of push and pull.
 
-    Parameters
-    ----------
-    specimen : Specimen
-        The device.
-    coordinate : Coordinate
-        On which it depends.
-    at : array, shape (n,)
-        Values of the coordinate.
+    At values of the coordinate, shape (n,), for every draw of the device, shape (m, n).
     """
     history, belief = specimen.histories[0], specimen.beliefs[0]
     model, theta = belief.model, belief.theta
@@ -176,40 +159,18 @@ def _contrast(
     n_a, n_b = (sum(len(pooled.sets[i].devices) for s in strata for i in s[side]) for side in (0, 1))
     drawn = {label: shifts(pooled, strata, label) for label in (MAIN_PRIOR, *pooled.other_priors)}
     change = np.expm1(drawn[MAIN_PRIOR])
-    bands = [tuple(float(x) for x in band) for band in 100.0 * np.quantile(change, (0.05, 0.5, 0.95), axis=0).T]
+    quantiles = 100.0 * np.quantile(change, (0.05, 0.5, 0.95), axis=0)
+    bands = tuple((low, middle, high) for low, middle, high in quantiles.T.tolist())
     same = np.all((change > -rope / (1.0 + rope)) & (change < rope), axis=1)
-    return CurveContrast(
-        a,
-        b,
-        coordinate.id,
-        coordinate.unit,
-        reference,
-        tuple(at.tolist()),
-        tuple((low, middle, high) for low, middle, high in bands),
-        min(map(content, drawn.values())),
-        float(np.mean(same)),
-        rope,
-        n_a,
-        n_b,
-    )
+    head = (a, b, coordinate.id, coordinate.unit, reference, tuple(at.tolist()))
+    likely = (min(map(content, drawn.values())), float(np.mean(same)))
+    return CurveContrast(*head, bands, *likely, rope, n_a, n_b)
 
 
 def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, word: str) -> PopulationResult:
-    """Pool the logarithms of devices, value by value.
+    """Pool the logarithms of devices, by (set, device), each of shape (m, n), value by value; quantities are numbered.
 
-    Parameters
-    ----------
-    logs : mapping of (set, device) to array, shape (m, n)
-        Draws of each device.
-    result : PopulationResult
-        Sets that are compared, seed.
-    word : str
-        What they are over.
-
-    Returns
-    -------
-    PopulationResult
-        Quantities are numbered.
+    `word` is what they are over; sets and seed are those of `result`.
     """
     groups = {group.name: [n for n in group.devices if (group.name, n) in logs] for group in result.sets}
     names = [str(k) for k in range(next(iter(logs.values())).shape[1])]
@@ -224,47 +185,29 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
         out = {}
         for k, name in enumerate(names):
             data = [
-                [
-                    Likelihood(False, middle[group.name, n][[k]], error[group.name, n][[k]], np.ones(1))
-                    for n in groups[group.name]
-                ]
-                for group in result.sets
+                [Likelihood(False, middle[of, n][[k]], error[of, n][[k]], np.ones(1)) for n in devices]
+                for of, devices in groups.items()
             ]
             seed = stream(result.seed, "curve", word, name, label)
             out[name] = fit_quantity(name, data, own, seed, SWEEPS, workers=n_threads(0))
         return out
 
-    return PopulationResult(
-        tuple(
-            DeviceSet(
-                group.name,
-                tuple(groups[group.name]),
-                group.tags,
-                {
-                    name: tuple(float(middle[group.name, n][k]) for n in groups[group.name])
-                    for k, name in enumerate(names)
-                },
-            )
-            for group in result.sets
-        ),
-        fits(MAIN_PRIOR, prior),
-        {label: fits(label, own) for label, own in other_priors(prior).items()},
-        dict.fromkeys(names, prior),
-        {},
-        result.seed,
-    )
+    def kept(group: DeviceSet) -> DeviceSet:
+        own = groups[group.name]
+        points = {name: tuple(float(middle[group.name, n][k]) for n in own) for k, name in enumerate(names)}
+        return DeviceSet(group.name, tuple(own), group.tags, points)
+
+    others = {label: fits(label, own) for label, own in other_priors(prior).items()}
+    sets = tuple(map(kept, result.sets))
+    return PopulationResult(sets, fits(MAIN_PRIOR, prior), others, dict.fromkeys(names, prior), {}, result.seed)
 
 
-def shifts(pooled: PopulationResult, strata: Sequence[tuple[Sequence[int], Sequence[int]]], prior: str) -> FloatArray:
+def shifts(pooled: PopulationResult, strata: Sequence[Stratum], prior: str) -> FloatArray:
     """Draws of the difference of both sides at all values together, shape (m, n).
 
     The values of one draw go together as those of one device do: a normal copula.
     """
-    apart = []
-    for name in pooled.posteriors:
-        mu = pooled.fit(name, prior).mu
-        apart.append(np.mean([mu[:, list(a)].mean(axis=1) - mu[:, list(b)].mean(axis=1) for a, b in strata], axis=0))
-    each = np.array(apart).T
+    each = np.array([shift_of(pooled, name, strata, prior) for name in pooled.posteriors]).T
     rng = np.random.default_rng(stream(pooled.seed, prior))
     ties = np.linalg.cholesky(correlation_draws(pooled, each.shape[0], prior))
     together = np.einsum("mij,mj->mi", ties, rng.standard_normal(each.shape))

@@ -6,14 +6,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shj_bayes.errors import PopulationError
 from shj_bayes.margins.outermost import DEFAULT, Newcomers, outer
-from shj_bayes.margins.pair import Bounds
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE
 
 FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
 """Forces that the bounds of all runs must hold, of every run."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """A lower and an upper factor on one property."""
+
+    low: float  # at most 1
+    high: float  # at least 1
+
+    def __post_init__(self) -> None:
+        """Refuse factors on the wrong side of 1."""
+        if not 0 < self.low <= 1 <= self.high:
+            raise PopulationError(
+                f"property modification factors must hold 0 < lower <= 1 <= upper; got {self.low:g} and {self.high:g}"
+            )
+
+    @classmethod
+    def around(cls, *factors: float) -> Bounds:
+        """Narrowest bounds that hold 1 and all factors given."""
+        return cls(min(1.0, *factors), max(1.0, *factors))
+
+
+NONE = Bounds(1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -43,15 +66,7 @@ class Delivered:
 
 
 def delivered(devices: Newcomers, own: int) -> Delivered:
-    """Bound the force of a new device.
-
-    Parameters
-    ----------
-    devices : mapping of str to NewDevice
-        By prior of the spread, with design quantities.
-    own : int
-        Tested devices of the set; where few, the outermost prior counts.
-    """
+    """Bound the force of a new device; with few devices of its own (`own`) by the outermost prior of the spread."""
 
     def bound(side: str, *names: str) -> float:
         level, pick = (0.05, min) if side == LOW else (0.95, max)

@@ -5,8 +5,6 @@ below it, and names the same recordings (by SHA-256). The fit that it ended in l
 the device with that model and with the law alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

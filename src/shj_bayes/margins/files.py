@@ -1,7 +1,5 @@
 """Margins as files: everything as CSV, Excel and JSON, a short table for the terminal."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping
@@ -107,12 +105,7 @@ def _cell(value: Any) -> Any:
     return value
 
 
-CHOSEN: tuple[tuple[str, str, str], ...] = (
-    ("new device", "new device, 5 %", "new device, 95 %"),
-    ("EN 1990 characteristic", "EN 1990 characteristic, lognormal", "EN 1990 characteristic, lognormal"),
-    ("EN 1990 design", "EN 1990 design, lognormal", "EN 1990 design, lognormal"),
-    ("tolerance 95/95 one-sided", "tolerance 95/95 one-sided, lognormal", "tolerance 95/95 one-sided, lognormal"),
-)
+CHOSEN = ("new device", "EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
 WAYS = (KNOWN, COMMON, UNKNOWN, BETWEEN)
 """Ways to come by the spread, the one to be shown first."""
 
@@ -143,9 +136,10 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
                 "devices": middle.n_devices,
                 "middle": middle.value,
             }
-            for head, low, high in CHOSEN:
-                for side, kind in ((LOW, low), (HIGH, high)):
-                    row = shown(index, name, quantity, kind, side)
+            for head in CHOSEN:
+                for side, level in ((LOW, "5 %"), (HIGH, "95 %")):
+                    law = level if head == CHOSEN[0] else "lognormal"
+                    row = shown(index, name, quantity, f"{head}, {law}", side)
                     if row is not None:
                         line[f"{head}, {side}"] = row.value
                         line[f"{head}, clause"] = row.clause

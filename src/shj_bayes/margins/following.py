@@ -4,8 +4,6 @@ The channel is then taken at its median in the device's own test, and where its 
 that was recorded: the outermost of the three bounds the force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +11,7 @@ import numpy as np
 
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import coordinate_named
-from shj_bayes.model.curve import Curve, curve_named
+from shj_bayes.model.curve import curve_named
 
 PLACES = 41
 
@@ -34,13 +32,7 @@ class Following:
 
 
 def following_of(specimen: Specimen) -> tuple[Following, ...]:
-    """Find the channels that the models of a device follow.
-
-    Parameters
-    ----------
-    specimen : Specimen
-        The device.
-    """
+    """Find the channels that the models of a device follow."""
     history, share = specimen.histories[0], np.linspace(0.0, 1.0, PLACES)
     out = {}
     for belief in specimen.beliefs:
@@ -51,29 +43,18 @@ def following_of(specimen: Specimen) -> tuple[Following, ...]:
                 continue
             own = [typical[belief.model.index(f"{effect.id}.{name}")] for name in effect.names]
             factor = curve.rows(share, np.ones(PLACES)) @ np.array(own)
-            weakest, strongest = curve.over.value_of(share[[np.argmin(factor), np.argmax(factor)]], history)
-            out[curve.coordinate] = _following(curve, specimen, float(weakest), float(strongest))
+            ends = curve.over.value_of(share[[np.argmin(factor), np.argmax(factor)]], history).tolist()
+            one = history.measured[curve.coordinate]
+            found = (curve.coordinate, one.unit, one.low, one.reference, one.high)
+            out[curve.coordinate] = Following(*found, *ends)
     return tuple(out.values())
-
-
-def _following(curve: Curve, specimen: Specimen, weakest: float, strongest: float) -> Following:
-    one = specimen.histories[0].measured[curve.coordinate]
-    return Following(curve.coordinate, one.unit, one.low, one.reference, one.high, weakest, strongest)
 
 
 def values_to_try(specimen: Specimen) -> tuple[Mapping[str, float], ...]:
     """Values of the channels, by coordinate, at which a device is driven through a history that does not give them.
 
-    Parameters
-    ----------
-    specimen : Specimen
-        The device.
-
-    Returns
-    -------
-    tuple of mapping
-        Medians first; then, of a device that follows some, all where its force is lowest and all where it is highest:
-        each multiplies the sliding force, so together they reach farthest.
+    Medians first; then, of a device that follows some, all where its force is lowest and all where it is highest: each
+    multiplies the sliding force, so together they reach farthest.
     """
     found = following_of(specimen)
     if not found:
@@ -88,12 +69,7 @@ def values_to_try(specimen: Specimen) -> tuple[Mapping[str, float], ...]:
 def words_of(by_device: Sequence[tuple[Following, ...]], *, own_test: bool) -> tuple[str, ...]:
     """Say what forces follow, at which values they were taken, and what the designer has to see to.
 
-    Parameters
-    ----------
-    by_device : sequence of tuple of Following
-        Of each device.
-    own_test : bool
-        Whether devices are taken through their own tests, of which the channels are known.
+    `own_test` is whether devices are taken through their own tests, of which the channels are known.
     """
     out = []
     for own, title, span in _by_channel(by_device):
@@ -112,13 +88,7 @@ def words_of(by_device: Sequence[tuple[Following, ...]], *, own_test: bool) -> t
 
 
 def left_out_words(by_device: Sequence[tuple[Following, ...]]) -> tuple[str, ...]:
-    """Say what a material for structural analysis does not carry of that.
-
-    Parameters
-    ----------
-    by_device : sequence of tuple of Following
-        Of each device.
-    """
+    """Say what a material for structural analysis does not carry of that."""
     return tuple(
         f"Not carried, that the force follows {title}. The bounds are those of tests at {span}."
         for _, title, span in _by_channel(by_device)

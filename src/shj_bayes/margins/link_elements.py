@@ -1,7 +1,5 @@
 """Bounds as a table that link elements of structural programs take by hand, with a help line for each column."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """Bands of the widest cycle of the tested devices, run by run, as values and as a CSV file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

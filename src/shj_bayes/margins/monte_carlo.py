@@ -7,12 +7,10 @@ the tested speed as the device's own gamma has it, then on to an end, because no
 mu = muFast - (muFast - muSlow) exp(-r |v|) with r = 1/v, which gives 1.58 of the tested change at high speed.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import pandas as pd
@@ -45,30 +43,17 @@ class Drawn:
     # first where no second run was tested
     force_kN: float
     force_2_kN: float
-    beta: float  # sharpness of the knee of Eq. (1)
+    sharpness: float  # R of Steel02
     share_at_rest: float  # force at rest over that at the tested speed
 
 
 def draw_devices(
     design: PopulationResult, parameters: PopulationResult, n: int, speed_mm_s: float
 ) -> tuple[Drawn, ...]:
-    """Draw new devices of every tested set.
+    """Draw `n` new devices of every tested set; `PopulationError` if so many cannot be drawn.
 
-    Parameters
-    ----------
-    design : PopulationResult
-        Design quantities of the devices, pooled.
-    parameters : PopulationResult
-        Parameters of the law, pooled: sharpness, and gamma where the fits have it.
-    n : int
-        Devices of each set.
-    speed_mm_s : float
-        Peak speed of the tests.
-
-    Raises
-    ------
-    PopulationError
-        If so many devices cannot be drawn.
+    `design` are the pooled design quantities, `parameters` the pooled parameters of the law: sharpness, and gamma where
+    the fits have it. The speed is the peak speed of the tests.
     """
     available = next(iter(design.posteriors.values())).mu.shape[0]
     if not 1 <= n <= min(MOST, available):
@@ -87,10 +72,10 @@ def draw_devices(
         first, second = device["plateau"], device.get("plateau_2", device["plateau"])
         of_design = np.linspace(0, first.size - 1, n).astype(np.int64)
         of_law = np.linspace(0, law["beta"].size - 1, n).astype(np.int64)
-        beta = np.clip(law["beta"][of_law], *BETA_RANGE)
+        sharpness = np.array([exponent_of_steel02(beta) for beta in np.clip(law["beta"][of_law], *BETA_RANGE).tolist()])
         gamma = law["gamma"][of_law] if "gamma" in law else np.zeros(n)
         at_rest = 1.0 / np.clip(1.0 + gamma * MIDDLE_SPEED * speed_mm_s, *CHANGE)
-        columns = (device["K"][of_design], first[of_design], second[of_design], beta, at_rest)
+        columns = (device["K"][of_design], first[of_design], second[of_design], sharpness, at_rest)
         out += [Drawn(name, i + 1, *(float(c[i]) for c in columns)) for i in range(n)]
     return tuple(out)
 
@@ -98,19 +83,7 @@ def draw_devices(
 def draws_csv(drawn: Sequence[Drawn], speed_mm_s: float) -> str:
     """Drawn devices as CSV: one line a device, columns as in ``HEADS``."""
     rate = 1.0 / (MIDDLE_SPEED * speed_mm_s)
-    rows = [
-        (
-            safe_cell(d.set_name),
-            d.number,
-            d.K_kN_mm,
-            d.force_kN,
-            d.force_2_kN,
-            exponent_of_steel02(d.beta),
-            d.share_at_rest,
-            rate,
-        )
-        for d in drawn
-    ]
+    rows = [(safe_cell(d.set_name), *astuple(d)[1:], rate) for d in drawn]
     return pd.DataFrame(rows, columns=list(HEADS)).to_csv(index=False, lineterminator="\n", float_format="%.6g")
 
 
@@ -124,7 +97,7 @@ def draws_script(
     """
     rows = "\n".join(
         f"    ({json.dumps(d.set_name)}, {d.number}): ({d.force_kN:.6g}, {d.force_2_kN:.6g}, {d.K_kN_mm:.6g}, "
-        f"{exponent_of_steel02(d.beta):.6g}, {d.share_at_rest:.6g}),"
+        f"{d.sharpness:.6g}, {d.share_at_rest:.6g}),"
         for d in drawn
     )
     rate = f"{1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}"

@@ -7,8 +7,6 @@ than 2 % in the root mean square and by less than 0.5 % in energy, for beta of 1
 tests/oracle/test_margins_opensees.py measures it with OpenSees itself.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

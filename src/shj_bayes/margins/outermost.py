@@ -8,8 +8,6 @@ then alike before the test, and the band holds its share of them whatever the er
 error larger than the true one is taken off the scatter of the devices, and the band comes out too narrow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 

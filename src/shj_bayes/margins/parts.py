@@ -1,14 +1,11 @@
 """What the codes multiply: nominal force, the force that new devices deliver, ageing; for one set."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes.margins.delivered import Delivered, delivered
+from shj_bayes.margins.delivered import NONE, Bounds, Delivered, delivered
 from shj_bayes.margins.outermost import Newcomers, own_devices
-from shj_bayes.margins.pair import NONE, Bounds
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LOWEST, THIRD_CYCLE, FloatArray
 
@@ -72,9 +69,5 @@ class Parts:
 def parts_of(result: PopulationResult, set_name: str, devices: Newcomers, nominal_kN: float | None) -> Parts:
     """Split what is known of a set into the parts that the codes multiply."""
     force = delivered(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
-    return Parts(
-        force.third if nominal_kN is None else nominal_kN,
-        "typical device" if nominal_kN is None else "stated by the user",
-        force,
-        environment(result, set_name),
-    )
+    nominal = (force.third, "typical device") if nominal_kN is None else (nominal_kN, "stated by the user")
+    return Parts(*nominal, force, environment(result, set_name))

@@ -1,22 +1,20 @@
 """Design quantities: what a designer takes from the force of a test, for the first and the following runs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE
+from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.virtual_test import FLAT, UNEVEN, Readings
-from shj_bayes.model.parameters import FloatArray, base_of, run_name
+from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST
 
 ALIKE = 0.01
 """Share by which amplitudes of one block may differ."""
 THIRD = 2
 SIDE = {LEAST: LOW, LOWEST: LOW, MOST: HIGH, HIGHEST: HIGH}
-"""Side on which a quantity must not be wrong; all others are typical values."""
+"""Side on which a quantity, of any run, must not be wrong; all others are typical values."""
 TABLE = {
     "least": ("kN", "smallest plateau force (mean over the middle half of the stroke)"),
     "least_cycle": ("1", "half-cycle in which it comes, counted over those that slide fully"),
@@ -36,11 +34,6 @@ TABLE = {
 """All that is read of a run: unit and meaning."""
 
 
-def side_of(name: str) -> str:
-    """Side on which a pooled design quantity must not be wrong."""
-    return SIDE.get(base_of(name), MIDDLE)
-
-
 def counted_from(readings: Sequence[Readings]) -> float:
     """Smallest amplitude from which on every half-cycle slides fully; infinity where none does, mm."""
     amplitude = np.concatenate([r.amplitude_mm[r.complete] for r in readings])
@@ -54,24 +47,9 @@ def counted_from(readings: Sequence[Readings]) -> float:
 
 
 def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, FloatArray]:
-    """Design quantities of one run.
+    """Design quantities of one run, each of shape (m,), with names and units as in ``TABLE``.
 
-    Parameters
-    ----------
-    readings : Readings
-        What was read off the force.
-    least_amplitude_mm : float
-        Amplitude from which on half-cycles count.
-
-    Returns
-    -------
-    dict of str to array, shape (m,)
-        Names and units as in ``TABLE``.
-
-    Raises
-    ------
-    PopulationError
-        If no half-cycle slides fully.
+    Half-cycles count from an amplitude on; `PopulationError` if none of them slides fully.
     """
     large = readings.amplitude_mm >= least_amplitude_mm * (1.0 - ALIKE)
     counted = np.flatnonzero(readings.complete & large)

@@ -1,7 +1,5 @@
 """What the user asks of the margins: the cycle, the nominal force, the class, a spread known beforehand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One margin: a number with its unit, where it comes from, and what it is for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 from shj_bayes.errors import PopulationError

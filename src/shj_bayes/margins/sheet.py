@@ -1,7 +1,5 @@
 """All margins of a population in one sheet: two numbers first, then bands, codes, and where the width comes from."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,8 +16,7 @@ from shj_bayes.margins.outermost import newcomers
 from shj_bayes.margins.parts import Parts, parts_of
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Margin
-from shj_bayes.margins.sample import Sample, common_spread, everything
-from shj_bayes.margins.spread import NOT_NORMAL, between_sets, of_set
+from shj_bayes.margins.spread import NOT_NORMAL, Sample, between_sets, common_spread, of_set, samples
 from shj_bayes.margins.trial import Trial
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior
@@ -110,7 +107,7 @@ def margins(
 
 
 def _rows(result: PopulationResult, trials: Sequence[Trial], request: Request) -> Iterator[Margin]:
-    by_set = everything(result)
+    by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
     for name in (*result.set_names, ANY_SET):
         devices = newcomers(result, name)
@@ -182,19 +179,14 @@ def _given(
 ) -> Given:
     """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
     if name != ANY_SET:
-        samples = by_set[name]
-        spreads = {q: of_set(sample, common[q]) for q, sample in samples.items()}
-        return Given(name, samples, spreads, {q: s.n for q, s in samples.items()}, parts, request)
+        own = by_set[name]
+        spreads = {q: of_set(sample, common[q]) for q, sample in own.items()}
+        return Given(name, own, spreads, {q: s.n for q, s in own.items()}, parts, request)
     together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
     clustered = {q: between_sets(of_sets) for q, of_sets in together.items() if of_sets}
-    return Given(
-        name,
-        {q: sample for q, (sample, _) in clustered.items()},
-        {q: ways for q, (_, ways) in clustered.items()},
-        {q: sum(s.n for s in together[q]) for q in clustered},
-        parts,
-        request,
-    )
+    own = {q: sample for q, (sample, _) in clustered.items()}
+    spreads = {q: ways for q, (_, ways) in clustered.items()}
+    return Given(name, own, spreads, {q: sum(s.n for s in together[q]) for q in clustered}, parts, request)
 
 
 def _degradation(row: Margin) -> Margin:

@@ -4,8 +4,6 @@ The posterior files of `fit` and `diagnose` are alike; both come here as a model
 parameters. A device known by printed parameters alone has no recordings: the regime of Table 1 is its test.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -160,10 +158,7 @@ def _motion(x: FloatArray, speed: FloatArray, half: FloatArray) -> Motion:
 def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:
     """Devices known by printed parameters, driven through the regime of Table 1.
 
-    Parameters
-    ----------
-    result : PopulationResult
-        Its devices have values with the error of their rounding; those that lack K, Fy, beta or gamma are left out.
+    Their values have the error of their rounding; those that lack K, Fy, beta or gamma are left out.
     """
     variant = result.tested.variant if result.tested else "published"
     time, motion = exact_motion(table_1(), TABLE_RATE_HZ)

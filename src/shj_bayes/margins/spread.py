@@ -1,21 +1,82 @@
-"""Where the spread of a value by testing comes from, and the limit that mean, spread and factor make."""
-
-from __future__ import annotations
+"""The devices of a set as a sample, where its spread comes from, and the limit that mean, spread and factor make."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from shj_bayes.errors import PopulationError
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.sample import Sample, common_spread
+from shj_bayes.population.posterior import DeviceSet
+from shj_bayes.population.quantities import FloatArray, quantity
 
 KNOWN, UNKNOWN, COMMON, BETWEEN = "V known", "V unknown", "V common", "V between sets"
 SIGNS = {LOW: -1, HIGH: 1}
 NORMAL, LOGNORMAL = "normal", "lognormal"
 NOT_NORMAL = "not above zero: the normal law does not suit so wide a spread; use the lognormal value"
 _FLOORED = "the devices agree to the printed digits: the spread is that of rounding"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Devices of one set in one quantity."""
+
+    values: FloatArray = field(repr=False)  # shape (n,): natural unit, above zero
+    floor: float  # standard deviation of the logarithm that rounding or measurement alone would make
+
+    def __post_init__(self) -> None:
+        """Refuse values without a logarithm."""
+        if not (np.all(np.isfinite(self.values)) and np.all(self.values > 0)):
+            raise PopulationError(f"a sample must be finite and above zero; got {self.values}")
+
+    @property
+    def n(self) -> int:
+        """Devices."""
+        return int(self.values.size)
+
+    @property
+    def mean(self) -> float:
+        """Mean, natural unit."""
+        return float(self.values.mean())
+
+    @property
+    def mean_log(self) -> float:
+        """Mean of the logarithm."""
+        return float(np.log(self.values).mean())
+
+    @property
+    def sd_log(self) -> float:
+        """Standard deviation of the logarithm, not below what rounding or measurement alone makes; NaN for one."""
+        return max(float(np.log(self.values).std(ddof=1)), self.floor) if self.n > 1 else math.nan
+
+    @property
+    def variation(self) -> float:
+        """Coefficient of variation, with the same floor; NaN for one."""
+        return max(float(self.values.std(ddof=1)) / self.mean, self.floor) if self.n > 1 else math.nan
+
+
+def samples(group: DeviceSet) -> dict[str, Sample]:
+    """Every quantity of the devices of a set, as far as they give it."""
+    out = {}
+    for q, points in group.points.items():
+        values = np.array(points)
+        known = np.isfinite(values)
+        if known.any():
+            errors = np.nan_to_num(group.errors.get(q, (0.0,) * values.size))[known]
+            out[q] = Sample(quantity(q).natural(values[known]), float(np.sqrt(np.mean(np.square(errors)))))
+    return out
+
+
+def common_spread(of_sets: list[Sample]) -> tuple[float, int]:
+    """Pool the standard deviation of the logarithm common to several sets, and its degrees of freedom (0: none)."""
+    several = [s for s in of_sets if s.n > 1]
+    degrees = sum(s.n - 1 for s in several)
+    if not degrees:
+        return math.nan, 0
+    squares = sum(float(np.sum((np.log(s.values) - s.mean_log) ** 2)) for s in several)
+    floor = math.sqrt(sum(s.floor**2 * (s.n - 1) for s in several) / degrees)
+    return max(math.sqrt(squares / degrees), floor), degrees
 
 
 @dataclass(frozen=True)
@@ -59,18 +120,8 @@ def of_set(sample: Sample, common: tuple[float, int]) -> tuple[Spread, ...]:
     if sample.n > 1:
         notes = [_FLOORED] if sample.sd_log <= sample.floor else []
         notes += ["two devices hardly tell a spread; use V common"] if sample.n == 2 else []
-        degrees = sample.n - 1
-        out.append(
-            Spread(
-                UNKNOWN,
-                sample.sd_log,
-                sample.variation,
-                degrees,
-                sample.n,
-                "these devices alone",
-                "; ".join(notes),
-            )
-        )
+        known_to = (sample.sd_log, sample.variation, sample.n - 1, sample.n)
+        out.append(Spread(UNKNOWN, *known_to, "these devices alone", "; ".join(notes)))
     sd, degrees = common
     if degrees:
         origin = "all sets together, each about its mean"
@@ -81,21 +132,10 @@ def of_set(sample: Sample, common: tuple[float, int]) -> tuple[Spread, ...]:
 def between_sets(of_sets: Sequence[Sample]) -> tuple[Sample, tuple[Spread, ...]]:
     """Take sets as the sample, for a device of a set never tested: devices of one set are no independent values.
 
-    The variance of such a device is s_m^2 + (1 - 1/n) s_w^2, with s_m that of the set means, s_w that within sets and
-    n the harmonic mean of the devices a set; the mean is that of the set means, with variance s_m^2 / sets (random
-    effects; Mee and Owen 1983), and the degrees of freedom are Satterthwaite's.
-
-    Parameters
-    ----------
-    of_sets : sequence of Sample
-        Devices of each set.
-
-    Returns
-    -------
-    Sample
-        One value a set: the geometric mean of its devices.
-    tuple of Spread
-        One; none with a single set.
+    The sample holds the geometric mean of the devices of each set; of a single set there is no spread. The variance of
+    such a device is s_m^2 + (1 - 1/n) s_w^2, with s_m that of the set means, s_w that within sets and n the harmonic
+    mean of the devices a set; the mean is that of the set means, with variance s_m^2 / sets (random effects; Mee and
+    Owen 1983), and the degrees of freedom are Satterthwaite's.
     """
     means = np.exp([s.mean_log for s in of_sets])
     harmonic = 1.0 / float(np.mean([1.0 / s.n for s in of_sets]))
@@ -118,34 +158,14 @@ def between_sets(of_sets: Sequence[Sample]) -> tuple[Sample, tuple[Spread, ...]]
 
 
 def limit(sample: Sample, way: Spread, factor: float, law: str, side: str) -> tuple[float, str, str]:
-    """Mean less (plus) factor times spread: value, formula and inputs.
-
-    Parameters
-    ----------
-    sample : Sample
-        For the mean.
-    way : Spread
-        For the spread.
-    factor : float
-        k of the standard.
-    law : {"normal", "lognormal"}
-        Law of the quantity.
-    side : {"low", "high"}
-        Which limit.
-    """
+    """Mean less (plus, on the high side) factor times spread, under a law: value, formula and inputs."""
     sign = SIGNS[side]
     mark = "-" if sign < 0 else "+"
     if law == LOGNORMAL:
-        return (
-            math.exp(sample.mean_log + sign * factor * way.sd_log),
-            f"exp(m_y {mark} k s_y)",
-            f"m_y = {sample.mean_log:.4f}, s_y = {way.sd_log:.4f}, k = {factor:.4f}",
-        )
-    return (
-        sample.mean * (1.0 + sign * factor * way.variation),
-        f"m (1 {mark} k V)",
-        f"m = {sample.mean:.5g}, V = {way.variation:.4f}, k = {factor:.4f}",
-    )
+        inputs = f"m_y = {sample.mean_log:.4f}, s_y = {way.sd_log:.4f}, k = {factor:.4f}"
+        return math.exp(sample.mean_log + sign * factor * way.sd_log), f"exp(m_y {mark} k s_y)", inputs
+    inputs = f"m = {sample.mean:.5g}, V = {way.variation:.4f}, k = {factor:.4f}"
+    return sample.mean * (1.0 + sign * factor * way.variation), f"m (1 {mark} k V)", inputs
 
 
 def remarks(way: Spread, value: float) -> str:

@@ -6,8 +6,6 @@ that bounds it from above the largest; typical quantities are those of the best 
 neither a wrong model nor a missing one makes a bound less safe than the recordings themselves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -16,14 +14,14 @@ import numpy as np
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.asked import Asked, Course, courses
 from shj_bayes.margins.following import Following, following_of
-from shj_bayes.margins.quantities import TABLE, counted_from, of_readings, pooled, side_of
-from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.margins.quantities import SIDE, TABLE, counted_from, of_readings, pooled
+from shj_bayes.margins.row import LOW
 from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.virtual_test import Readings, drive, read_off
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
-from shj_bayes.population.measurement import Condensed, Likelihood
+from shj_bayes.population.measurement import Likelihood, Measurement
 from shj_bayes.population.quantities import band_of
 
 LEAST_ERROR = 1e-3
@@ -68,7 +66,7 @@ class Trial:
     def estimate(self, tags: Tags = NO_TAGS) -> DeviceEstimate:
         """As a device of a population."""
         known = {
-            name: Condensed(
+            name: Measurement(
                 float(np.log(value)),
                 Likelihood(False, np.log([value]), np.array([self.errors[name]]), np.ones(1)),
             )
@@ -83,15 +81,15 @@ def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: 
     `PopulationError` if the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
     """
     driven = [_driven(s, courses(asked, s, extrapolate=extrapolate)) for s in specimens]
-    least = [counted_from(next(iter(found.values()))[0]) for found, _ in driven]
-    common = max((a for a in least if np.isfinite(a)), default=np.inf)
-    own_least = common
+    first = [next(iter(found.values()))[0] for found, _ in driven]
+    common = max((a for a in map(counted_from, first) if np.isfinite(a)), default=np.inf)
+    least = [_from(readings, common) for readings in first]
+    own, own_least = first, least
     if asked is not None:
-        own_least = max(counted_from(own_readings(s)) for s in specimens)
-    return tuple(
-        _trial(s, found, loops, _from(found, common), own_least if asked is not None else None)
-        for s, (found, loops) in zip(specimens, driven, strict=True)
-    )
+        own = [own_readings(s) for s in specimens]
+        own_least = [max(map(counted_from, own))] * len(own)
+    each = zip(specimens, driven, least, own, own_least, strict=True)
+    return tuple(_trial(*of_one, carried=asked is not None) for of_one in each)
 
 
 def _driven(
@@ -131,39 +129,39 @@ def own_readings(specimen: Specimen) -> Runs:
     return tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True))
 
 
-def _from(found: Mapping[Course, list[Runs]], common: float) -> float:
+def _from(first: Runs, common: float) -> float:
     """Amplitude from which half-cycles count: common to all devices, unless this one has none as wide."""
-    first = next(iter(found.values()))[0]
     widest = max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for r in first)
     return common if widest >= 0.99 * common else counted_from(first)
 
 
 def _trial(
     specimen: Specimen,
-    found: Mapping[Course, list[Runs]],
-    loops: tuple[Loop, ...],
+    driven: tuple[Mapping[Course, list[Runs]], tuple[Loop, ...]],
     least: float,
-    own_least: float | None,
+    own: Runs,
+    own_least: float,
+    *,
+    carried: bool,
 ) -> Trial:
+    """Hold a driven device against what was measured in its own test, of which its best model gives `own`."""
+    found, loops = driven
     by_course = {one: [dict(pooled(_quantities(runs, least))) for runs in models] for one, models in found.items()}
-    first = next(iter(found.values()))[0]
-    tables = _quantities(first, least)
-    seen: list[Values] = []
+    tables = _quantities(next(iter(found.values()))[0], least)
+    seen: list[Values] = [{}] * len(tables)
     gap: dict[str, float] = {}
-    cycles = np.empty(0)
-    noise, n = 0.0, 1
+    cycles, noise = np.empty(0), 0.0
     if specimen.measured_kN:
-        floor = least if own_least is None else own_least
-        own = first if own_least is None else own_readings(specimen)
         measured = tuple(
             read_off(force[None], h.motion, h.travel_m, measured=True)
             for force, h in zip(specimen.measured_kN, specimen.histories, strict=True)
         )
-        seen = _quantities(measured, floor)
-        predicted = {q: float(np.median(v)) for q, v in pooled(_quantities(own, floor))}
-        gap = {q: float(np.log(v[0] / predicted[q])) for q, v in pooled(seen) if v[0] > 0 and predicted[q] > 0}
-        cycles, noise = _cycle_errors(measured, own, floor, specimen.beliefs[0])
-        n = max(cycles.size, 1)
+        of_test = _quantities(measured, own_least)
+        seen = seen if carried else of_test
+        predicted = {q: float(np.median(v)) for q, v in pooled(_quantities(own, own_least))}
+        gap = {q: float(np.log(v[0] / predicted[q])) for q, v in pooled(of_test) if v[0] > 0 and predicted[q] > 0}
+        cycles, noise = _cycle_errors(measured, own, own_least, specimen.beliefs[0])
+    n = max(cycles.size, 1)
     values, errors = {}, {}
     belief = specimen.beliefs[0]
     shares = {"plateau": n, "energy": n, "ratio": n / 2, "third": 2}
@@ -171,10 +169,10 @@ def _trial(
         typical = [[_middle_and_sd(model[q]) for model in models] for models in by_course.values()]
         best = [models[0] for models in typical]
         # In its own test that is the measured value, of which no model is unsure.
-        ours = 0.0 if own_least is None else 1.0
+        ours = 1.0 if carried else 0.0
         brought = [(x * float(np.exp(gap[q])), ours * sd) for x, sd in best] if q in gap else []
-        side = side_of(q)
-        if side in (LOW, HIGH):
+        side = SIDE.get(base_of(q))
+        if side:
             values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *brought])
         else:
             values[q], sd = (float(x) for x in np.median(brought or best, axis=0))
@@ -182,9 +180,8 @@ def _trial(
         errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
     stiffness = np.log(belief.theta[:, belief.model.index("K")])
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
-    shown = seen if own_least is None else []
-    table = tuple(_summary(run, shown[i] if shown else {}) for i, run in enumerate(tables))
-    laws, carried = tuple(dict.fromkeys(course.law for course in found)), own_least is not None
+    table = tuple(map(_summary, tables, seen))
+    laws = tuple(dict.fromkeys(course.law for course in found))
     told = (specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
     return Trial(*told, following_of(specimen))
 
@@ -197,10 +194,7 @@ def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:
 
 def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, float]]:
     """5, 50 and 95 % of every quantity of a run, and its measured value."""
-    out = {}
-    for name in TABLE:
-        out[name] = (*band_of(run[name]), float(seen[name][0]) if name in seen else float("nan"))
-    return out
+    return {name: (*band_of(run[name]), float(seen[name][0]) if name in seen else np.nan) for name in TABLE}
 
 
 def _quantities(runs: Runs, least: float) -> list[Values]:

@@ -3,8 +3,6 @@
 The same reading serves a predicted force and a measured one, so that the two can be held against each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
-from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
@@ -28,6 +25,9 @@ TAKEN = 5
 REACH_MM = 0.5
 """Samples over which a measured force is averaged before its largest value is read, as far as the device moves no
 farther than this meanwhile: a breakaway peak fades over a millimetre, and five samples of 10 Hz took 5 % off it."""
+
+
+READ = ("plateau_kN", "onset_kN", "largest_kN", "end_kN", "work_kJ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,6 @@ class Readings:
     end_kN: FloatArray  # shape (m, n_half): force at the end of the stroke
     work_kJ: FloatArray  # shape (m, n_half): work done on the device
 
-    def __post_init__(self) -> None:
-        """Freeze the arrays."""
-        freeze(self, "amplitude_mm", "direction", "travel_m")
-        freeze(self, "plateau_kN", "onset_kN", "largest_kN", "end_kN", "work_kJ")
-        freeze(self, "complete", kind=np.bool_)
-
     def sliding(self, flat: float = FLAT) -> NDArray[np.bool_]:
         """Complete half-cycles in which the typical device slides before the middle part of the stroke, (n_half,)."""
         onset, plateau = np.median(self.onset_kN, axis=0), np.median(self.plateau_kN, axis=0)
@@ -59,23 +53,14 @@ class Readings:
 
 
 def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, measured: bool = False) -> Readings:
-    """Read a force, half-cycle by half-cycle.
+    """Read the force of one or many devices, shape (m, n_samples), half-cycle by half-cycle.
 
-    Parameters
-    ----------
-    force_kN : array, shape (m, n_samples)
-        Force of one or many devices.
-    motion : Motion
-        Displacement and half-cycles.
-    travel_m : array, shape (n_samples,)
-        Cumulative sliding distance.
-    measured : bool
-        Whether the force carries noise: it is then averaged over up to `TAKEN` samples, and `REACH_MM` of motion,
-        before its largest value is taken.
+    A `measured` force carries noise: it is averaged over up to `TAKEN` samples, and `REACH_MM` of motion, before its
+    largest value is taken.
     """
     x, start = motion.displacement_mm, motion.start
     n = motion.n_half
-    out = {name: np.full((force_kN.shape[0], n), np.nan) for name in ("plateau", "onset", "largest", "end", "work")}
+    out = {name: np.full((force_kN.shape[0], n), np.nan) for name in READ}
     amplitude, travel = np.zeros(n), np.zeros(n)
     moved = np.abs(np.gradient(x)) + 1e-12
     for h in range(n):
@@ -88,42 +73,27 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
         if not weight.any():
             weight = moved[part].copy()
         first = weight * (np.cumsum(weight) <= 0.2 * weight.sum())
-        out["plateau"][:, h] = force @ weight / weight.sum()
-        out["onset"][:, h] = force @ first / first.sum() if first.any() else out["plateau"][:, h]
+        out["plateau_kN"][:, h] = force @ weight / weight.sum()
+        out["onset_kN"][:, h] = force @ first / first.sum() if first.any() else out["plateau_kN"][:, h]
         last = np.where(np.abs(end - own) <= 0.02 * stroke, 1.0, 0.0) if measured else np.zeros(own.size)
         last[-1] = 1.0
-        out["end"][:, h] = force @ last / last.sum()
+        out["end_kN"][:, h] = force @ last / last.sum()
         taken = min(TAKEN, own.size, 1 + int(REACH_MM / moved[part].max())) if measured else 1
         if taken > 1:
             force = np.stack([np.convolve(row, np.full(taken, 1.0 / taken), "valid") for row in force])
-        out["largest"][:, h] = force.max(axis=1)
+        out["largest_kN"][:, h] = force.max(axis=1)
         joined = slice(start[h], min(start[h + 1] + 1, x.size))
-        out["work"][:, h] = trapezoid(force_kN[:, joined], x[joined], axis=1) / 1000.0
+        out["work_kJ"][:, h] = trapezoid(force_kN[:, joined], x[joined], axis=1) / 1000.0
     complete = (np.arange(n) > 0) & (np.arange(n) < n - 1)
-    arrays = (out["plateau"], out["onset"], out["largest"], out["end"], out["work"])
-    return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, *arrays)
+    return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, *out.values())
 
 
 def drive(
     model: DeviceModel, theta: FloatArray, histories: Sequence[History], start_force_kN: Sequence[float] = ()
 ) -> tuple[FloatArray, ...]:
-    """Force of every draw of a device in consecutive runs.
+    """Force of every draw of a device, shape (m, d), in consecutive runs, each of shape (m, n_samples), kN.
 
-    Parameters
-    ----------
-    model : DeviceModel
-        Its model, with its effects.
-    theta : array, shape (m, d)
-        Draws of its parameters, natural units.
-    histories : sequence of History
-        Runs in order; not more than the model has.
-    start_force_kN : sequence of float
-        Force with which each run starts; unloaded where not given.
-
-    Returns
-    -------
-    tuple of array, shape (m, n_samples)
-        Force of each run, kN.
+    Each run starts with the force given, or unloaded.
     """
     starts = start_force_kN or (0.0,) * len(histories)
     forces = tuple(model.force(theta, history, start) for history, start in zip(histories, starts, strict=True))

@@ -1,7 +1,5 @@
 """Which effects a displacement history alone cannot tell apart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,18 +15,10 @@ ALIKE = 0.9  # cosine above which two effects look alike
 
 @dataclass(frozen=True)
 class Alias:
-    """Two effects that look alike under this displacement history; one alone when the base law takes it up.
+    """Two effects that look alike under this displacement history; one alone when the base law takes it up."""
 
-    Parameters
-    ----------
-    pair : tuple of str
-        Effect ids; the second is ``base law`` for an effect that the base parameters absorb.
-    correlation : float
-        Cosine between what the base law leaves of both; for ``base law`` the share that it takes.
-    """
-
-    pair: tuple[str, str]
-    correlation: float
+    pair: tuple[str, str]  # effect ids; the second is ``base law`` for an effect that the base parameters absorb
+    correlation: float  # cosine between what the base law leaves of both; for ``base law`` the share that it takes
 
 
 def aliases_of(scene: Scene) -> list[Alias]:

@@ -1,7 +1,5 @@
 """What a device may do beyond its base law: one class for each coordinate and way of acting."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -29,49 +27,27 @@ HEATS = tuple(f"heat{i}" for i in range(1, 5))
 CURVES = (
     ("capacity", "position"), ("capacity", "distance"), ("capacity", "travel"), ("capacity", "time"),
     ("capacity", "heat"), ("capacity", "amplitude"), ("capacity", "slip"), ("capacity", "speed"),
-    ("capacity", "acceleration"), ("added", "position"), ("added", "time"),
+    ("capacity", "acceleration"), ("capacity", "passes"), ("added", "position"), ("added", "time"),
 )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """One way to write a class: a curve of some smoothness, or an effect of the catalogue.
+    """One way to write a class: a curve of some smoothness, or an effect of the catalogue."""
 
-    Parameters
-    ----------
-    curve : Curve or None
-        The curve.
-    effect : Effect
-        The same as an effect, or the effect of the catalogue.
-    weight : float
-        Probability of the variant within its class.
-    """
-
-    curve: Curve | None
-    effect: Effect
-    weight: float
+    curve: Curve | None  # the curve
+    effect: Effect  # the same as an effect, or the effect of the catalogue
+    weight: float  # probability of the variant within its class
 
 
 @dataclass(frozen=True, eq=False)
 class Class:
-    """A dependence of the force on one coordinate.
+    """A dependence of the force on one coordinate."""
 
-    Parameters
-    ----------
-    action : {"capacity", "added", "motion"}
-        How it acts.
-    coordinate : str
-        On what it depends.
-    unit : str
-        Unit of the coordinate.
-    variants : tuple of Variant
-        Ways to write it.
-    """
-
-    action: str
-    coordinate: str
-    unit: str
-    variants: tuple[Variant, ...]
+    action: str  # how it acts
+    coordinate: str  # on what it depends
+    unit: str  # unit of the coordinate
+    variants: tuple[Variant, ...]  # ways to write it
 
     @property
     def id(self) -> str:
@@ -81,32 +57,15 @@ class Class:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A class that could be added to a model, to first order.
+    """A class that could be added to a model, to first order."""
 
-    Parameters
-    ----------
-    of : Class
-        The class.
-    variant : Variant
-        How it is written.
-    start : array, shape (n_law,)
-        Parameters of the larger model to start from.
-    columns : array, shape (n, p)
-        What it could add to the force, kN, by unit of each of its coefficients.
-    model : DeviceModel
-        The larger model.
-    gain : float
-        Log Bayes factor over the smaller model to first order, with the weight of the variant; nats.
-    change : array, shape (n,)
-        What it is expected to add to the force, kN, to first order.
-    """
-
-    of: Class
-    variant: Variant
-    start: FloatArray
-    columns: FloatArray
-    model: DeviceModel
-    gain: float = 0.0
+    of: Class  # the class
+    variant: Variant  # how it is written
+    start: FloatArray  # shape (n_law,): parameters of the larger model to start from
+    columns: FloatArray  # shape (n, p): what it could add to the force, kN, by unit of each of its coefficients
+    model: DeviceModel  # the larger model
+    gain: float = 0.0  # log Bayes factor over the smaller model to first order, with the weight of the variant; nats
+    # shape (n,): what it is expected to add to the force, kN, to first order
     change: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 

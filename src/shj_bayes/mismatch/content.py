@@ -1,7 +1,5 @@
 """The fields of ``diagnosis.json`` and the channels of ``diagnosis.nc``, from what a search says."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The diagnosis: find what the force depends on, show the curve, name the physics, model it."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,13 +18,13 @@ from shj_bayes.mismatch import content
 from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.evidence import evidence_of
-from shj_bayes.mismatch.findings import answer_of
+from shj_bayes.mismatch.findings import Answer, answer_of
 from shj_bayes.mismatch.heldout import held_out
 from shj_bayes.mismatch.regions import regions_of
-from shj_bayes.mismatch.scene import Metric, scene_of
+from shj_bayes.mismatch.scene import Metric, Scene, scene_of
 from shj_bayes.mismatch.schema import SCHEMA
-from shj_bayes.mismatch.search import search
-from shj_bayes.mismatch.state import find_noise, settle, settle_under
+from shj_bayes.mismatch.search import Search, search
+from shj_bayes.mismatch.state import State, find_noise, settle, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 
@@ -35,18 +33,10 @@ Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], d
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """A finished diagnosis.
+    """A finished diagnosis."""
 
-    Parameters
-    ----------
-    record : dict
-        Content of ``diagnosis.json``.
-    channels : xarray.Dataset
-        Content of ``diagnosis.nc``: measured and modelled force, before and after.
-    """
-
-    record: dict[str, Any]
-    channels: xr.Dataset
+    record: dict[str, Any]  # content of ``diagnosis.json``
+    channels: xr.Dataset  # content of ``diagnosis.nc``: measured and modelled force, before and after
 
     def write(self, folder: Path) -> None:
         """Write both files, the JSON last."""
@@ -99,51 +89,21 @@ def diagnose(
         hidden |= {"velocity"}
     scene = scene_of(runs, device)
     out = search(scene, classes(hidden, scene.measured), hidden, tell)
-    scene = out.scene
     tell("weighing what was found")
     answer = answer_of(out)
-    base, shown = out.found[frozenset()].state, answer.shown.state
-    # The base law alone has noise of its own: all that it leaves.
-    alone = find_noise(scene, base, np.zeros((base.residual.size, 0)), out.metric.setting)
-    law = settle(scene, Metric(scene, alone, base.slope), base.model, base.z)
-    fine, setting = scene.finer_at(shown.model, shown.z), out.metric.setting
-    plain = settle_under(fine, setting, law.model, law.z)[1]
-    drawn = [plain, settle_under(fine, setting, shown.model, shown.z)[1] if answer.findings else plain]
-    before = content.draws_of(settle_under(fine, alone, law.model, law.z)[1], seed)
+    models = _models(out, answer, seed)
     if sample is None or quick:
-        draws: Mapping[str, FloatArray] = content.draws_of(drawn[1], seed) if answer.findings else before
+        draws: content.Draws = content.draws_of(models.after, seed) if answer.findings else models.draws_before
         how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": "tentative"}
     else:
         tell("sampling the posterior")
-        draws, how = sample(shown.model, shown.z)
-    metric = Metric(fine, setting, drawn[1].slope)
-    held = [held_out(fine, metric, state) for state in drawn]
-    noise = float(np.sqrt(np.mean(drawn[1].residual[fine.used > 0] ** 2)))
+        draws, how = sample(answer.shown.state.model, answer.shown.state.z)
     record: dict[str, Any] = {
         "schema": SCHEMA,
         "device": name,
-        "verdict": answer.verdict.value,
-        "reason": answer.reason.value,
-        "p_value": answer.p_value,
-        "coordinates": content.coordinates(out, answer),
+        **_said(out, answer, models, draws),
         "channels": content.further(runs),
-        "sets": content.hypotheses(answer),
-        "evidence": evidence_of(out, answer),
-        "effects": content.effects(out, answer, draws),
-        "modelled": content.modelled(answer, draws),
-        "family": content.family(out, answer),
-        "location": content.locations(regions_of(scene, Metric(scene, out.metric.setting, law.slope), law)),
-        "unknown": content.unknown(out, answer),
-        "left_over_percent": 100 * answer.left_over,
-        "before": content.quality(fine, drawn[0], noise, held[0]),
-        "after": content.quality(fine, drawn[1], noise, held[1]),
-        "heldout": content.heldout(*held),
-        "shift": content.shift(before, draws),
-        "aliases": content.alias_rows(aliases_of(scene)),
         "next_test": content.next_test(out, answer, quick=quick),
-        "candidates": content.candidates(out, answer),
-        "energy": content.energy(fine, *drawn),
-        "fy_kN": scene.scale_kN,
         "seed": seed,
         "quick": quick,
         "sampling": how,
@@ -158,4 +118,58 @@ def diagnose(
         "versions": versions(),
     }
     record["seconds"] = time.perf_counter() - begin
-    return Diagnosis(record, content.channels(fine, *drawn))
+    return Diagnosis(record, content.channels(models.fine, models.before, models.after))
+
+
+@dataclass(frozen=True, eq=False)
+class _Models:
+    """The base law and the model that was found."""
+
+    law: State  # the base law under noise of its own, all that it leaves, in the blocks of the search
+    fine: Scene  # the recordings in blocks as fine as those of a fit of the model that was found
+    before: State  # the base law in them, under the noise that was found
+    after: State  # the model that was found, likewise; the base law where nothing was
+    draws_before: content.Draws  # of the base law under noise of its own
+
+
+def _models(out: Search, answer: Answer, seed: int) -> _Models:
+    """Fit what a diagnosis shows before and after."""
+    base, shown, setting = out.found[frozenset()].state, answer.shown.state, out.metric.setting
+    alone = find_noise(out.scene, base, np.zeros((base.residual.size, 0)), setting)
+    law = settle(out.scene, Metric(out.scene, alone, base.slope), base.model, base.z)
+    fine = out.scene.finer_at(shown.model, shown.z)
+    before = settle_under(fine, setting, law.model, law.z)[1]
+    after = settle_under(fine, setting, shown.model, shown.z)[1] if answer.findings else before
+    draws = content.draws_of(settle_under(fine, alone, law.model, law.z)[1], seed)
+    return _Models(law, fine, before, after, draws)
+
+
+def _said(out: Search, answer: Answer, models: _Models, draws: content.Draws) -> dict[str, Any]:
+    """Give the findings of a search as they stand in ``diagnosis.json``."""
+    fine, both = models.fine, (models.before, models.after)
+    metric = Metric(fine, out.metric.setting, models.after.slope)
+    held = [held_out(fine, metric, state) for state in both]
+    noise = float(np.sqrt(np.mean(models.after.residual[fine.used > 0] ** 2)))
+    regions = regions_of(out.scene, Metric(out.scene, out.metric.setting, models.law.slope), models.law)
+    return {
+        "verdict": answer.verdict.value,
+        "reason": answer.reason.value,
+        "p_value": answer.p_value,
+        "coordinates": content.coordinates(out, answer),
+        "sets": content.hypotheses(answer),
+        "evidence": evidence_of(out, answer),
+        "effects": content.effects(out, answer, draws),
+        "modelled": content.modelled(answer, draws),
+        "family": content.family(out, answer),
+        "location": content.locations(regions),
+        "unknown": content.unknown(out, answer),
+        "left_over_percent": 100 * answer.left_over,
+        "before": content.quality(fine, models.before, noise, held[0]),
+        "after": content.quality(fine, models.after, noise, held[1]),
+        "heldout": content.heldout(*held),
+        "shift": content.shift(models.draws_before, draws),
+        "aliases": content.alias_rows(aliases_of(out.scene)),
+        "candidates": content.candidates(out, answer),
+        "energy": content.energy(fine, *both),
+        "fy_kN": out.scene.scale_kN,
+    }

@@ -5,8 +5,6 @@ eight devices; so every set that was fitted and is in contention is also weighed
 with each pair of them, to first order (`screen`). All stand on one scale: evidence times the prior probability.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations, pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """What a search says: which classes are there with what probability, how large, and by what name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +8,9 @@ from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
+from scipy.stats import halfnorm, lognorm
 
-from shj_bayes.mismatch.classes import Candidate
+from shj_bayes.mismatch.classes import SPREAD, TYPICAL, Candidate
 from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, Hypothesis, Search, replaced
 from shj_bayes.mismatch.state import State, drawn_from, visible
@@ -37,37 +36,18 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """One class of the answer.
+    """One class of the answer."""
 
-    Parameters
-    ----------
-    member : Candidate
-        The class, as a formula where one follows the curve.
-    probability : float
-        That the device holds it.
-    evidence : float
-        Log Bayes factor over the model without it, nats: over the base law where it is the only one.
-    size : float
-        Largest force that it makes and that the base law could not (99th percentile), as a share of Fy.
-    curve : Candidate or None
-        The same as a curve, where there is one.
-    curve_state : State or None
-        The model with that curve.
-    place : int
-        Its place among the effects of that model.
-    names : tuple of (str, float)
-        Mechanisms of the catalogue that may have the curve, with their probabilities within the class, most probable
-        first and as many as hold 95 %; what was measured beside the force is its own name. None where no formula
-        follows the curve.
-    """
-
-    member: Candidate
-    probability: float
-    evidence: float
-    size: float
-    curve: Candidate | None
-    curve_state: State | None
-    place: int
+    member: Candidate  # the class, as a formula where one follows the curve
+    probability: float  # that the device holds it
+    evidence: float  # log Bayes factor over the model without it, nats: over the base law where it is the only one
+    size: float  # largest force that it makes and that the base law could not (99th percentile), as a share of Fy
+    curve: Candidate | None  # the same as a curve, where there is one
+    curve_state: State | None  # the model with that curve
+    place: int  # its place among the effects of that model
+    # Mechanisms of the catalogue that may have the curve, with their probabilities within the class, most probable
+    # first and as many as hold 95 %; what was measured beside the force is its own name. None where no formula follows
+    # the curve.
     names: tuple[tuple[str, float], ...]
 
     @property
@@ -84,37 +64,19 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a search says.
+    """What a search says."""
 
-    Parameters
-    ----------
-    verdict, reason : Verdict, Reason
-        The verdict.
-    shown : Hypothesis
-        The model that is shown: the most probable one, with formulas where they follow the curves.
-    findings : tuple of Finding
-        Its classes.
-    sets : tuple of (frozenset of str, float)
-        Sets of classes of a size that matters, with their probabilities, most probable first.
-    alternatives : dict of frozenset to Hypothesis
-        The best hypothesis of each of these sets.
-    p_value : float
-        Upper limit of the chance of such evidence if nothing were missing.
-    left_over : float
-        Size of the generic discrepancy, as a share of Fy.
-    inclusion : dict of str to float
-        Probability of every class that was fitted.
-    """
-
+    # verdict, reason: the verdict
     verdict: Verdict
     reason: Reason
-    shown: Hypothesis
-    findings: tuple[Finding, ...]
+    shown: Hypothesis  # the model that is shown: the most probable one, with formulas where they follow the curves
+    findings: tuple[Finding, ...]  # its classes
+    # sets of classes of a size that matters, with their probabilities, most probable first
     sets: tuple[tuple[frozenset[str], float], ...]
-    alternatives: dict[frozenset[str], Hypothesis]
-    p_value: float
-    left_over: float
-    inclusion: dict[str, float]
+    alternatives: dict[frozenset[str], Hypothesis]  # the best hypothesis of each of these sets
+    p_value: float  # upper limit of the chance of such evidence if nothing were missing
+    left_over: float  # size of the generic discrepancy, as a share of Fy
+    inclusion: dict[str, float]  # probability of every class that was fitted
 
 
 def answer_of(out: Search) -> Answer:
@@ -132,9 +94,9 @@ def answer_of(out: Search) -> Answer:
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
     for h, p in zip(ranked, probability, strict=True):
-        key = h.key if p < 1e-6 else that_matter(out, h)
-        reduced[key] = reduced.get(key, 0.0) + float(p)
-        best.setdefault(key, h)
+        for key, share in {h.key: 1.0}.items() if p < 1e-6 else truly_there(out, h, that_matter(out, h)).items():
+            reduced[key] = reduced.get(key, 0.0) + float(p) * share
+            best.setdefault(key, h)
     sets = tuple(sorted(reduced.items(), key=lambda item: -item[1]))
     nothing = reduced.get(frozenset(), 0.0)
     inclusion: dict[str, float] = {}
@@ -146,9 +108,7 @@ def answer_of(out: Search) -> Answer:
         top = next(key for key, _ in sets if key)
     shown = best[top]
     findings, shown = _findings(out, shown, top, inclusion)
-    findings = tuple(f for f in findings if f.member.variant.curve is None or not _is_error_of_others(out, shown, f))
     largest = max((f.size for f in findings), default=0.0)
-    inclusion = {k: p for k, p in inclusion.items() if k not in top or k in {f.member.of.id for f in findings}}
     left = discrepancy_size(out, shown.state)
     if nothing >= DOUBT:
         verdict, reason = Verdict.ADEQUATE, Reason.NOTHING
@@ -182,6 +142,41 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     return frozenset(m.of.id for m, size in zip(h.members, sizes, strict=True) if size >= out.matters)
 
 
+def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:
+    """Split the probability of a hypothesis: a class far smaller than the largest may be what that one's form misses.
+
+    What a form misses is a share of its size, half-normal and within 1 - `EXPLAINED` with 95 %; a class by itself has
+    the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the densities at the size
+    that was found decide.
+
+    Parameters
+    ----------
+    out : Search
+        A finished search.
+    h : Hypothesis
+        One of its hypotheses.
+    key : frozenset of str
+        Its classes that matter.
+
+    Returns
+    -------
+    dict of frozenset to float
+        Share of the probability for each set of classes; the largest class is in all of them.
+    """
+    sizes = {m.of.id: size_of(out, h, i) for i, m in enumerate(h.members) if m.of.id in key}
+    first, *others = sorted(sizes, key=lambda name: -sizes[name]) or [""]
+    shares = {frozenset({first} & key): 1.0}
+    for name in others:
+        by_itself = float(lognorm.pdf(sizes[name], SPREAD, scale=TYPICAL))
+        missed = float(halfnorm.pdf(sizes[name], scale=0.5 * (1.0 - EXPLAINED) * sizes[first]))
+        there = by_itself / (by_itself + missed)
+        shares = {
+            **{own: p * (1.0 - there) for own, p in shares.items()},
+            **{own | {name}: p * there for own, p in shares.items()},
+        }
+    return shares
+
+
 def size_of(out: Search, h: Hypothesis, place: int) -> float:
     """Size of a member at the most probable parameters: its force that the base law could not make, a share of Fy."""
     return float(_sizes_at(out, h, place, h.state.z[None])[0])
@@ -210,16 +205,6 @@ def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArr
     return visible(scene, jacobian, change.T)
 
 
-def _is_error_of_others(out: Search, h: Hypothesis, f: Finding) -> bool:
-    """Whether a curve may be what a formula over another coordinate misses, by its size beside that of the formula.
-
-    The others are taken at their largest in any hypothesis: what stands beside them may stand for a part of them.
-    """
-    others = h.key - {f.member.of.id}
-    sizes = [size_of(out, one, i) for one in out.found.values() for i, m in enumerate(one.members) if m.of.id in others]
-    return f.size < (1.0 - EXPLAINED) * max(sizes, default=0.0)
-
-
 def discrepancy_size(out: Search, state: State) -> float:
     """Size of what the generic discrepancy takes up of a residual (99th percentile), as a share of Fy."""
     taken = out.metric.discrepancy_of(state.residual)
@@ -230,7 +215,7 @@ def _findings(
     out: Search, h: Hypothesis, top: frozenset[str], inclusion: dict[str, float]
 ) -> tuple[tuple[Finding, ...], Hypothesis]:
     """Put formulas in the place of curves that they follow; give the findings, and the hypothesis with them."""
-    curves = out.curves.get(h.key, h)
+    curves = out.as_curves(h)
     for place, member in enumerate(h.members):
         if member.variant.curve is not None and member.of.id in top:
             h = _followed(out, h, place)

@@ -1,7 +1,5 @@
 """What a model predicts for cycles that it was not fitted to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,17 +15,10 @@ FEW_CYCLES = 12  # with fewer cycles than this, half-cycles are left out
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Prediction of each cycle from the others.
+    """Prediction of each cycle from the others."""
 
-    Parameters
-    ----------
-    residual : array, shape (n,)
-        Of each block under the parameters without its cycle, kN.
-    log_density : array, shape (n_cycles,)
-        Log predictive density of each cycle, but for a constant that is the same for all models, nats.
-    """
-
-    residual: FloatArray
+    residual: FloatArray  # shape (n,): of each block under the parameters without its cycle, kN
+    # shape (n_cycles,): log predictive density of each cycle, but for a constant that is the same for all models, nats
     log_density: FloatArray
 
     @property

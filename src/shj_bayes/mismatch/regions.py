@@ -1,7 +1,5 @@
 """Where the base law fails: intervals of the coordinates in which its residual is more than noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -23,36 +21,21 @@ WHERE = (("position", 11), ("speed", 6), ("slip", 8), ("travel", 12), ("amplitud
 
 @dataclass(frozen=True)
 class Region:
-    """One interval of one coordinate in which the base law fails.
+    """One interval of one coordinate in which the base law fails."""
 
-    Parameters
-    ----------
-    coordinate, unit : str
-        What is cut into intervals.
-    low, high : float
-        The interval.
-    direction : {"push", "pull", "both"}
-        Half-cycles it is about; ``both`` signs the residual with the direction of motion, so that friction too high
-        in push and pull alike shows as one number.
-    runs : tuple of int
-        Runs in which it is seen.
-    size_kN : float
-        Mean residual there (direction-signed for ``both``).
-    share : float
-        Part of the residual's sum of squares that lies in the region.
-    p_value : float
-        Chance of such a mean if nothing were missing, times the number of regions that were looked at.
-    """
-
+    # coordinate, unit: what is cut into intervals
     coordinate: str
     unit: str
+    # low, high: the interval
     low: float
     high: float
+    # half-cycles it is about; ``both`` signs the residual with the direction of motion, so that friction too high in
+    # push and pull alike shows as one number
     direction: str
-    runs: tuple[int, ...]
-    size_kN: float
-    share: float
-    p_value: float
+    runs: tuple[int, ...]  # runs in which it is seen
+    size_kN: float  # mean residual there (direction-signed for ``both``)
+    share: float  # part of the residual's sum of squares that lies in the region
+    p_value: float  # chance of such a mean if nothing were missing, times the number of regions that were looked at
 
 
 def regions_of(scene: Scene, metric: Metric, base: State) -> list[Region]:

@@ -41,21 +41,11 @@ N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `Met
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The recordings of a device in blocks.
+    """The recordings of a device in blocks."""
 
-    Parameters
-    ----------
-    posterior : Posterior
-        Its base model, held against blocks that follow the bends of the force.
-    z : array, shape (n_law,)
-        Least squares of the base model, where the search begins.
-    peak_mm_s : float or None
-        Peak speed that low speeds are a share of; that of the first run unless given.
-    """
-
-    posterior: Posterior
-    z: FloatArray
-    peak_mm_s: float | None = None
+    posterior: Posterior  # its base model, held against blocks that follow the bends of the force
+    z: FloatArray  # shape (n_law,): least squares of the base model, where the search begins
+    peak_mm_s: float | None = None  # peak speed that low speeds are a share of; that of the first run unless given
 
     @property
     def device(self) -> DeviceModel:
@@ -198,21 +188,11 @@ class Scene:
 
 @dataclass(frozen=True)
 class NoiseSetting:
-    """Noise and discrepancy of a device.
+    """Noise and discrepancy of a device."""
 
-    Parameters
-    ----------
-    z : tuple of float
-        Parameters of the noise model in their unbounded space.
-    model_error_kN : float
-        Size of the discrepancy.
-    at_rest : float
-        Logarithm of the standard deviation of the noise at low speed over that at high speed.
-    """
-
-    z: tuple[float, ...]
-    model_error_kN: float
-    at_rest: float = 0.0
+    z: tuple[float, ...]  # parameters of the noise model in their unbounded space
+    model_error_kN: float  # size of the discrepancy
+    at_rest: float = 0.0  # logarithm of the standard deviation of the noise at low speed over that at high speed
 
 
 class Metric:

@@ -1,7 +1,5 @@
 """Words of ``diagnosis.json`` that are read without what diagnoses: layouts, written and read, and verdicts."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 SCHEMA = "shj-bayes/diagnosis/2"

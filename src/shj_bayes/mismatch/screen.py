@@ -1,7 +1,5 @@
 """Which classes a residual speaks for, to first order: the log Bayes factor of each, all in one sweep."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

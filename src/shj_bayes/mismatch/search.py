@@ -1,7 +1,5 @@
 """Which classes a device holds: sets of them are compared by their evidence, grown and shrunk until none is better."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +9,7 @@ import numpy as np
 
 from shj_bayes.inference.squares import start_values
 from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant, candidates, size_weights
-from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene, log_evidence
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible
 from shj_bayes.mismatch.waves import resolved, waves
@@ -33,30 +31,19 @@ LARGEST = 70  # parameters of a model that is grown further
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
 FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
+FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = ("added", "constant")
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A set of classes with the model that holds them.
+    """A set of classes with the model that holds them."""
 
-    Parameters
-    ----------
-    members : tuple of Candidate
-        Classes, in the order of the effects of the model behind those that were given.
-    state : State
-        The model, fitted.
-    log_weight : float
-        Log of the evidence times the probability before the test.
-    metric : Metric or None
-        Noise and discrepancy under which it was weighed; None during a search.
-    """
-
-    members: tuple[Candidate, ...]
-    state: State
-    log_weight: float
-    metric: Metric | None = None
+    members: tuple[Candidate, ...]  # classes, in the order of the effects of the model behind those that were given
+    state: State  # the model, fitted
+    log_weight: float  # log of the evidence times the probability before the test
+    metric: Metric | None = None  # noise and discrepancy under which it was weighed; None during a search
 
     @property
     def key(self) -> frozenset[str]:
@@ -66,36 +53,18 @@ class Hypothesis:
 
 @dataclass(eq=False)
 class Search:
-    """A search for what a device holds.
+    """A search for what a device holds."""
 
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    looked : list of Candidate
-        What to look for, with columns at the base law: they change little from model to model, and only choose what is
-        fitted.
-    metric : Metric
-        Noise and discrepancy, which are found beside all classes.
-    hidden : frozenset of str
-        Mechanisms whose formulas are not tried.
-    tell : callable
-        Gets one line for each step.
-    found : dict
-        Hypotheses by their key.
-    curves : dict
-        The same with curves only, no formulas.
-    screened : dict
-        What could be added to each, best first.
-    """
-
-    scene: Scene
+    scene: Scene  # the recordings
+    # what to look for, with columns at the base law: they change little from model to model, and only choose what is
+    # fitted
     looked: list[Candidate]
-    metric: Metric
-    hidden: frozenset[str] = frozenset()
-    tell: Callable[[str], None] = lambda _: None
-    found: dict[frozenset[str], Hypothesis] = field(default_factory=dict)
-    curves: dict[frozenset[str], Hypothesis] = field(default_factory=dict)
+    metric: Metric  # noise and discrepancy, which are found beside all classes
+    hidden: frozenset[str] = frozenset()  # mechanisms whose formulas are not tried
+    tell: Callable[[str], None] = lambda _: None  # gets one line for each step
+    found: dict[frozenset[str], Hypothesis] = field(default_factory=dict)  # hypotheses by their key
+    curves: dict[frozenset[str], Hypothesis] = field(default_factory=dict)  # the same with curves only, no formulas
+    # what could be added to each, best first
     screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
 
     @property
@@ -242,6 +211,23 @@ class Search:
             out += [replace(form, start=starts[i], model=model) for i in best]
         return out
 
+    def as_curves(self, h: Hypothesis) -> Hypothesis:
+        """Give a hypothesis with curves in the place of its formulas, where its classes have any: what can be drawn."""
+        if h.key in self.curves:
+            return self.curves[h.key]
+        for place, member in enumerate(h.members):
+            if _is_curve(member):
+                continue
+            own = self.columns_of(h.state, place)
+            rest = self.fitted(tuple(m for m in h.members if m is not member), np.delete(h.state.z, own))
+            looked = [c for c in self.looked if c.of.id == member.of.id and c.variant.curve is not None]
+            if rest is None or not looked:
+                continue
+            best = screen(self.metric, rest.state, looked)[0]
+            start = np.insert(rest.state.z, [own[0]] * len(best.variant.effect.parameters), 0.0)
+            h = self.fitted(replaced(h, place, best), start) or h
+        return h
+
     def model_of(self, members: tuple[Candidate, ...]) -> DeviceModel:
         """Model that holds given classes."""
         added = tuple(member.variant.effect for member in members)
@@ -251,10 +237,41 @@ class Search:
         """Fit the hypotheses with one class less."""
         for place in range(len(h.members)):
             rest = tuple(m for i, m in enumerate(h.members) if i != place)
-            if frozenset(m.of.id for m in rest) in self.found:
+            known = self.found.get(frozenset(m.of.id for m in rest))
+            if known is not None and all(a.variant is b.variant for a, b in zip(known.members, rest, strict=True)):
                 continue
             keep = np.setdiff1d(np.arange(h.state.z.size), self.columns_of(h.state, place))
             self.add(rest, h.state.z[keep])
+
+    def deepen(self, depth: int) -> bool:
+        """Add a class to the best hypotheses with so many; whether the best of all is another one then."""
+        before = self.best
+        level = sorted((h for h in self.found.values() if len(h.members) == depth), key=lambda h: -h.log_weight)
+        for h in level[:BEAM]:
+            if h.log_weight > self.best.log_weight - FOLLOWED or h is level[0]:
+                self.grow(h)
+        if self.best.key == before.key:
+            return False
+        height = self.best.log_weight
+        # A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
+        least = height - max(RIVAL, (1.0 - EXPLAINED) * (height - before.log_weight))
+        for h in sorted((h for h in self.found.values() if len(h.members) == depth + 1), key=lambda h: -h.log_weight):
+            if h.log_weight > least:
+                self.refine(h)
+        self.shrink(self.best)
+        self.retune()
+        return True
+
+    def exchange(self) -> None:
+        """Try what else could stand in the place of each class of the best hypothesis."""
+        for place in range(len(self.best.members)):
+            h = self.best
+            if 1 < len(h.members) > place:
+                less = h.key - {h.members[place].of.id}
+                if less not in self.found:
+                    self.shrink(h)
+                if less in self.found:
+                    self.grow(self.found[less])
 
     def finish(self) -> None:
         """Give each hypothesis in contention the noise that is most probable under it, and weigh them anew.
@@ -327,7 +344,7 @@ def search(
         Gets one line for each step.
     """
     tell("fitting the base law")
-    start = NoiseSetting(tuple(_middle(scene)), 0.003 * scene.scale_kN)
+    start = NoiseSetting(tuple(_middle(scene)), MODEL_ERROR * scene.scale_kN)
     metric, rough = settle_under(scene, start, scene.device, scene.z)
     shown = resolved(scene, metric, rough, classes)
     if shown is not scene:
@@ -342,30 +359,9 @@ def search(
     out.try_constant()
     for depth in range(len(out.best.members), DEPTH):
         tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
-        before = out.best
-        level = sorted((h for h in out.found.values() if len(h.members) == depth), key=lambda h: -h.log_weight)
-        for h in level[:BEAM]:
-            if h.log_weight > out.best.log_weight - 100.0 or h is level[0]:
-                out.grow(h)
-        if out.best.key == before.key:
+        if not out.deepen(depth):
             break
-        height = out.best.log_weight
-        # A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
-        least = height - max(RIVAL, (1.0 - EXPLAINED) * (height - before.log_weight))
-        for h in sorted((h for h in out.found.values() if len(h.members) == depth + 1), key=lambda h: -h.log_weight):
-            if h.log_weight > least:
-                out.refine(h)
-        out.shrink(out.best)
-        out.retune()
-    for place in range(len(out.best.members)):  # what else could stand in the place of each
-        h = out.best
-        if place < len(h.members) and len(h.members) > 1:
-            less = out.found.get(h.key - {h.members[place].of.id})
-            if less is None:
-                out.shrink(h)
-                less = out.found.get(h.key - {h.members[place].of.id})
-            if less is not None:
-                out.grow(less)
+    out.exchange()
     out.finish()
     return out
 

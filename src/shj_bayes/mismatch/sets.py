@@ -16,8 +16,6 @@ compared are combinations of classes that a set has, grown and shrunk until none
 class is taken with each other class of the combination at the share that was found for it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -41,32 +39,17 @@ Combination = frozenset[str]
 
 @dataclass(frozen=True, eq=False)
 class DeviceEvidence:
-    """What a device says of every class.
+    """What a device says of every class."""
 
-    Parameters
-    ----------
-    classes : tuple of str
-        Ids of what was looked for in it.
-    holds : array of bool, shape (m, n)
-        Sets of classes that were weighed.
-    nats : array, shape (m,)
-        Log weight of each: evidence times the prior odds of its classes.
-    log_odds : float
-        Of a class before the test, as they stand in the weights.
-    own : mapping of str to str
-        Effect that stands for each class in the model that its diagnosis ended in.
-    written : mapping of str to str
-        Effect that would stand for each of the other classes.
-    size_percent, change_percent : mapping of str to float
-        Size of each, and where it is a curve its change from one end of its coordinate to the other, per cent of Fy.
-    """
-
-    classes: tuple[str, ...]
-    holds: NDArray[np.bool_]
-    nats: FloatArray
-    log_odds: float
+    classes: tuple[str, ...]  # ids of what was looked for in it
+    holds: NDArray[np.bool_]  # shape (m, n): sets of classes that were weighed
+    nats: FloatArray  # shape (m,): log weight of each: evidence times the prior odds of its classes
+    log_odds: float  # of a class before the test, as they stand in the weights
+    # effect that stands for each class in the model that its diagnosis ended in
     own: Mapping[str, str] = field(default_factory=dict)
-    written: Mapping[str, str] = field(default_factory=dict)
+    written: Mapping[str, str] = field(default_factory=dict)  # effect that would stand for each of the other classes
+    # size_percent, change_percent: size of each, and where it is a curve its change from one end of its coordinate to
+    # the other, per cent of Fy
     size_percent: Mapping[str, float] = field(default_factory=dict)
     change_percent: Mapping[str, float] = field(default_factory=dict)
 
@@ -97,29 +80,14 @@ class DeviceEvidence:
 
 @dataclass(frozen=True)
 class Shared:
-    """A class, and how probable it is in a set.
+    """A class, and how probable it is in a set."""
 
-    Parameters
-    ----------
-    id : str
-        The class.
-    probability : float
-        That the set has it.
-    devices : tuple of float
-        That each device has it, given the evidence of all.
-    alone : tuple of bool
-        Whether the diagnosis of each device found it.
-    rivals : tuple of str
-        Classes that may stand in its place.
-    enters : bool
-        The set has it, or a rival, with 95 %, and it is large enough to be followed: models of its devices hold it.
-    """
-
-    id: str
-    probability: float
-    devices: tuple[float, ...]
-    alone: tuple[bool, ...]
-    rivals: tuple[str, ...] = ()
+    id: str  # the class
+    probability: float  # that the set has it
+    devices: tuple[float, ...]  # that each device has it, given the evidence of all
+    alone: tuple[bool, ...]  # whether the diagnosis of each device found it
+    rivals: tuple[str, ...] = ()  # classes that may stand in its place
+    # the set has it, or a rival, with 95 %, and it is large enough to be followed: models of its devices hold it
     enters: bool = False
 
     @property
@@ -130,18 +98,10 @@ class Shared:
 
 @dataclass(frozen=True)
 class Common:
-    """What devices have in common.
+    """What devices have in common."""
 
-    Parameters
-    ----------
-    shared : tuple of Shared
-        Every class, most probable first.
-    combinations : tuple of (frozenset of str, float)
-        What the set has, with probabilities, most probable first.
-    """
-
-    shared: tuple[Shared, ...]
-    combinations: tuple[tuple[Combination, float], ...]
+    shared: tuple[Shared, ...]  # every class, most probable first
+    combinations: tuple[tuple[Combination, float], ...]  # what the set has, with probabilities, most probable first
 
 
 def device_evidence(record: Mapping[str, Any]) -> DeviceEvidence:

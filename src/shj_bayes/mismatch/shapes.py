@@ -1,7 +1,5 @@
 """A formula for a curve that no mechanism of the catalogue has, where a simple one lies within its band."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,23 +11,13 @@ from shj_bayes.model.parameters import FloatArray
 
 @dataclass(frozen=True)
 class Shape:
-    """A curve over a share u of a range: linear in its sizes, with one length or place that is not.
+    """A curve over a share u of a range: linear in its sizes, with one length or place that is not."""
 
-    Parameters
-    ----------
-    name : str
-        Short word.
-    columns : callable
-        ``columns(u, length)``, shape (n, n_sizes); the last size is a constant.
-    lengths : array
-        Lengths or places to try, as shares of the range.
-    text : callable
-        ``text(sizes, length, name, unit)`` writes the formula; lengths are in the unit.
-    """
-
-    name: str
+    name: str  # short word
+    # ``columns(u, length)``, shape (n, n_sizes); the last size is a constant
     columns: Callable[[FloatArray, float], FloatArray]
-    lengths: FloatArray
+    lengths: FloatArray  # lengths or places to try, as shares of the range
+    # ``text(sizes, length, name, unit)`` writes the formula; lengths are in the unit
     text: Callable[[FloatArray, float, str, str], str]
 
 

@@ -1,7 +1,5 @@
 """A model at its most probable parameters, and how it gets there."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import product
@@ -21,34 +19,17 @@ CLOSE = 1e-2  # square of the last step, in posterior standard deviations
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A model at its most probable parameters under a metric.
+    """A model at its most probable parameters under a metric."""
 
-    Parameters
-    ----------
-    model : DeviceModel
-        The model.
-    z : array, shape (n_law,)
-        Parameters of its law in the unbounded space.
-    residual, slope : array, shape (n,)
-        Measured less modelled force (kN) of each block; slope of the latter (kN/mm).
-    jacobian : array, shape (n, n_law)
-        Derivatives of the force.
-    products : array, shape (1 + n_law, 1 + n_law)
-        Scalar products of the linearised data and the derivatives.
-    covariance : array, shape (n_law, n_law)
-        Of the parameters.
-    evidence : float
-        Log density of the data, parameters integrated out (Laplace).
-    """
-
-    model: DeviceModel
-    z: FloatArray
+    model: DeviceModel  # the model
+    z: FloatArray  # shape (n_law,): parameters of its law in the unbounded space
+    # residual, slope: shape (n,): measured less modelled force (kN) of each block; slope of the latter (kN/mm)
     residual: FloatArray
     slope: FloatArray
-    jacobian: FloatArray
-    products: FloatArray
-    covariance: FloatArray
-    evidence: float
+    jacobian: FloatArray  # shape (n, n_law): derivatives of the force
+    products: FloatArray  # shape (1 + n_law, 1 + n_law): scalar products of the linearised data and the derivatives
+    covariance: FloatArray  # shape (n_law, n_law): of the parameters
+    evidence: float  # log density of the data, parameters integrated out (Laplace)
 
     def beside(self, *columns: FloatArray) -> FloatArray:
         """Give the linearised data, the derivatives and further columns, shape (n, 1 + n_law + p), for a product."""

@@ -1,7 +1,5 @@
 """Diagnoses of a campaign taken together: read, added up by set and over all devices, and what follows for models."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,46 +16,22 @@ DIGITS = 6  # of probabilities in files
 
 @dataclass(frozen=True, eq=False)
 class Diagnosed:
-    """A diagnosed device.
+    """A diagnosed device."""
 
-    Parameters
-    ----------
-    folder : str
-        Its folder below the campaign's.
-    evidence : DeviceEvidence
-        What it says of every class.
-    modelled : tuple of str
-        Effects of the model that its diagnosis ended in.
-    sampled : bool
-        That model was fitted: the diagnosis was no first look.
-    units : mapping of str to str
-        Units of its further channels by coordinate.
-    """
-
-    folder: str
-    evidence: DeviceEvidence
-    modelled: tuple[str, ...]
-    sampled: bool
-    units: Mapping[str, str] = field(default_factory=dict)
+    folder: str  # its folder below the campaign's
+    evidence: DeviceEvidence  # what it says of every class
+    modelled: tuple[str, ...]  # effects of the model that its diagnosis ended in
+    sampled: bool  # that model was fitted: the diagnosis was no first look
+    units: Mapping[str, str] = field(default_factory=dict)  # units of its further channels by coordinate
 
 
 @dataclass(frozen=True, eq=False)
 class Together:
-    """What the devices of a set have in common.
+    """What the devices of a set have in common."""
 
-    Parameters
-    ----------
-    set_name : str
-        The set; empty for all devices of the campaign.
-    devices : tuple of Diagnosed
-        Its diagnosed devices.
-    common : Common
-        What they have in common.
-    """
-
-    set_name: str
-    devices: tuple[Diagnosed, ...]
-    common: Common
+    set_name: str  # the set; empty for all devices of the campaign
+    devices: tuple[Diagnosed, ...]  # its diagnosed devices
+    common: Common  # what they have in common
 
     @property
     def effects(self) -> dict[str, tuple[str, ...]]:

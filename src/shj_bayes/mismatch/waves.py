@@ -4,8 +4,6 @@ A period has a narrow basin, so all of them are looked at in one sweep, to first
 the model, as in a periodogram, but held against the noise, the discrepancy and everything the model can follow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The law with physical effects: Eq. (1) and (2) plus whatever a list of effects contributes."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
@@ -24,29 +22,11 @@ def force_with_effects(
     start_force_kN: float = 0.0,
     acted: dict[Hashable, Contribution] | None = None,
 ) -> FloatArray:
-    """Force of one run with effects.
+    """Force of one run with effects, shape (n_samples,), kN; without any that of `shj_bayes.model.law`.
 
-    Parameters
-    ----------
-    history : History
-        The run.
-    base : Base
-        K, Fy of this run, beta, gamma.
-    effects : sequence of Effect
-        What is added to the base law; none gives `shj_bayes.model.law.force`.
-    values : mapping of effect id to mapping of parameter name to value
-        In the units of each effect.
-    variant : {"published", "continuous"}
-        Reversal rule of the base law.
-    start_force_kN : float
-        Rate-free force at the first sample, kN.
-    acted : dict, optional
-        Contributions to this run that are known, to take from and to add to: parameter sets often share most values.
-
-    Returns
-    -------
-    array, shape (n_samples,)
-        Force, kN.
+    `values` are those of the parameters of each effect by its id and their names, in their units. The rate-free force
+    at the first sample is given. `acted` holds contributions to this run that are known, to take from and to add to:
+    parameter sets often share most values.
     """
     lag_s = sum(values[effect.id][effect.delay] for effect in effects if effect.delay)
     late = delayed(history, lag_s) if lag_s else None
@@ -67,10 +47,10 @@ def force_with_effects(
         start_force_kN -= float(np.ravel(total.added_kN)[0])
     share, gap, stiffness = total.second_surface
     smooth = 1.0 if variant == "continuous" else total.smooth_reversal
-    first, second = (1.0 - share, 0.0, 1.0 - share, smooth), (share, gap, stiffness * share, smooth)
-    force = _surface(moved, base, total, clamping, first, start_force_kN * (1.0 - share))
+    force = _surface(moved, base, total, clamping, (1.0 - share, 0.0, 1.0 - share, smooth), start_force_kN)
     if share > 0:
-        force = force + _surface(moved, base, total, clamping, second, start_force_kN * share)
+        second = (share, gap, stiffness * share, smooth)
+        force = force + _surface(moved, base, total, clamping, second, start_force_kN)
     force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * moved.speed_mm_s) + total.added_kN
     force = force[own]
     if lag_s and late is None:
@@ -84,29 +64,14 @@ def _surface(
     total: Contribution,
     clamping: FloatArray,
     surface: tuple[float, float, float, float],
-    start_force: float,
+    start_force_kN: float,
 ) -> FloatArray:
     """Rate-free force of one sliding surface that carries a share of capacity and of stiffness behind a gap."""
     share, gap, stiffness, smooth = surface
     motion = history.motion
-    out = np.empty(motion.displacement_mm.size)
-    rate_free_force(
-        out,
-        motion.displacement_mm,
-        motion.start,
-        motion.turning_mm,
-        motion.direction,
-        np.array([base.K * stiffness, base.Fy * share, base.beta]),
-        clamping,
-        np.array(
-            [
-                total.slack_mm + gap,
-                total.take_up_mm,
-                total.compliance_mm_per_kN / max(share, 1e-12),
-                smooth,
-                total.open_at_start,
-            ]
-        ),
-        start_force,
-    )
+    compliance = total.compliance_mm_per_kN / max(share, 1e-12)
+    law = np.array([base.K * stiffness, base.Fy * share, base.beta])
+    added = np.array([total.slack_mm + gap, total.take_up_mm, compliance, smooth, total.open_at_start])
+    out, of_motion = np.empty(motion.displacement_mm.size), (motion.start, motion.turning_mm, motion.direction)
+    rate_free_force(out, motion.displacement_mm, *of_motion, law, clamping, added, start_force_kN * share)
     return out

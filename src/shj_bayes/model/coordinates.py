@@ -1,7 +1,5 @@
 """What the force may depend on: each state coordinate with its unit, how it follows from a history, and its words."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,14 +11,16 @@ from numba import njit
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import ModelError
 from shj_bayes.model.effects.effect import Base
-from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm
+from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
 from shj_bayes.model.history import History
 from shj_bayes.model.measured import PREFIX, Measured
 from shj_bayes.model.parameters import FloatArray
 
 LOW_SPEED = 0.02  # of the peak speed, below which the logarithmic scale of the speed is linear
 SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid
+FIRST_SLID = 0.03  # of the travel in all tests, likewise for it: surfaces bed in within the first strokes
 FASTEST = 1.15  # of the peak speed (a 95th percentile)
+PAD = 0.2  # of the half stroke: bell over which the passes over a place are counted
 STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
 # How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or
 # wanders.
@@ -136,11 +136,22 @@ ALL = (
     Coordinate(
         "travel",
         "m",
-        "the distance travelled",
-        lambda h, b: h.travel_m,
+        "the distance slid",
+        slid_m,
         lambda h: (0.0, h.tested_m),
+        scale=FIRST_SLID,
         lengths=MappingProxyType({0.15: 0.2, 0.5: 0.8}),
         symbol="s",
+        of_base=True,
+    ),
+    Coordinate(
+        "passes",
+        "1",
+        "the number of passes over the place",
+        partial(passes, width=PAD),
+        lambda h: (0.0, 1000.0 * h.tested_m / h.half_stroke_mm),
+        symbol="n",
+        of_base=True,
     ),
     Coordinate(
         "time",

@@ -1,7 +1,5 @@
 """Motion between the samples, compiled: what a history was at other times than those it was recorded at."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 
@@ -13,17 +11,8 @@ from shj_bayes.model.parameters import FloatArray
 SLOWING = (0.5, 0.25, 0.125, 0.0625, 0.03125, 0.0)
 # Distances from a turning point, of the half stroke, at which samples that thinning leaves out go on being followed.
 NEAR_TURNING = (0.0003, 0.001, 0.003, 0.01)
-ROWS = (
-    "time_s",
-    "displacement_mm",
-    "speed_mm_s",
-    "direction",
-    "slip_mm",
-    "travel_m",
-    "amplitude_mm",
-    "acceleration_mm_s2",
-    "rest_s",
-)
+OF_MOTION = ("time_s", "displacement_mm", "speed_mm_s")
+ROWS = (*OF_MOTION, "direction", "slip_mm", "travel_m", "amplitude_mm", "acceleration_mm_s2", "rest_s")
 
 
 def course_of(
@@ -31,13 +20,8 @@ def course_of(
 ) -> FloatArray:
     """Polynomials in the time since each sample, for `fill_between`, shape (n_samples - 1, 9).
 
-    Displacement follows the cubics through displacement and velocity of the samples on either side, travel and
+    Displacement (mm) follows the cubics through displacement and velocity of the samples on either side, travel (m) and
     acceleration the straight lines.
-
-    Parameters
-    ----------
-    time, displacement, velocity, travel, acceleration : array, shape (n_samples,)
-        In s, mm, mm/s, m, mm/s^2.
     """
     step = np.diff(time)
     step = np.where(step > 0.0, step, np.inf)  # two points of one moment have nothing between them

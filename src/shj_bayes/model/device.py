@@ -132,32 +132,15 @@ class DeviceModel:
             capacity = capacity * theta[:, self.index(run_name("ratio", run))]
         return np.ascontiguousarray(np.stack([theta[:, at["K"]], capacity, theta[:, at["beta"]], gamma], axis=1))
 
-    def force(
-        self, theta: FloatArray, history: History, start_force_kN: float, out: FloatArray | None = None
-    ) -> FloatArray:
-        """Force of one run without noise.
+    def force(self, theta: FloatArray, history: History, start_force_kN: float) -> FloatArray:
+        """Force of one run without noise, kN, for parameter sets in natural units, shape (m, d) to (m, n_samples).
 
-        Parameters
-        ----------
-        theta : array, shape (m, d)
-            Parameter sets in natural units.
-        history : History
-            The run, at any of its samples.
-        start_force_kN : float
-            Rate-free force at the first sample of the run, kN.
-        out : array, shape (m, n), optional
-            Where to put the result.
-
-        Returns
-        -------
-        array, shape (m, n)
-            Force, kN.
+        The rate-free force at the first sample of the run is given.
         """
         laws = self.run_laws(theta, history.run)
         if not self.effects:
-            return force_of_laws(history.motion, laws, variant=self.variant, start_force_kN=start_force_kN, out=out)
-        if out is None:
-            out = np.empty((theta.shape[0], history.time_s.size))
+            return force_of_laws(history.motion, laws, variant=self.variant, start_force_kN=start_force_kN)
+        out = np.empty((theta.shape[0], history.time_s.size))
         first = theta[:, self.index("Fy")]
         places = {e.id: [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters] for e in self.effects}
         acted: dict[Hashable, Contribution] = {}

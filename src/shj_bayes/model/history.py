@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,8 @@ class History:
     begun_s: float
     tested_s: float
     tested_m: float  # distance moved in all runs together, m
+    # where earlier runs began, turned and ended, one array a run: distances from the middle of the stroke, mm
+    earlier: tuple[FloatArray, ...] = ()
     # samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and where
     # those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
     near_turns: Way | None = None
@@ -61,17 +64,8 @@ class History:
     def on_scales_of(self, tested: History, position_mm: FloatArray) -> History:
         """Give the same motion with the scales that a device's parameters and curves are stated on: those of its tests.
 
-        Parameters
-        ----------
-        tested : History
-            Any run of the device's own tests.
-        position_mm : array, shape (n_samples,)
-            Distance from the middle of the stroke of those tests, mm.
-
-        Returns
-        -------
-        History
-            Its further channels, of which the motion says nothing, stand at their references.
+        `tested` is any run of them, `position_mm` the distance from the middle of their stroke. Further channels, of
+        which the motion says nothing, stand at their references.
         """
         scales = {name: getattr(tested, name) for name in SCALES}
         return replace(self, position_mm=position_mm, measured=tested.held({}).measured, **scales)
@@ -86,16 +80,14 @@ class History:
         """Speed, mm/s."""
         return self.motion.speed_mm_s
 
-    def recall(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
-        """Give what follows from this history alone, worked out once: a model is asked for many parameters.
+    @property
+    def turned_at(self) -> FloatArray:
+        """Where the run began, turned and ended: distances from the middle of the stroke, shape (n_half + 1,), mm."""
+        middle = self.motion.displacement_mm[-1] - self.position_mm[-1]
+        return np.asarray(np.append(self.motion.turning_mm, self.motion.displacement_mm[-1]) - middle)
 
-        Parameters
-        ----------
-        key : hashable
-            What it is.
-        make : callable
-            Works it out.
-        """
+    def recall(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
+        """Give what follows from this history alone, worked out once: a model is asked for many parameters."""
         if key not in self._recalled:
             if len(self._recalled) >= RECALLED:
                 self._recalled.clear()
@@ -109,14 +101,8 @@ class History:
     def reduced(self, rows: FloatArray, motion: Motion, kept: NDArray[np.int64] | None = None) -> History:
         """Give the history at fewer points, which need not be samples.
 
-        Parameters
-        ----------
-        rows : array, shape (9, n)
-            Channels at those points, in the order of `course.ROWS`.
-        motion : Motion
-            Motion of these points.
-        kept : array of int, optional
-            Samples of this history that are among the points.
+        `rows`, shape (9, n), are channels there in the order of `course.ROWS`, `motion` is that of the points; `kept`
+        are samples of this history that are among the points.
         """
         way, begins = self.way
         left_out = np.setdiff1d(_near_turning(self.motion), np.zeros(0, dtype=np.int64) if kept is None else kept)
@@ -125,14 +111,7 @@ class History:
         order = np.lexsort((both[0], half))
         turns = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(motion.n_half + 1)))
         middle = self.motion.displacement_mm[0] - self.position_mm[0]
-        channels = dict(zip(ROWS, rows, strict=True))
-        return replace(
-            self,
-            motion=motion,
-            near_turns=turns,
-            position_mm=rows[1] - middle,
-            **{name: channels[name] for name in ARRAYS if name in channels},
-        )
+        return replace(self, motion=motion, near_turns=turns, position_mm=rows[1] - middle, **_channels(rows))
 
     def thinned(self, keep: NDArray[np.int64], motion: Motion) -> History:
         """History at some of its samples; `motion` is that of these."""
@@ -204,16 +183,9 @@ SCALES = ("half_stroke_mm", "peak_speed_mm_s", "n_runs", "tested_s", "tested_m")
 def histories(
     times_s: Sequence[FloatArray], motions: Sequence[Motion], measured: Sequence[Mapping[str, Measured]] = ()
 ) -> tuple[History, ...]:
-    """Histories of the consecutive runs of one device.
+    """Histories of the consecutive runs of one device, from times (s), motion and further channels of each.
 
-    Parameters
-    ----------
-    times_s : sequence of array, shape (n_samples,)
-        Sampling times of each run, s.
-    motions : sequence of Motion
-        Motion of each run.
-    measured : sequence of mapping of str to Measured
-        Further channels of each run; none where not given.
+    Without `measured` there are no further channels.
     """
     further = measured or ({},) * len(motions)
     low = min(float(m.displacement_mm.min()) for m in motions)
@@ -225,7 +197,7 @@ def histories(
     peak = max(float(np.percentile(m.speed_mm_s, 95)) for m in motions)
     tested = float(sum(time[-1] - time[0] for time in times_s))
     travelled = float(sum(m.travel_mm[-1] for m in motions)) / 1000
-    out = []
+    out: list[History] = []
     before, begun = 0.0, 0.0
     for run, (time, motion, own) in enumerate(zip(times_s, motions, further, strict=True), start=1):
         index = motion.half_cycle
@@ -253,6 +225,7 @@ def histories(
                 begun_s=begun,
                 tested_s=tested,
                 tested_m=travelled,
+                earlier=tuple(one.turned_at for one in out),
                 measured=own,
             )
         )
@@ -262,20 +235,7 @@ def histories(
 
 
 def delayed(history: History, lag_s: float) -> tuple[History, NDArray[np.int64]] | None:
-    """`History.turned` of the moment `lag_s` ago.
-
-    Parameters
-    ----------
-    history : History
-        Of one run.
-    lag_s : float
-        Delay, s; may be negative.
-
-    Returns
-    -------
-    tuple of History and array of int, or None
-        None where that leaves a half-cycle without samples.
-    """
+    """`History.turned` of the moment `lag_s` ago (or to come); None where that leaves a half-cycle without samples."""
     time = history.time_s
     start = np.concatenate([[0], np.searchsorted(time - lag_s, history.turn_s), [time.size]]).astype(np.int64)
     return None if np.any(np.diff(start) <= 0) else _with_way(history, lag_s, start)
@@ -291,21 +251,13 @@ def _with_way(history: History, lag_s: float, start: NDArray[np.int64]) -> tuple
     position = rows[1] - (motion.displacement_mm[0] - history.position_mm[0])
     for array in (rows, position):  # so that nobody copies them
         array.setflags(write=False)
-    time, x, speed, direction, slip, travel, amplitude, acceleration, rest = rows
-    moved = replace(
-        history,
-        motion=Motion(x, speed, start + begins, motion.turning_mm, motion.direction),
-        time_s=time,
-        position_mm=position,
-        direction=direction,
-        slip_mm=slip,
-        travel_m=travel,
-        amplitude_mm=amplitude,
-        acceleration_mm_s2=acceleration,
-        rest_s=rest,
-        near_turns=None,
-    )
-    return moved, own
+    moved = Motion(rows[1], rows[2], start + begins, motion.turning_mm, motion.direction)
+    return replace(history, motion=moved, position_mm=position, near_turns=None, **_channels(rows)), own
+
+
+def _channels(rows: FloatArray) -> dict[str, Any]:
+    """Channels of a history by name, but for those of its motion, from rows in the order of `course.ROWS`."""
+    return {name: row for name, row in zip(ROWS, rows, strict=True) if name in ARRAYS}
 
 
 def _near_turning(motion: Motion) -> NDArray[np.int64]:

@@ -10,8 +10,6 @@ times slower); a second logarithm and exponential in place of the polynomial in 
 the equation, which overflows for beta above about 150 where the elastic branch runs far ahead of Fy.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -121,26 +119,9 @@ def knee_of(beta):  # type: ignore[no-untyped-def]
             c[i] += _POWERS[i, k] * t[k]
         c[i] /= at_zero
     return (
-        c[0],
-        c[1],
-        c[2],
-        c[3],
-        c[4],
-        c[5],
-        c[6],
-        c[7],
-        c[8],
-        c[9],
-        c[10],
-        c[11],
-        c[12],
-        c[13],
-        c[14],
-        c[15],
-        c[16],
-        c[17],
-        c[18],
-    )
+        c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
+        c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18],
+    )  # fmt: skip
 
 
 @njit(error_model="numpy", fastmath={"contract"}, inline="always")  # too long for the compiler to do so by itself

@@ -1,7 +1,5 @@
 """The velocity-augmented Menegotto-Pinto law: Eq. (1) with Eq. (2) of the paper, and its continuous variant."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes._util.did_you_mean import did_you_mean
@@ -16,12 +14,7 @@ BETA_RANGE = (1.0, 500.0)
 
 
 def force_of_laws(
-    motion: Motion,
-    laws: FloatArray,
-    *,
-    variant: str = "published",
-    start_force_kN: float = 0.0,
-    out: FloatArray | None = None,
+    motion: Motion, laws: FloatArray, *, variant: str = "published", start_force_kN: float = 0.0
 ) -> FloatArray:
     """Force for many parameter sets at once.
 
@@ -33,52 +26,23 @@ def force_of_laws(
     ``published`` is this: at a reversal the force jumps by the factor 2^(-1/beta).
     ``continuous`` lets the denominator act only once e has the sign of the motion, so unloading starts from F_reset.
 
-    Parameters
-    ----------
-    motion : Motion
-        Displacement history.
-    laws : array, shape (m, 4)
-        K (kN/mm), Fy (kN), beta, gamma (s/mm) of each set.
-    variant : {"published", "continuous"}
-        Reversal rule.
-    start_force_kN : float
-        Rate-free force at the first sample, kN.
-    out : array, shape (m, n_samples), optional
-        Where to put the result; fresh memory costs as much as the arithmetic when the law is called in a loop.
-
-    Returns
-    -------
-    array, shape (m, n_samples)
-        Force, kN.
-
-    Raises
-    ------
-    ModelError
-        If a parameter is outside what the law allows.
+    `laws`, shape (m, 4), are K (kN/mm), Fy (kN), beta, gamma (s/mm) of each set; the rate-free force at the first
+    sample is given. The force has shape (m, n_samples), kN. `ModelError` if a parameter is outside what the law allows.
     """
     laws = np.ascontiguousarray(laws, dtype=np.float64)
     variant = variant_named(variant)
     if laws.ndim != 2 or laws.shape[1] != 4:
         raise ModelError(f"laws has shape {laws.shape}; it needs (m, 4) for K, Fy, beta, gamma")
-    check_laws(laws)
+    _check("K", "kN/mm", laws[:, 0], 0.0, np.inf)
+    _check("Fy", "kN", laws[:, 1], 0.0, np.inf)
+    _check("beta", "", laws[:, 2], *BETA_RANGE)
+    _check("gamma", "s/mm", laws[:, 3], -np.inf, np.inf)
     if not np.isfinite(start_force_kN):
         raise ModelError(f"start force = {start_force_kN} kN: it must be a finite number")
-    shape = (laws.shape[0], motion.displacement_mm.size)
-    if out is None:
-        out = np.empty(shape)
-    elif out.shape != shape or out.dtype != np.float64:  # the compiled loop does not check bounds
-        raise ModelError(f"out has shape {out.shape} of {out.dtype}; it needs {shape} of float64")
-    kernel.force_of_many(
-        out,
-        motion.displacement_mm,
-        motion.speed_mm_s,
-        motion.start,
-        motion.turning_mm,
-        motion.direction,
-        laws,
-        float(start_force_kN),
-        VARIANTS[variant],
-    )
+    out = np.empty((laws.shape[0], motion.displacement_mm.size))
+    half_cycles = (motion.start, motion.turning_mm, motion.direction)
+    way = (motion.displacement_mm, motion.speed_mm_s, *half_cycles)
+    kernel.force_of_many(out, *way, laws, float(start_force_kN), VARIANTS[variant])
     return out
 
 
@@ -102,40 +66,9 @@ def force(
     variant: str = "published",
     start_force_kN: float = 0.0,
 ) -> FloatArray:
-    """Force for one parameter set; see `force_of_laws`.
-
-    Parameters
-    ----------
-    motion : Motion
-        Displacement history.
-    K : float
-        Initial stiffness, kN/mm.
-    Fy : float
-        Sliding force, kN.
-    beta : float
-        Sharpness, 1 to 500.
-    gamma : float
-        Speed coefficient, s/mm.
-    variant : {"published", "continuous"}
-        Reversal rule.
-    start_force_kN : float
-        Rate-free force at the first sample, kN.
-
-    Returns
-    -------
-    array, shape (n_samples,)
-        Force, kN.
-    """
+    """Force for one parameter set, kN; see `force_of_laws`."""
     laws = np.array([[K, Fy, beta, gamma]])
     return np.asarray(force_of_laws(motion, laws, variant=variant, start_force_kN=start_force_kN)[0])
-
-
-def check_laws(laws: FloatArray) -> None:
-    """Refuse parameter sets (K, Fy, beta, gamma), shape (m, 4), that the law does not allow (`ModelError`)."""
-    _check("K", "kN/mm", laws[:, 0], 0.0, np.inf)
-    _check("Fy", "kN", laws[:, 1], 0.0, np.inf)
-    _check("beta", "", laws[:, 2], *BETA_RANGE)
-    _check("gamma", "s/mm", laws[:, 3], -np.inf, np.inf)
 
 
 def _check(name: str, unit: str, values: FloatArray, low: float, high: float) -> None:

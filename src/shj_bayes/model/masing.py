@@ -6,8 +6,6 @@ loop that it left. Limits of the sliders are chosen so that the branch after ful
 continuous rule; the two rules differ on the first loading and in cycles that do not slide.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 
@@ -18,22 +16,7 @@ N_ELEMENTS = 32
 
 
 def masing_force(motion: Motion, law: FloatArray, start_force_kN: float = 0.0) -> FloatArray:
-    """Force of one parameter set under Masing's rule.
-
-    Parameters
-    ----------
-    motion : Motion
-        Displacement history.
-    law : array, shape (4,)
-        K (kN/mm), Fy (kN), beta, gamma (s/mm).
-    start_force_kN : float
-        Rate-free force at the first sample, kN.
-
-    Returns
-    -------
-    array, shape (n_samples,)
-        Force, kN.
-    """
+    """Force of one parameter set (K, Fy, beta, gamma) under Masing's rule, kN."""
     stiffness, capacity, beta, gamma = (float(value) for value in law)
     hold = 1.0 - (np.arange(N_ELEMENTS) + 0.5) / N_ELEMENTS  # of the stiffness, where an element gives way
     limit = 1.0 + (hold ** (-beta / (beta + 1.0)) - 1.0) ** (1.0 / beta)  # where Eq. (1) has that slope

@@ -49,17 +49,9 @@ def coordinate_of(name: str) -> str:
 
 
 def measured_in(runs: Sequence[Sequence[Channel]]) -> tuple[Mapping[str, Measured], ...]:
-    """Further channels of each run of a device, by coordinate.
+    """Further channels of each run of a device (the same ones in each), by coordinate.
 
-    Parameters
-    ----------
-    runs : sequence of sequence of Channel
-        Of each run, the same ones.
-
-    Returns
-    -------
-    tuple of mapping
-        Without those that have one value throughout.
+    Those that have one value throughout are left out.
     """
     out: list[dict[str, Measured]] = [{} for _ in runs]
     for name in [channel.name for channel in runs[0]] if runs else ():

@@ -1,7 +1,5 @@
 """The parameters by name, with unit and meaning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

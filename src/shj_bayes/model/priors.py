@@ -4,8 +4,6 @@ A prior owns the way from its parameter to an unbounded one (logarithm, normal q
 that way; the likelihood never sees either.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -188,17 +186,9 @@ class Priors:
 
 
 def read_priors(which: str | Path = "afc") -> Priors:
-    """Read a prior file.
+    """Read a shipped prior family by its name (``afc``, ``general``), or the path of a TOML file.
 
-    Parameters
-    ----------
-    which : str or Path
-        Name of a shipped family (``afc``, ``general``) or path of a TOML file.
-
-    Raises
-    ------
-    PriorError
-        If the file cannot be read, with the table and value at fault.
+    `PriorError` if the file cannot be read, with the table and value at fault.
     """
     path = Path(which)
     if path.suffix != ".toml":

@@ -1,7 +1,5 @@
 """Recordings from stated parameters: the law, then noise on force and on displacement."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 

@@ -1,7 +1,5 @@
 """How many further devices until the force that 95 % of devices exceed is known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,50 +17,23 @@ MOST = 500
 
 @dataclass(frozen=True)
 class Further:
-    """Devices needed.
+    """Devices needed."""
 
-    Parameters
-    ----------
-    n_tested : int
-        Devices tested so far.
-    force_kN : float
-        Estimate of the force that 95 % of devices exceed.
-    spread : float
-        Standard deviation of the logarithm of the force between devices.
-    half_width_now : float
-        Half of the 90 % interval of that force now, as a share of it.
-    n_further : int or None
-        Further devices; None where more than `MOST` would be needed.
-    table : tuple of (int, float, float)
-        Further devices, half width as a share of the force: expected, and kept with `ASSURANCE`.
-    """
-
-    n_tested: int
-    force_kN: float
-    spread: float
-    half_width_now: float
-    n_further: int | None
+    n_tested: int  # devices tested so far
+    force_kN: float  # estimate of the force that 95 % of devices exceed
+    spread: float  # standard deviation of the logarithm of the force between devices
+    half_width_now: float  # half of the 90 % interval of that force now, as a share of it
+    n_further: int | None  # further devices; None where more than `MOST` would be needed
+    # further devices, half width as a share of the force: expected, and kept with `ASSURANCE`
     table: tuple[tuple[int, float, float], ...]
 
 
 def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Further:
-    """Plan further devices for a lognormal population.
+    """Plan further devices for a lognormal population; `PlanError` for fewer than two: one says nothing of the spread.
 
     The half width of the interval of a fractile is that of the noncentral t distribution (Owen 1963, factors for
-    tolerance limits) times the spread; what the spread will turn out to be has the chi-square law of the devices
-    tested so far.
-
-    Parameters
-    ----------
-    forces_kN : sequence of float
-        Sliding force of each device.
-    errors : sequence of float
-        Standard deviation of the logarithm with which each is known.
-
-    Raises
-    ------
-    PlanError
-        If there are fewer than two devices: one says nothing of the spread.
+    tolerance limits) times the spread; what the spread will turn out to be has the chi-square law of the devices tested
+    so far. `errors` are standard deviations of the logarithm with which each force is known.
     """
     n = len(forces_kN)
     if n < 2:

@@ -1,7 +1,5 @@
 """The files of a plan: ``plan.json`` and the displacement histories as CSV."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -68,13 +66,7 @@ def write_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None, middl
 
 
 def read_plan(folder: Path) -> dict[str, Any]:
-    """Read ``plan.json`` of a folder.
-
-    Raises
-    ------
-    PlanError
-        If it is damaged or of another kind.
-    """
+    """Read ``plan.json`` of a folder; `PlanError` where it is damaged or of another kind."""
     record = read_json(folder / PLAN, PlanError)
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise PlanError(f"{PLAN} in {folder.name} is not of schema {SCHEMA}; run shj-bayes plan again")
@@ -82,13 +74,7 @@ def read_plan(folder: Path) -> dict[str, Any]:
 
 
 def history_csv(protocol: Protocol, rig: Rig, middle_mm: float = 0.0) -> str:
-    """Displacement history at the rig's rate, checked sample by sample.
-
-    Raises
-    ------
-    PlanError
-        If a sample leaves the limits of the rig.
-    """
+    """Displacement history at the rig's rate; `PlanError` where a sample leaves the limits of the rig."""
     time, motion = protocol.sampled(rig.rate_Hz)
     x = np.round(motion.displacement_mm, DIGITS)
     fastest = float(np.abs(np.diff(x)).max() * rig.rate_Hz)

@@ -5,8 +5,6 @@ evidence under each rival is closed: outcomes are drawn from the rivals in their
 and a posterior without sampling (expected information of a design: Lindley 1956, Ann. Math. Statist. 27, 986).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,24 +32,13 @@ STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A design quantity as a linear function of each rival's parameters.
-
-    Parameters
-    ----------
-    name, unit : str
-        Which.
-    values : array, shape (n_beliefs,)
-        At the mean of each rival.
-    slopes : tuple of array, shape (n_law + p,)
-        Its derivatives there.
-    value : callable
-        ``value(model, z)`` gives it for unbounded law parameters of a model, shape (n_law,).
-    """
+    """A design quantity as a linear function of each rival's parameters."""
 
     name: str
     unit: str
-    values: FloatArray
-    slopes: tuple[FloatArray, ...]
+    values: FloatArray  # shape (n_beliefs,): at the mean of each rival
+    slopes: tuple[FloatArray, ...]  # shape (n_law + p,) each: derivatives there
+    # ``value(model, z)`` gives it for unbounded law parameters of a model, shape (n_law,)
     value: Callable[[DeviceModel, FloatArray], float]
 
     def now(self, beliefs: Sequence[Belief]) -> tuple[float, float]:
@@ -63,33 +50,16 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What a protocol is expected to give.
+    """What a protocol is expected to give."""
 
-    Parameters
-    ----------
-    entropy : float
-        Expected entropy of the probabilities of the sets after it, nats.
-    of_truth : float
-        Expected probability of the true set.
-    right : float
-        Chance that the most probable set is the true one.
-    sd : float or None
-        Expected standard deviation of the quantity that is asked for (root of the mean variance).
-    force_kN : float
-        Largest force, two standard deviations above what is predicted.
-    by_set : dict of frozenset to float
-        Expected probability of each set where it is the true one.
-    told : float
-        Mean of `by_set` over the contenders, each counted alike: which of them is the more probable so far hangs on the
-        form that each was given.
-    """
-
-    entropy: float
-    of_truth: float
-    right: float
-    sd: float | None
-    force_kN: float
-    by_set: dict[Key, float]
+    entropy: float  # expected entropy of the probabilities of the sets after it, nats
+    of_truth: float  # expected probability of the true set
+    right: float  # chance that the most probable set is the true one
+    sd: float | None  # expected standard deviation of the quantity that is asked for (root of the mean variance)
+    force_kN: float  # largest force, two standard deviations above what is predicted
+    by_set: dict[Key, float]  # expected probability of each set where it is the true one
+    # mean of `by_set` over the contenders, each counted alike: which of them is the more probable so far hangs on the
+    # form that each was given
     told: float
 
 
@@ -108,49 +78,17 @@ def spread_of(shares: FloatArray, means: FloatArray, variances: FloatArray) -> F
 def foresee(
     known: Known, protocol: Protocol, rate_Hz: float, seed: int, quantity: Quantity | None = None, n: int = OUTCOMES
 ) -> Foreseen:
-    """Weigh the outcomes that a protocol may have.
+    """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed.
 
-    Parameters
-    ----------
-    known : Known
-        The device before it.
-    protocol : Protocol
-        The candidate.
-    rate_Hz : float
-        Sampling rate, Hz.
-    seed : int
-        Same seed, same numbers; candidates share it.
-    quantity : Quantity, optional
-        What should become narrow.
-    n : int
-        Outcomes drawn from each rival.
+    With a `quantity`, what it is expected to be known to as well.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
-    scene, misread = as_read(known, protocol, rate_Hz, rng)
     beliefs = known.beliefs
-    first = beliefs[0]
-    slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
-    metric = Metric(scene, known.setting, slope)
-    columns, forces = [metric.whitened(misread[:, None])[0], metric.other], []
-    for b in beliefs:
-        force, jacobian = _linear(scene, b)
-        told = _drawn(b)
-        own = np.linalg.inv(b.precision)[: b.z.size, : b.z.size]
-        sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian * told, own, jacobian * told))
-        forces.append(float(np.max(np.abs(force) + SURE * sd)))
-        columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian]))[0])
-    means, designs = [], []
-    wrong, other, *own_columns = _reduced(columns)
-    for b, white in zip(beliefs, own_columns, strict=True):
-        old_zeros = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
-        designs.append(np.concatenate([white[:, 1:], other, old_zeros], axis=1))
-        means.append(white[:, 0] + designs[-1] @ b.mean)
-    outcomes = np.concatenate(
-        [_outcomes(b, m, a, n, rng) for b, m, a in zip(beliefs, means, designs, strict=True)], axis=1
-    )
+    lines, wrong, force_kN = _lines(known, *as_read(known, protocol, rate_Hz, rng))
+    outcomes = np.concatenate([_outcomes(b, *line, n, rng) for b, line in zip(beliefs, lines, strict=True)], axis=1)
     outcomes += wrong
     logs, values, variances = [], [], []
-    for i, (b, m, a) in enumerate(zip(beliefs, means, designs, strict=True)):
+    for i, (b, (m, a)) in enumerate(zip(beliefs, lines, strict=True)):
         after = cho_factor(b.precision + a.T @ a, lower=True)
         away = outcomes - m[:, None]
         along = a.T @ away
@@ -179,35 +117,44 @@ def foresee(
         float(chance @ own),
         float(chance @ (by_key.argmax(axis=1) == truth)),
         sd,
-        max(forces),
+        force_kN,
         by_set,
         float(np.mean([by_set[key] for key in known.contenders])),
     )
 
 
+def _lines(
+    known: Known, scene: Scene, misread: FloatArray
+) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, float]:
+    """Linearise a planned run: mean and design of each rival, what all get wrong, and the largest force, kN.
+
+    In units of the noise, in coordinates of the space that they span.
+    """
+    first = known.beliefs[0]
+    metric = Metric(scene, known.setting, scene.residual_and_slope(first.model, first.z[None])[1][0])
+    columns, forces = [metric.whitened(misread[:, None])[0], metric.other], []
+    for b in known.beliefs:
+        residual = scene.residual(b.model, b.z[None])[0]
+        force, jacobian = (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
+        told = jacobian * _drawn(b)
+        own = np.linalg.inv(b.precision)[: b.z.size, : b.z.size]
+        forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
+        columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian]))[0])
+    wrong, other, *own_columns = _reduced(columns)
+    lines = []
+    for b, white in zip(known.beliefs, own_columns, strict=True):
+        old_zeros = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
+        design = np.concatenate([white[:, 1:], other, old_zeros], axis=1)
+        lines.append((white[:, 0] + design @ b.mean, design))
+    return lines, wrong, max(forces)
+
+
 def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> tuple[Scene, FloatArray]:
-    """Give a planned run as the readers will see it, and what they will get wrong of it.
+    """Give a planned run as the readers will see it, and what they will get wrong of it, kN, shape (n_blocks,).
 
     Every rival is held against the motion that is found in the samples. Where this is not the motion that was run, as
-    at the corners of a fast triangle, the force differs in a way that none of them holds.
-
-    Parameters
-    ----------
-    known : Known
-        The device.
-    protocol : Protocol
-        The candidate.
-    rate_Hz : float
-        Sampling rate, Hz.
-    rng : numpy.random.Generator
-        Noise of the displacement.
-
-    Returns
-    -------
-    Scene
-        The model held against the run.
-    array, shape (n_blocks,)
-        Force of the base law along the motion that was run less that along the motion that is found, kN.
+    at the corners of a fast triangle, the force differs in a way that none of them holds: that of the base law along
+    the motion that was run less that along the motion that is found.
     """
     time, motion = protocol.sampled(rate_Hz)
     found = motion_of(Recording(time, known.wobbling(motion.displacement_mm, rng), np.zeros(time.size), source=PLANNED))
@@ -217,17 +164,7 @@ def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Gen
 
 
 def quantity_of(known: Known, name: str, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> Quantity:
-    """Linearise a design quantity about every rival.
-
-    Parameters
-    ----------
-    known : Known
-        The device.
-    name, unit : str
-        Which quantity.
-    value : callable
-        ``value(model, z)`` gives it for unbounded law parameters of a rival's model, shape (n_law,).
-    """
+    """Linearise a design quantity about every rival; `value` as in `Quantity`."""
     values, slopes = [], []
     for b in known.beliefs:
         z, n = b.mean[: b.z.size], b.z.size
@@ -237,12 +174,6 @@ def quantity_of(known: Known, name: str, unit: str, value: Callable[[DeviceModel
         values.append(value(b.model, z))
         slopes.append(slope)
     return Quantity(name, unit, np.array(values), tuple(slopes), value)
-
-
-def _linear(scene: Scene, b: Belief) -> tuple[FloatArray, FloatArray]:
-    """Force of a planned run and its derivatives, shapes (n,) and (n, n_law)."""
-    residual = scene.residual(b.model, b.z[None])[0]
-    return (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
 
 
 def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:

@@ -5,8 +5,6 @@ formulas), each linearised at its most probable parameters. What the generic dis
 carried over. Coordinates have the scales of old tests and planned one together, as the next diagnosis will see them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -49,74 +47,33 @@ Key = frozenset[str]
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """One thing that a device may be.
+    """One thing that a device may be."""
 
-    Parameters
-    ----------
-    key : frozenset of str
-        Classes that it holds beyond the base law.
-    share : float
-        Its probability.
-    model : DeviceModel
-        Model of the old runs and the planned one.
-    z : array, shape (n_law,)
-        Where it is linearised, unbounded.
-    mean : array, shape (n_law + p + 1 + n_runs,)
-        Mean of the law parameters, the coefficients of the discrepancy and the load cell's zeros in the planned run and
-        in the old ones, after the old tests.
-    precision : array, shape (d, d)
-        Inverse of their covariance; d is the length of `mean`.
-    evidence : float
-        Log density of the old tests; 0 where there are none.
-    """
-
-    key: Key
-    share: float
-    model: DeviceModel
-    z: FloatArray
+    key: Key  # classes that it holds beyond the base law
+    share: float  # its probability
+    model: DeviceModel  # model of the old runs and the planned one
+    z: FloatArray  # shape (n_law,): where it is linearised, unbounded
+    # shape (d,), d = n_law + p + 1 + n_runs: law parameters, coefficients of the discrepancy and the load cell's zeros
+    # in the planned run and in the old ones, after the old tests
     mean: FloatArray
-    precision: FloatArray
-    evidence: float = 0.0
+    precision: FloatArray  # shape (d, d): inverse of their covariance
+    evidence: float = 0.0  # log density of the old tests; 0 where there are none
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A device before its next test.
-
-    Parameters
-    ----------
-    name : str
-        The device.
-    runs : tuple of Run
-        Its tests so far; none where only priors are known.
-    device : DeviceModel
-        Base model of the old runs and the planned one.
-    z : array, shape (n_law,)
-        Parameters of the base model, unbounded.
-    old : tuple of Averages
-        The old runs in blocks, on the common scales.
-    scales : mapping of str to float
-        Scales of the coordinates.
-    setting : NoiseSetting
-        Noise and discrepancy.
-    beliefs : tuple of Belief
-        What the device may be, most probable first; the shares add up to 1.
-    middle_mm : float
-        Displacement of the middle of the stroke, mm.
-    peak_mm_s : float or None
-        Peak speed of the old tests, which low speeds are a share of.
-    """
+    """A device before its next test."""
 
     name: str
-    runs: tuple[Run, ...]
-    device: DeviceModel
-    z: FloatArray
-    old: tuple[Averages, ...]
-    scales: Mapping[str, Any]
-    setting: NoiseSetting
-    beliefs: tuple[Belief, ...]
-    middle_mm: float
-    peak_mm_s: float | None = None
+    runs: tuple[Run, ...]  # its tests so far; none where only priors are known
+    device: DeviceModel  # base model of the old runs and the planned one
+    z: FloatArray  # shape (n_law,): parameters of the base model, unbounded
+    old: tuple[Averages, ...]  # the old runs in blocks, on the common scales
+    scales: Mapping[str, Any]  # of the coordinates; from `common_scales`
+    setting: NoiseSetting  # noise and discrepancy
+    beliefs: tuple[Belief, ...]  # what the device may be, most probable first; the shares add up to 1
+    middle_mm: float  # displacement of the middle of the stroke
+    peak_mm_s: float | None = None  # peak speed of the old tests, which low speeds are a share of
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -167,18 +124,9 @@ class Known:
         return displacement_mm + noise * rng.standard_normal(displacement_mm.size)
 
     def scene(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray, coarser: float = COARSER) -> Scene:
-        """Hold the model against one further run.
+        """Hold the model against one further run, its blocks `coarser` times as long as those of a fit.
 
-        Parameters
-        ----------
-        time_s : array, shape (n,)
-            Times from 0, s.
-        motion : Motion
-            Displacement from the middle of the stroke.
-        force_kN : array, shape (n,)
-            Measured force.
-        coarser : float
-            Blocks than those of a fit.
+        Times are from 0, the displacement is from the middle of the stroke.
         """
         run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=PLANNED), motion)
         bends = partial(self.base_force, share_of_speed=0.0)  # what the speed adds is straight
@@ -203,6 +151,7 @@ class Known:
             position_mm=history.motion.displacement_mm,
             travel_m=history.travel_m + moved,
             begun_s=begun,
+            earlier=() if last is None else (*last.earlier, last.turned_at),
             near_turns=turns,
             measured={} if last is None else last.held({}).measured,
             **self.scales,
@@ -242,31 +191,12 @@ def know(
     even: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Known:
-    """Fit the rivals to the old runs.
+    """Fit the rivals to the old runs, at least one.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Tests so far, at least one.
-    device : DeviceModel
-        Base model of these runs.
-    sets : sequence of (frozenset of str, float)
-        Sets of classes that the device may hold, with their probabilities after the diagnosis.
-    scales : mapping of str to float
-        From `common_scales`.
-    name : str
-        The device.
-    hidden : frozenset of str
-        Mechanisms that are not tried.
-    even : bool
-        Whether the probabilities are those before any test: what the old runs say of them is then weighed here.
-    tell : callable
-        Gets one line for each step.
-
-    Raises
-    ------
-    PlanError
-        If the device has had all the runs that a model takes, or a class is not known.
+    `sets` are sets of classes that the device may hold, with their probabilities after the diagnosis; with `even` those
+    before any test, and what the old runs say of them is then weighed here. `hidden` mechanisms are not tried. `tell`
+    gets one line for each step. `PlanError` if the device has had all the runs that a model takes, or a class is not
+    known.
     """
     if len(runs) >= MOST_RUNS:
         raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
@@ -304,17 +234,7 @@ def know(
 
 
 def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str = "a new device") -> Known:
-    """Give what the priors alone say: the base law, or one curve beside it, about the median device.
-
-    Parameters
-    ----------
-    device : DeviceModel
-        Base model of one run.
-    scales : mapping of str to float
-        From `common_scales`.
-    name : str
-        What it is called.
-    """
+    """Give what the priors alone say: the base law, or one curve beside it, about the median device."""
     device = replace(device, n_runs=1, effects=())
     n_noise = len(device.names) - device.n_law
     z = np.zeros(device.n_law)
@@ -343,10 +263,7 @@ def mechanisms_of(key: Key) -> tuple[str, ...]:
 def class_of(mechanism: str) -> Key:
     """Set of classes of a mechanism that stands alone: none for ``velocity``, which the base law holds.
 
-    Raises
-    ------
-    PlanError
-        If it is not in the catalogue.
+    `PlanError` where it is not in the catalogue.
     """
     if mechanism == "velocity":
         return frozenset()

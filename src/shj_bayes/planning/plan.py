@@ -1,7 +1,5 @@
 """Which test next: protocols are proposed, foreseen, changed for the better, and the leading ones rehearsed in full."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -35,27 +33,14 @@ class Worth(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One protocol and what it is expected to give.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The protocol.
-    foreseen : tuple of Foreseen
-        For each device.
-    gain : float
-        Information, nats, mean over the devices: loss of entropy, or of the logarithm of the standard deviation.
-    broken : tuple of str
-        Limits of the rig that it does not keep, in words.
-    rehearsal : Rehearsal or None
-        What simulated tests ended in, first device.
-    """
+    """One protocol and what it is expected to give."""
 
     protocol: Protocol
-    foreseen: tuple[Foreseen, ...]
+    foreseen: tuple[Foreseen, ...]  # for each device
+    # information, nats, mean over the devices: loss of entropy, or of the logarithm of the standard deviation
     gain: float
-    broken: tuple[str, ...] = ()
-    rehearsal: Rehearsal | None = None
+    broken: tuple[str, ...] = ()  # limits of the rig that it does not keep, in words
+    rehearsal: Rehearsal | None = None  # what simulated tests ended in, first device
 
     @property
     def order(self) -> tuple[float, float]:
@@ -74,35 +59,15 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The answer to which test is next.
-
-    Parameters
-    ----------
-    known : tuple of Known
-        The devices.
-    rig : Rig
-        Limits.
-    question : str
-        ``which``, or the quantity that should become narrow.
-    quantities : tuple of Quantity
-        That quantity for each device; empty for ``which``.
-    best : tuple of Row
-        Protocols that the rig allows, best first.
-    compared : tuple of Row
-        Table 1 again, and the files that were given.
-    worth : Worth
-        Whether the best is worth its time.
-    seed : int
-        Same seed and inputs, same plan.
-    """
+    """The answer to which test is next."""
 
     known: tuple[Known, ...]
     rig: Rig
-    question: str
-    quantities: tuple[Quantity, ...]
-    best: tuple[Row, ...]
-    compared: tuple[Row, ...]
-    worth: Worth
+    question: str  # ``which``, or the quantity that should become narrow
+    quantities: tuple[Quantity, ...]  # that quantity for each device; empty for ``which``
+    best: tuple[Row, ...]  # protocols that the rig allows, best first
+    compared: tuple[Row, ...]  # Table 1 again, and the files that were given
+    worth: Worth  # whether the best is worth its time
     seed: int
 
     @property
@@ -129,28 +94,11 @@ def make_plan(
     rehearsals: int = REHEARSALS,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Plan:
-    """Choose the next test.
+    """Choose the next test for one device, or for several that it is planned for.
 
-    Parameters
-    ----------
-    known : sequence of Known
-        One device, or several that the same test is planned for.
-    rig : Rig
-        Limits.
-    first : sequence of Protocol
-        From `proposals`.
-    given : sequence of Protocol
-        Further candidates.
-    question : str
-        ``which``, or the name of the quantity.
-    quantities : sequence of Quantity
-        The quantity for each device, unless the question is ``which``.
-    seed : int
-        Same seed, same plan.
-    rehearsals : int
-        Full simulations of each leading protocol.
-    tell : callable
-        Gets one line for each step.
+    `first` are protocols from `proposals`, `given` further candidates. The question is ``which``, or the name of the
+    quantity that is given for each device. The leading protocols are simulated in full so many times (`rehearsals`).
+    `tell` gets one line for each step.
     """
     asked: tuple[Quantity | None, ...] = tuple(quantities) or (None,) * len(known)
 

@@ -1,7 +1,5 @@
 """Protocols to choose from: designs that engineers would run, drawn ones, and changes of the best."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -44,21 +42,9 @@ DESIGNS: dict[str, tuple[tuple[float, float, int, Waveform, float], ...]] = {
 
 
 def first_protocols(rig: Rig, rng: np.random.Generator, n_drawn: int) -> list[Protocol]:
-    """Give Table 1 again, the designs as far as the time allows, and drawn protocols.
+    """Give Table 1 again, the designs as far as the time allows, and `n_drawn` drawn protocols.
 
-    Parameters
-    ----------
-    rig : Rig
-        Limits.
-    rng : numpy.random.Generator
-        Source of randomness.
-    n_drawn : int
-        Protocols to draw.
-
-    Returns
-    -------
-    list of Protocol
-        Table 1 first, whether the rig's time allows it or not: it is what the others are compared with.
+    Table 1 comes first, whether the rig's time allows it or not: it is what the others are compared with.
     """
     out = [table_1_protocol(rig.max_stroke_mm, rig.max_speed_mm_s)]
     for name, rows in DESIGNS.items():

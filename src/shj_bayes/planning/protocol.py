@@ -1,7 +1,5 @@
 """Displacement protocols made of blocks: smooth, exact in their turning points, sampled at the rig's rate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -29,27 +27,13 @@ class Waveform(StrEnum):
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive cycles of one amplitude and peak speed, from rest in the middle of the stroke back to it.
+    """Consecutive cycles of one amplitude and peak speed, from rest in the middle of the stroke back to it."""
 
-    Parameters
-    ----------
-    amplitude_mm : float
-        Largest displacement to either side of the middle, mm.
-    speed_mm_s : float
-        Peak speed, mm/s.
-    cycles : int
-        Full cycles.
-    waveform : Waveform
-        Sine, or triangle with rounded corners.
-    rest_s : float
-        Pause at the first positive end of the stroke, s.
-    """
-
-    amplitude_mm: float
-    speed_mm_s: float
-    cycles: int
-    waveform: Waveform = Waveform.SINE
-    rest_s: float = 0.0
+    amplitude_mm: float  # largest displacement to either side of the middle
+    speed_mm_s: float  # peak speed
+    cycles: int  # full ones
+    waveform: Waveform = Waveform.SINE  # sine, or triangle with rounded corners
+    rest_s: float = 0.0  # pause at the first positive end of the stroke
 
     def __post_init__(self) -> None:
         """Refuse blocks that hold no motion."""
@@ -102,21 +86,11 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """A displacement history that a rig could run: blocks one after the other, or the samples of a file.
+    """A displacement history that a rig could run: blocks one after the other, or the samples of a file."""
 
-    Parameters
-    ----------
-    name : str
-        What it is, in a few words.
-    blocks : tuple of Block
-        Empty where samples are given.
-    samples : tuple of array, optional
-        Times (s) from 0 and displacement (mm) from the middle of the stroke, each of shape (n,).
-    """
-
-    name: str
-    blocks: tuple[Block, ...] = ()
-    samples: tuple[FloatArray, Motion] | None = None
+    name: str  # what it is, in a few words
+    blocks: tuple[Block, ...] = ()  # empty where samples are given
+    samples: tuple[FloatArray, Motion] | None = None  # times (s) from 0, and motion about the middle of the stroke
 
     @property
     def duration_s(self) -> float:
@@ -149,10 +123,7 @@ class Protocol:
     def sampled(self, rate_Hz: float) -> tuple[FloatArray, Motion]:
         """Give times (s) and exact motion at a sampling rate.
 
-        Raises
-        ------
-        PlanError
-            If the rate is too low for the shortest cycle, or makes a file too long to write.
+        `PlanError` if the rate is too low for the shortest cycle, or makes a file too long to write.
         """
         n = math.floor(self.duration_s * rate_Hz) + 1
         shortest = min((2.0 * math.pi / block.omega for block in self.blocks), default=math.inf)

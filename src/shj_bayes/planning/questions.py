@@ -1,6 +1,6 @@
 """Design quantities that a test may make narrow, by name."""
 
-from __future__ import annotations
+from collections.abc import Callable
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from shj_bayes.planning.known import Known
 from shj_bayes.planning.plan import FORCE, WHICH
 
 MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
-POINTS = 4000  # of the last test at which the margin is read, about
 
 
 def questions_of(known: Known) -> tuple[str, ...]:
@@ -26,13 +25,7 @@ def questions_of(known: Known) -> tuple[str, ...]:
 
 
 def quantity_named(known: Known, name: str) -> Quantity:
-    """Quantity of a name, for one device.
-
-    Raises
-    ------
-    PlanError
-        If the device has none of that name.
-    """
+    """Quantity of a name, for one device; `PlanError` where it has none of that name."""
     able = [q for q in questions_of(known) if q not in (WHICH, FORCE)]
     if name not in able:
         raise PlanError(
@@ -40,24 +33,19 @@ def quantity_named(known: Known, name: str) -> Quantity:
             f"{did_you_mean(name, (WHICH, FORCE, *able))}"
         )
     if name == MARGIN:
-        return quantity_of(known, MARGIN, "kN", _SmallestPlateau(known))
+        return quantity_of(known, MARGIN, "kN", _smallest_plateau(known))
     return quantity_of(known, name, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
 
 
-class _SmallestPlateau:
-    """Smallest plateau force of a device in its last test, as its model gives it."""
+def _smallest_plateau(known: Known) -> Callable[[DeviceModel, FloatArray], float]:
+    """Smallest plateau force of a device in its last test, as a model gives it."""
+    history, first = known.old[-1].history, known.beliefs[0]
 
-    def __init__(self, known: Known) -> None:
-        self.history = known.old[-1].history
-        first = known.beliefs[0]
-        self.least = counted_from([self._read(first.model, first.z)])
-        if not np.isfinite(self.least):
-            raise PlanError(f"{known.name}: no half-cycle of its last test slides fully, so it has no plateau force")
+    def read(model: DeviceModel, z: FloatArray) -> Readings:
+        force = model.force(model.natural_of_law(z[None]), history, 0.0)
+        return read_off(force, history.motion, history.travel_m)
 
-    def __call__(self, model: DeviceModel, z: FloatArray) -> float:
-        return float(of_readings(self._read(model, z), self.least)["least"][0])
-
-    def _read(self, model: DeviceModel, z: FloatArray) -> Readings:
-        theta = model.natural_of_law(z[None])
-        force = model.force(theta, self.history, 0.0)
-        return read_off(force, self.history.motion, self.history.travel_m)
+    least = counted_from([read(first.model, first.z)])
+    if not np.isfinite(least):
+        raise PlanError(f"{known.name}: no half-cycle of its last test slides fully, so it has no plateau force")
+    return lambda model, z: float(of_readings(read(model, z), least)["least"][0])

@@ -1,7 +1,5 @@
 """A planned test run in full: a drawn device, the whole model, noise, the readers, and every rival fitted anew."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -26,48 +24,21 @@ from shj_bayes.recording.recording import Recording
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What simulated tests ended in.
+    """What simulated tests ended in."""
 
-    Parameters
-    ----------
-    n : int
-        Tests simulated.
-    of_truth : float
-        Mean probability of the true set after them.
-    right : int
-        Tests after which the true set was the most probable.
-    entropy : float
-        Mean entropy of the probabilities, nats.
-    sd : float or None
-        Standard deviation of the quantity that was asked for (root of the mean variance).
-    """
-
-    n: int
-    of_truth: float
-    right: int
-    entropy: float
-    sd: float | None
+    n: int  # tests simulated
+    of_truth: float  # mean probability of the true set after them
+    right: int  # tests after which the true set was the most probable
+    entropy: float  # mean entropy of the probabilities, nats
+    sd: float | None  # of the quantity that was asked for (root of the mean variance)
 
 
 def rehearse(
     known: Known, protocol: Protocol, rate_Hz: float, n: int, seed: int, quantity: Quantity | None = None
 ) -> Rehearsal:
-    """Simulate a planned test and weigh the rivals on it and the old tests together.
+    """Simulate a planned test `n` times and weigh the rivals on it and the old tests together.
 
-    Parameters
-    ----------
-    known : Known
-        The device.
-    protocol : Protocol
-        The planned test.
-    rate_Hz : float
-        Sampling rate, Hz.
-    n : int
-        Tests to simulate, spread evenly over the sets, within a set over the ways to write it in their shares.
-    seed : int
-        Same seed, same numbers.
-    quantity : Quantity, optional
-        What should become narrow.
+    The tests are spread evenly over the sets, within a set over the ways to write it in their shares.
     """
     shares, judges, keys = np.array([b.share for b in known.beliefs]), known.judges, known.keys
     rows = []
@@ -104,21 +75,8 @@ def weighed(
 ) -> tuple[dict[Key, float], float]:
     """Weigh the rivals on one further recording, each fitted to old and new together under the noise of the old.
 
-    Parameters
-    ----------
-    known : Known
-        The device before it.
-    recording : Recording
-        The further test.
-    shares : array, shape (n_beliefs,)
-        Probabilities of the beliefs before the test.
-    quantity : Quantity, optional
-        What should have become narrow.
-
-    Returns
-    -------
-    dict of frozenset to float, and float
-        Probability of each set; variance of the quantity over all rivals, 0 where none is asked for.
+    `shares` are the probabilities of the beliefs before the test, shape (n_beliefs,). Gives the probability of each
+    set, and the variance of the quantity over all rivals, 0 where none is asked for.
     """
     motion = motion_of(recording)
     alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)

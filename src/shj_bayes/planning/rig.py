@@ -1,7 +1,5 @@
 """What a rig can do: limits in ``rig.toml`` or in options, and whether a protocol keeps to them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -19,27 +17,13 @@ LEEWAY = 1.001  # of a limit, for rounding
 
 @dataclass(frozen=True)
 class Rig:
-    """Limits of a rig.
+    """Limits of a rig."""
 
-    Parameters
-    ----------
-    max_stroke_mm : float
-        Largest displacement to either side of the middle of the stroke, mm.
-    max_speed_mm_s : float
-        Largest speed, mm/s.
-    max_force_kN : float
-        Largest force, kN.
-    max_minutes : float
-        Longest test, minutes.
-    rate_Hz : float
-        Rate at which the rig takes and records displacement, Hz.
-    """
-
-    max_stroke_mm: float
+    max_stroke_mm: float  # largest displacement to either side of the middle of the stroke
     max_speed_mm_s: float
     max_force_kN: float
     max_minutes: float
-    rate_Hz: float
+    rate_Hz: float  # at which the rig takes and records displacement
 
     def __post_init__(self) -> None:
         """Refuse limits that allow nothing."""
@@ -65,13 +49,7 @@ LIMITS = tuple(field.name for field in fields(Rig))
 
 
 def read_rig(path: Path) -> dict[str, float]:
-    """Limits of a ``rig.toml``, as far as it states them.
-
-    Raises
-    ------
-    PlanError
-        With the key at fault.
-    """
+    """Limits of a ``rig.toml``, as far as it states them; `PlanError` with the key at fault."""
     table: dict[str, Any] = read_toml(path, SCHEMA, MAX_TOML, PlanError)[0]
     out = {}
     for key, value in table.items():

@@ -1,7 +1,5 @@
 """A diagnosed or fitted device as its folder holds it: the runs, the base model, and what it may be."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,46 +23,20 @@ ODDS_IN_FILES = 1e-6  # probabilities below it are left out
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """A tested device.
-
-    Parameters
-    ----------
-    name : str
-        The device.
-    runs : tuple of Run
-        Its tests.
-    device : DeviceModel
-        Base model, with the effects that were given to the diagnosis.
-    sets : tuple of (frozenset of str, float)
-        What it may hold, with probabilities.
-    hidden : frozenset of str
-        Mechanisms that are not looked for.
-    Fy : tuple of float
-        Sliding force, kN, and the standard deviation of its logarithm.
-    """
+    """A tested device."""
 
     name: str
-    runs: tuple[Run, ...]
-    device: DeviceModel
-    sets: tuple[tuple[Key, float], ...]
-    hidden: frozenset[str]
-    Fy: tuple[float, float]
+    runs: tuple[Run, ...]  # its tests
+    device: DeviceModel  # base model, with the effects that were given to the diagnosis
+    sets: tuple[tuple[Key, float], ...]  # what it may hold, with probabilities
+    hidden: frozenset[str]  # mechanisms that are not looked for
+    Fy: tuple[float, float]  # sliding force, kN, and the standard deviation of its logarithm
 
 
 def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
-    """Read a device from the files of its fit and its diagnosis.
+    """Read a device from the files of its fit and of its diagnosis; a fit without one is taken for what it is.
 
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    diagnosis : mapping, optional
-        Content of ``diagnosis.json``; a fit without one is taken for what it is.
-
-    Raises
-    ------
-    PlanError
-        If there is no fit, or the diagnosis states no probabilities.
+    `PlanError` if there is no fit, or the diagnosis states no probabilities.
     """
     if diagnosis is not None and not (folder / "fit.json").is_file():
         raise PlanError(

@@ -4,8 +4,6 @@ A comparison may run over strata (one coating, say, corroded and not); a test th
 tests knows of rounding or of how well each device is known; the posterior does.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -40,24 +38,12 @@ class Classical:
     permutation_least: float | None = None
 
     def leading(self, n_tests: int) -> tuple[str, float | None]:
-        """Test that multiplicity is applied to, and its p.
+        """Test that multiplicity is applied to ("permutation", "Welch", "" where neither can reach it), and its p.
 
         The exact permutation where its smallest attainable p, times the number of tests, is within 0.05; otherwise
         Welch's, which leans on device values that are normal on the pooled scale, as the population model does. The
-        choice looks at the values but not at which side they are on, so it does not favour a result. A test that
-        cannot reach the level cannot give a false alarm either and need not be counted (Tarone 1990).
-
-        Parameters
-        ----------
-        n_tests : int
-            Quantities that are tested at once.
-
-        Returns
-        -------
-        str
-            "permutation", "Welch", or "" where neither can reach it.
-        float or None
-            Its p.
+        choice looks at the values but not at which side they are on, so it does not favour a result. A test that cannot
+        reach the level cannot give a false alarm either and need not be counted (Tarone 1990).
         """
         if self.permutation_least is not None and n_tests * self.permutation_least <= LEVEL:
             return "permutation", self.permutation_p

@@ -1,18 +1,15 @@
 """Two sets, or two kinds of sets, side by side: how far apart, how sure, and what so few devices can say."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 from scipy.special import ndtr
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.classical import Classical, Pair, classical, holm
+from shj_bayes.population.classical import Classical, classical, holm
 from shj_bayes.population.compare_words import ROPE_SPEED, multiplicity_words, sentence
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.power import assurance, devices_needed, representative
@@ -74,22 +71,23 @@ class Comparison:
 
 
 def _row(c: Contrast) -> dict[str, object]:
+    def own(*names: str) -> dict[str, object]:
+        return {name: getattr(c, name) for name in names}
+
+    def levels(name: str, band: Band) -> dict[str, object]:
+        return dict(zip((f"{name}_q05", f"{name}_q50", f"{name}_q95"), band, strict=True))
+
     return {
-        **{k: getattr(c, k) for k in ("quantity", "kind", "unit", "q05", "q50", "q95")},
+        **own("quantity", "kind", "unit", "q05", "q50", "q95"),
         **{f"q05_{label}": band[0] for label, band in c.other_priors.items()},
         **{f"q95_{label}": band[1] for label, band in c.other_priors.items()},
-        **dict(zip(("difference_q05", "difference_q50", "difference_q95"), c.difference, strict=True)),
-        "difference_unit": c.difference_unit,
-        **{k: getattr(c, k) for k in ("probability_level", "superiority", "probability_rope")},
-        "rope_low": c.rope[0],
-        "rope_high": c.rope[1],
-        "spread_factor_q05": c.spread_factor[0],
-        "spread_factor_q50": c.spread_factor[1],
-        "spread_factor_q95": c.spread_factor[2],
-        "n_a": c.n_a,
-        "n_b": c.n_b,
+        **levels("difference", c.difference),
+        **own("difference_unit", "probability_level", "superiority", "probability_rope"),
+        **{"rope_low": c.rope[0], "rope_high": c.rope[1]},
+        **levels("spread_factor", c.spread_factor),
+        **own("n_a", "n_b"),
         **asdict(c.tests),
-        **{k: getattr(c, k) for k in ("holm_p", "holm_test", "power_edge", "n_to_decide", "sentence")},
+        **own("holm_p", "holm_test", "power_edge", "n_to_decide", "sentence"),
     }
 
 
@@ -125,33 +123,24 @@ def compare(result: PopulationResult, set_a: str, set_b: str, *, rope: float = R
     return Comparison(a, b, contrasts, len(strata), words)
 
 
-def _shift(result: PopulationResult, name: str, strata: Sequence[Stratum], prior: str) -> FloatArray:
+def shift_of(result: PopulationResult, name: str, strata: Sequence[Stratum], prior: str) -> FloatArray:
     """Draws of the difference of levels, pooled scale, averaged over strata."""
     mu = result.fit(name, prior).mu
-    return np.asarray(np.mean([mu[:, a].mean(axis=1) - mu[:, b].mean(axis=1) for a, b in map(_lists, strata)], axis=0))
-
-
-def _lists(stratum: Stratum) -> tuple[list[int], list[int]]:
-    return list(stratum[0]), list(stratum[1])
-
-
-def _points(result: PopulationResult, name: str, strata: Sequence[Stratum]) -> list[Pair]:
-    """Point values of the devices of both sides, stratum by stratum."""
-
-    def side(of_sets: tuple[int, ...]) -> FloatArray:
-        values = np.concatenate([np.array(result.sets[i].points.get(name, ()), dtype=np.float64) for i in of_sets])
-        return np.asarray(values[np.isfinite(values)])
-
-    return [(side(a), side(b)) for a, b in strata]
+    return np.asarray(np.mean([mu[:, a].mean(axis=1) - mu[:, b].mean(axis=1) for a, b in strata], axis=0))
 
 
 def _contrast(
     result: PopulationResult, name: str, sides: tuple[str, str], strata: Sequence[Stratum], rope: float
 ) -> Contrast:
     fit, q = result.fit(name), QUANTITIES[name]
-    shift = _shift(result, name, strata, "default")
+
+    def points(of_sets: list[int]) -> FloatArray:
+        values = np.concatenate([np.array(result.sets[i].points.get(name, ()), dtype=np.float64) for i in of_sets])
+        return np.asarray(values[np.isfinite(values)])
+
+    shift = shift_of(result, name, strata, "default")
     band = band_of(q.natural(shift))
-    others = {label: band_of(q.natural(_shift(result, name, strata, label))) for label in result.other_priors}
+    others = {label: band_of(q.natural(shift_of(result, name, strata, label))) for label in result.other_priors}
     none = 1.0 if q.logarithmic else 0.0
     settled = {label: not x[0] < none < x[2] for label, x in {"default": band, **others}.items()}
     first, second = ([i for s in strata for i in s[side]] for side in (0, 1))
@@ -159,20 +148,19 @@ def _contrast(
     tau_a, tau_b = (np.exp(np.log(fit.tau[:, side]).mean(axis=1)) for side in (first, second))
     region = (1.0 / (1.0 + rope), 1.0 + rope) if q.logarithmic else (-rope / ROPE_SPEED, rope / ROPE_SPEED)
     inside = (q.natural(shift) > region[0]) & (q.natural(shift) < region[1])
-    spreads = _planning_spreads(result, name, [*first, *second])
+    # Planned with the spread of the sets if all spread nearly alike: two devices that happen to agree promise a spread
+    # that the next two will not keep.
+    planned = result.fit(name, "alike" if "alike" in result.other_priors else "default").tau[:, [*first, *second]]
+    spreads = representative(np.sqrt(np.mean(planned**2, axis=1)))
     edge = math.log1p(rope) if q.logarithmic else region[1]
-    apart = [
-        q.natural(fit.mu[:, a].mean(axis=1)) - q.natural(fit.mu[:, b].mean(axis=1)) for a, b in map(_lists, strata)
-    ]
-    needed = devices_needed(edge, spreads, strata=len(strata))
-    chance = assurance(edge, spreads, *n, strata=len(strata))
+    apart = [q.natural(fit.mu[:, a].mean(axis=1)) - q.natural(fit.mu[:, b].mean(axis=1)) for a, b in strata]
     away = [
         ndtr((fit.mu[:, [i]] - fit.mu[:, [j]]) / np.hypot(fit.tau[:, [i]], fit.tau[:, [j]]))
         for one, other in strata
         for i in one
         for j in other
     ]
-    return Contrast(
+    contrast = Contrast(
         quantity=name,
         unit="1" if q.logarithmic else q.unit,
         kind="quotient" if q.logarithmic else "difference",
@@ -188,20 +176,12 @@ def _contrast(
         n_a=n[0],
         n_b=n[1],
         spread_factor=band_of(tau_a / tau_b),
-        tests=classical(_points(result, name, strata), result.seed),
+        tests=classical([(points(a), points(b)) for a, b in strata], result.seed),
         holm_p=None,
         holm_test="",
-        power_edge=chance,
-        n_to_decide=needed,
-        other_priors=MappingProxyType({label: (x[0], x[2]) for label, x in others.items()}),
-        sentence=sentence(sides, name, band, settled, n, (rope, float(np.mean(inside))), (chance, needed)),
+        power_edge=assurance(edge, spreads, *n, strata=len(strata)),
+        n_to_decide=devices_needed(edge, spreads, strata=len(strata)),
+        other_priors={label: (x[0], x[2]) for label, x in others.items()},
+        sentence="",
     )
-
-
-def _planning_spreads(result: PopulationResult, name: str, sets: list[int]) -> FloatArray:
-    """Spreads to plan a test with: the posterior of that of the sets if all spread nearly alike.
-
-    Two devices that happen to agree promise a spread that the next two will not keep.
-    """
-    prior = "alike" if "alike" in result.other_priors else "default"
-    return representative(np.sqrt(np.mean(result.fit(name, prior).tau[:, sets] ** 2, axis=1)))
+    return replace(contrast, sentence=sentence(contrast, sides, settled, rope))

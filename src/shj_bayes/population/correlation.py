@@ -6,8 +6,6 @@ spread, and the correlation of what is left is inferred with an inverse-Wishart 
 tied together, each with exactly the band it had by itself (a normal copula; inference in two steps, Joe and Xu 1996).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.population.posterior import PopulationResult
@@ -35,25 +33,10 @@ def scatter(result: PopulationResult, prior: str = "default") -> tuple[tuple[str
 
 
 def inverse_wishart(degrees: float, scale: FloatArray, n_draws: int, rng: np.random.Generator) -> FloatArray:
-    """Draw from an inverse Wishart distribution by the decomposition of Bartlett.
+    """Draw from an inverse Wishart distribution by the decomposition of Bartlett, shape (n_draws, k, k).
 
     `scipy.stats.invwishart` does so too, but its module takes longer to import than all else of a comparison, and it
     goes through the draws one by one.
-
-    Parameters
-    ----------
-    degrees : float
-        Degrees of freedom, above k - 1.
-    scale : array, shape (k, k)
-        Positive definite.
-    n_draws : int
-        How many.
-    rng : numpy.random.Generator
-        Source of chance.
-
-    Returns
-    -------
-    array, shape (n_draws, k, k)
     """
     k = scale.shape[0]
     roots = np.zeros((n_draws, k, k))  # lower triangles whose inverses are the factors of draws of unit scale

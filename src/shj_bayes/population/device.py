@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.measurement import Measurement, PosteriorDraws, Rounded, RoundedRatio
-from shj_bayes.population.quantities import FloatArray, quantity
+from shj_bayes.population.measurement import Measurement, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import FloatArray
 
 
 @dataclass(frozen=True)
@@ -40,13 +39,10 @@ class DeviceEstimate:
         """Refuse nameless devices, unknown quantities and devices that say nothing."""
         if not self.name.strip() or not self.set_name.strip():
             raise PopulationError(f"a device needs a name and a set; got {self.name!r} in set {self.set_name!r}")
-        for key in self.measurements:
-            quantity(key)
         if not self.measurements:
             raise PopulationError(
                 f"device {self.name!r} gives none of K, Fy, ratio, gamma, beta; leave it out or give one of them"
             )
-        object.__setattr__(self, "measurements", MappingProxyType(dict(self.measurements)))
 
     @classmethod
     def from_posterior(
@@ -57,24 +53,11 @@ class DeviceEstimate:
         log_prior: Mapping[str, FloatArray],
         tags: Tags = Tags(),
     ) -> DeviceEstimate:
-        """Build a device from its single-device posterior.
+        """Build a device from its single-device posterior: by quantity, equally weighted draws in natural units.
 
-        Parameters
-        ----------
-        name, set_name : str
-            The device and its set.
-        draws : mapping of str to array, shape (n,)
-            Per quantity the posterior draws, natural units; equally weighted.
-        log_prior : mapping of str to array, shape (n,)
-            Per quantity the log density of the single-device prior at those draws, on the pooled scale
-            (densities of log K, log Fy, log ratio, log beta and of gamma itself), up to a constant.
-        tags : Tags
-            Of the set.
-
-        Raises
-        ------
-        PopulationError
-            If the prior of a quantity is missing, does not fit its draws, or shaped them more than the recording did.
+        `log_prior` is the log density of the single-device prior at those draws, on the pooled scale (densities of log
+        K, log Fy, log ratio, log beta and of gamma itself), up to a constant. `PopulationError` if the prior of a
+        quantity is missing, does not fit its draws, or shaped them more than the recording did.
         """
         missing = sorted(set(draws) - set(log_prior))
         if missing:
@@ -83,7 +66,7 @@ class DeviceEstimate:
                 "prior would be counted once per device"
             )
         try:
-            known = {q: PosteriorDraws(draws[q], log_prior[q]).condensed(quantity(q)) for q in draws}
+            known = {q: of_draws(q, draws[q], log_prior[q]) for q in draws}
         except PopulationError as error:
             raise PopulationError(f"device {name!r}: {error}") from error
         return cls(name, set_name, known, tags)
@@ -93,29 +76,23 @@ class DeviceEstimate:
         cls,
         name: str,
         set_name: str,
-        *,
-        K: Rounded | None = None,
-        Fy: Rounded | None = None,
-        Fy_second: Rounded | None = None,
-        gamma: Rounded | None = None,
-        beta: Rounded | None = None,
+        printed: Mapping[str, Rounded],
+        Fy_second: Rounded,
         tags: Tags = Tags(),
     ) -> DeviceEstimate:
         """Build a device from rounded numbers, kN/mm, kN, s/mm, 1; the ratio follows from both runs' Fy."""
-        given: dict[str, Measurement | None] = {"K": K, "Fy": Fy, "gamma": gamma, "beta": beta}
-        if Fy is not None and Fy_second is not None:
-            given["ratio"] = RoundedRatio(Fy_second, Fy)
-        return cls(name, set_name, {k: v for k, v in given.items() if v is not None}, tags)
+        known = {q: value.of(q) for q, value in printed.items()} | {"ratio": ratio_of(Fy_second, printed["Fy"])}
+        return cls(name, set_name, known, tags)
 
     def point(self, name: str) -> float:
         """Point value on the pooled scale, NaN when this device does not give the quantity."""
         known = self.measurements.get(name)
-        return np.nan if known is None else known.point(quantity(name))
+        return np.nan if known is None else known.point
 
     def error(self, name: str) -> float:
         """How well the point value is known: standard deviation of the likelihood, pooled scale; NaN without it."""
         known = self.measurements.get(name)
-        return np.nan if known is None else known.likelihood(quantity(name)).centre_and_sd[1]
+        return np.nan if known is None else known.likelihood.centre_and_sd[1]
 
 
 def sets_of(devices: Sequence[DeviceEstimate]) -> dict[str, tuple[DeviceEstimate, ...]]:

@@ -1,7 +1,5 @@
 """Device estimates from the results folders of finished fits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -48,15 +46,7 @@ def _pooled_log_density(law: dict[str, Any], values: FloatArray) -> FloatArray:
 def tested_by_fit(folder: Path) -> RangeTested | None:
     """Amplitudes and peak speeds of a device's recordings; None where its files do not hold them.
 
-    Parameters
-    ----------
-    folder : Path
-        Results folder of the fit.
-
-    Returns
-    -------
-    RangeTested or None
-        From the complete half-cycles (the first and last of each run may be cut short).
+    From the complete half-cycles: the first and last of each run may be cut short.
     """
     try:
         variant = variant_named(str(read_record(folder)["model"]["variant"]))

@@ -12,8 +12,6 @@ K, Fy, ratio and gamma of one device is not modelled. Device values are integrat
 values as well as for posterior draws (docs/decisions/0004-population.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -97,32 +95,10 @@ def fit_quantity(
     *,
     workers: int = 1,
 ) -> QuantityPosterior:
-    """Posterior of level and spread of every set, for one quantity.
+    """Posterior of level and spread of every set, for one quantity: draws of four chains, one after the other.
 
-    Parameters
-    ----------
-    name : str
-        Pooled quantity.
-    sets : sequence of sequence of Likelihood
-        Devices per set; a set may be empty and then rests on the others alone.
-    prior : PopulationPrior
-        On the pooled scale.
-    seed : numpy.random.SeedSequence
-        Source of the four chains' streams.
-    sweeps : Sweeps
-        How long the chains are.
-    workers : int
-        Threads over which the chains are spread; the numbers do not depend on it.
-
-    Returns
-    -------
-    QuantityPosterior
-        Draws, chain after chain, with R-hat and effective sample size.
-
-    Raises
-    ------
-    PopulationError
-        If no set holds a device.
+    A set may hold no device and then rests on the others alone; `PopulationError` if none holds one. The numbers do not
+    depend on `workers`, the threads over which the chains are spread.
     """
     if not any(len(group) for group in sets):
         raise PopulationError(f"no device gives {quantity(name).name}; there is nothing to pool")
@@ -177,24 +153,9 @@ def fit_population(
 ) -> PopulationResult:
     """Pool devices, set by set, quantity by quantity, under the default prior and two others of the spread.
 
-    Parameters
-    ----------
-    devices : sequence of DeviceEstimate
-        From posteriors, from rounded tables, or both mixed.
-    seed : int
-        Not negative; same seed and devices, same numbers.
-    progress : bool
-        Show a bar on standard error when that is a terminal.
-    workers : int
-        Threads, 0 for one per processor; the numbers do not depend on it.
-    brief : bool
-        Fewer draws, for many quantities of which only a few quantiles are asked: these are then known to about 2 % of
-        the spread.
-
-    Raises
-    ------
-    PopulationError
-        If devices contradict each other or give nothing to pool.
+    The numbers depend on the devices and the seed, not on `workers`, threads (0 for one per processor). With `brief`
+    there are fewer draws, for many quantities of which only a few quantiles are asked: these are then known to about 2
+    % of the spread. `PopulationError` if devices contradict each other or give nothing to pool.
     """
     if seed < 0:
         raise PopulationError(f"the seed must be zero or a positive whole number, not {seed}")
@@ -206,10 +167,7 @@ def fit_population(
     draws_behind: dict[str, float] = {}
     with tqdm(total=3 * len(names), desc="population", disable=None if progress else True, leave=False) as bar:
         for q in names:
-            sets = [
-                [d.measurements[q].likelihood(quantity(q)) for d in group if q in d.measurements]
-                for group in grouped.values()
-            ]
+            sets = [[d.measurements[q].likelihood for d in group if q in d.measurements] for group in grouped.values()]
             draws_behind[q] = min(x.effective_draws for group in sets for x in group)
             chosen[q] = population_prior(q)
             for label, prior in {MAIN_PRIOR: chosen[q], **other_priors(chosen[q])}.items():
@@ -217,17 +175,19 @@ def fit_population(
                 fits.setdefault(label, {})[q] = _until_met(q, sets, prior, (seed, q, label), sweeps, threads)
                 bar.update()
     return PopulationResult(
-        sets=tuple(_device_set(name, group, names) for name, group in grouped.items()),
+        sets=tuple(
+            DeviceSet(
+                name,
+                tuple(d.name for d in group),
+                group[0].tags,
+                {q: tuple(d.point(q) for d in group) for q in names},
+                {q: tuple(d.error(q) for d in group) for q in names},
+            )
+            for name, group in grouped.items()
+        ),
         posteriors=fits.pop(MAIN_PRIOR),
         other_priors=fits,
         priors=chosen,
         importance_draws=draws_behind,
         seed=seed,
     )
-
-
-def _device_set(name: str, group: Sequence[DeviceEstimate], names: Sequence[str]) -> DeviceSet:
-    """Devices of a set with the points and errors of the quantities that are pooled."""
-    points = {q: tuple(d.point(q) for d in group) for q in names}
-    errors = {q: tuple(d.error(q) for d in group) for q in names}
-    return DeviceSet(name, tuple(d.name for d in group), group[0].tags, points, errors)

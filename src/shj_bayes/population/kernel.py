@@ -6,8 +6,6 @@ hyperparameters are updated with the set values held and, every other sweep, wit
 sets are alike or say little about their own spread.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 
@@ -15,7 +13,6 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.model.kernel import exp2, log2
-from shj_bayes.population.quantities import FloatArray
 
 MEAN, LOG_SPREAD, C_S, C_TAU0, C_OMEGA, A_M, A_S, A_TAU0, A_OMEGA = range(9)
 _ROOT_HALF = math.sqrt(0.5)
@@ -241,8 +238,3 @@ def run_chain(mu, lt, hyper, data, prior, n_warm, n_keep, thin, rng):  # type: i
         elif sweep % thin == thin - 1:
             out_mu[sweep // thin], out_lt[sweep // thin], out_hyper[sweep // thin] = mu, lt, hyper
     return out_mu, out_lt, out_hyper
-
-
-def log_likelihood(mu: float, log_tau: float, data: tuple[FloatArray, ...]) -> float:
-    """Log likelihood of the first set at one point; for checks."""
-    return float(log_likelihood_of_set(0, mu, log_tau, *data))

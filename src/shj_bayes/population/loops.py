@@ -1,7 +1,5 @@
 """The band of the loop itself: where the force of a new device lies over one steady cycle."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,31 +37,13 @@ class LoopBand:
     n_devices: int
     n_draws: int
 
-    def __post_init__(self) -> None:
-        """Freeze the arrays."""
-        for name in ("displacement_mm", "push", "pull"):
-            getattr(self, name).setflags(write=False)
-
 
 def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float = 10.0, run: int = 1) -> LoopBand:
-    """Band of the force of a new device by the published law over the second cycle of a sine.
+    """Band of the force of a new device by the published law over the second cycle of a sine, in run 1 or 2.
 
-    Parameters
-    ----------
-    device : NewDevice
-        Predictive draws with K, Fy, beta, gamma and, for the second run, ratio; beta is kept inside what the law
-        allows (1 to 500).
-    amplitude_mm : float
-        Half of the stroke, mm; keep it inside what was tested.
-    peak_speed_mm_s : float
-        Largest speed of the sine, mm/s; 10 is what the paper tested, beyond it the law extrapolates.
-    run : {1, 2}
-        First run, or second.
-
-    Raises
-    ------
-    PopulationError
-        If a quantity is missing or the motion is not possible.
+    Beta is kept inside what the law allows. Keep the amplitude inside what was tested; a peak speed of 10 mm/s is what
+    the paper tested, beyond it the law extrapolates. `PopulationError` if a quantity is missing or the motion is not
+    possible.
     """
     if not (np.isfinite([amplitude_mm, peak_speed_mm_s]).all() and amplitude_mm > 0 and peak_speed_mm_s > 0):
         raise PopulationError(
@@ -92,15 +72,6 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
     pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])
     cycle = slice(start[_PUSH], start[_PULL + 1] + 1)
     energy = trapezoid(force[:, cycle], x[cycle], axis=1)
-    return LoopBand(
-        device.set_name,
-        run,
-        amplitude_mm,
-        peak_speed_mm_s,
-        grid,
-        np.quantile(push, LEVELS, axis=0),
-        np.quantile(pull, LEVELS, axis=0),
-        band_of(energy),
-        device.n_devices,
-        chosen.size,
-    )
+    bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0), band_of(energy))
+    head = (device.set_name, run, amplitude_mm, peak_speed_mm_s, grid)
+    return LoopBand(*head, *bands, device.n_devices, chosen.size)

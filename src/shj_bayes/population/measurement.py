@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from shj_bayes._util.frozen_arrays import freeze
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.quantities import FloatArray, Quantity
+from shj_bayes.population.quantities import FloatArray, quantity
 
 N_COMPONENTS = 12
 """Normal components that stand for a set of draws (benchmarks/population.py: more changes nothing visible)."""
@@ -73,6 +73,14 @@ def gathered(group: Sequence[Likelihood]) -> tuple[FloatArray, list[Likelihood]]
 
 
 @dataclass(frozen=True)
+class Measurement:
+    """What a device says of one quantity."""
+
+    point: float  # middle of the likelihood, pooled scale
+    likelihood: Likelihood
+
+
+@dataclass(frozen=True)
 class Rounded:
     """A printed value that stands for everything which rounds to it.
 
@@ -118,168 +126,84 @@ class Rounded:
         ends = 1.0 / (dep + 0.5 * step), 1.0 / (dep - 0.5 * step)
         return cls(1.0 / dep, min(ends), max(ends))
 
-    def point(self, quantity: Quantity) -> float:
-        """Return the printed value on the pooled scale."""
-        return float(quantity.pool(self.value))
-
-    def likelihood(self, quantity: Quantity) -> Likelihood:
-        """Return the indicator of the interval, on the pooled scale."""
-        ends = quantity.pool(np.array([self.lower, self.upper]))
-        return Likelihood(True, ends[:1], ends[1:], np.ones(1))
+    def of(self, name: str) -> Measurement:
+        """Take the value for that of a quantity."""
+        pool = quantity(name).pool
+        ends = pool(np.array([self.lower, self.upper]))
+        return Measurement(float(pool(self.value)), Likelihood(True, ends[:1], ends[1:], np.ones(1)))
 
 
-@dataclass(frozen=True)
-class RoundedRatio:
-    """The quotient of two rounded values, each uniform inside its own interval."""
+def ratio_of(second: Rounded, first: Rounded) -> Measurement:
+    """Ratio of two rounded forces, each uniform inside its own interval.
 
-    # numerator, denominator: for the ratio: sliding force of the second and of the first run, kN
-    numerator: Rounded
-    denominator: Rounded
-
-    def point(self, quantity: Quantity) -> float:
-        """Return the quotient of the printed values on the pooled scale."""
-        return float(quantity.pool(self.numerator.value / self.denominator.value))
-
-    def likelihood(self, quantity: Quantity) -> Likelihood:
-        """Density of the log quotient, constant on six equal pieces (error far below the rounding itself).
-
-        With n uniform on [a, b] and d on [c, e], the density of log(n/d) = u is, up to a constant,
-        e^u times the integral of d over the d that keep d e^u inside [a, b].
-        """
-        if not quantity.logarithmic:
-            raise PopulationError(f"a quotient of rounded values needs a logarithmic scale, not {quantity.name}")
-        a, b = float(quantity.pool(self.numerator.lower)), float(quantity.pool(self.numerator.upper))
-        c, e = float(quantity.pool(self.denominator.lower)), float(quantity.pool(self.denominator.upper))
-        edges = np.linspace(a - e, b - c, 7)
-        middle = 0.5 * (edges[:-1] + edges[1:])
-        low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
-        density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)
-        return Likelihood(True, edges[:-1], edges[1:], density / density.max())
-
-
-@dataclass(frozen=True)
-class PosteriorDraws:
-    """Draws of a single-device posterior, with the prior under which they were made.
-
-    The likelihood follows by weighting each draw with 1/prior (Hogg, Myers and Bovy 2010, eq. 9); the weighted draws
-    are then summarised by a few normal components that keep their mean and variance, so that the sum
-    over draws stays finite and smooth when the spread of the population is smaller than the gaps between draws.
+    With n uniform on [a, b] and d on [c, e] the density of log(n/d) = u is, up to a constant, e^u times the integral of
+    d over the d that keep d e^u inside [a, b]. It is made constant on six equal pieces (error far below the rounding).
     """
-
-    values: FloatArray  # shape (n,): draws in natural units, equally weighted
-    # shape (n,): log density of the single-device prior at the draws, *on the pooled scale* (for K: the density of log
-    # K), up to a constant. A callable is given the pooled values.
-    log_prior: FloatArray | Callable[[FloatArray], FloatArray] = field(repr=False)
-
-    def __post_init__(self) -> None:
-        """Refuse too few draws or a prior that does not belong to them."""
-        freeze(self, "values")
-        if self.values.ndim != 1 or self.values.size < 4 * N_COMPONENTS:
-            raise PopulationError(
-                f"posterior draws must be one column of at least {4 * N_COMPONENTS}; got shape {self.values.shape}. "
-                "Run the fit of that device longer"
-            )
-        if not callable(self.log_prior):
-            freeze(self, "log_prior")
-            if np.shape(self.log_prior) != self.values.shape:
-                raise PopulationError(
-                    f"log prior has shape {np.shape(self.log_prior)}, the draws {self.values.shape}; "
-                    "give one log density per draw"
-                )
-
-    def weighted(self, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
-        """Draws on the pooled scale and their importance weights, which sum to one."""
-        pooled = quantity.pool(self.values)
-        log_prior = self.log_prior(pooled) if callable(self.log_prior) else self.log_prior
-        log_weight = -np.asarray(log_prior, dtype=np.float64)
-        if log_weight.shape != pooled.shape or not np.all(np.isfinite(log_weight)):
-            raise PopulationError(
-                f"the prior density of {quantity.name} must be finite at every posterior draw; it is not. "
-                "Check that the prior given is the one the device was fitted with"
-            )
-        weight = np.exp(log_weight - log_weight.max())
-        return pooled, weight / weight.sum()
-
-    def point(self, quantity: Quantity) -> float:
-        """Median of the likelihood on the pooled scale."""
-        pooled, weight = self.weighted(quantity)
-        order = np.argsort(pooled)
-        return float(pooled[order][np.searchsorted(np.cumsum(weight[order]), 0.5)])
-
-    def likelihood(self, quantity: Quantity) -> Likelihood:
-        """Fit normal components through the weighted draws, equal in mass, mean and variance preserved.
-
-        Raises
-        ------
-        PopulationError
-            If the prior dominates so far that hardly any draw carries the weight.
-        """
-        pooled, weight = self.weighted(quantity)
-        effective = float(1.0 / np.sum(weight**2))
-        if effective < FEWEST_EFFECTIVE:
-            raise PopulationError(
-                f"{quantity.name}: only {effective:.0f} of {pooled.size} draws carry weight once the prior is divided "
-                f"out ({FEWEST_EFFECTIVE:.0f} are needed): the prior, not the recording, shaped this posterior. "
-                "Refit that device under a wider prior or leave this quantity out of it"
-            )
-        mean = float(np.sum(weight * pooled))
-        variance = float(np.sum(weight * (pooled - mean) ** 2))
-        if variance <= 0:
-            raise PopulationError(f"all posterior draws of {quantity.name} are equal; that is not a posterior")
-        order = np.argsort(pooled, kind="stable")
-        group = np.minimum((np.cumsum(weight[order]) * N_COMPONENTS).astype(np.int64), N_COMPONENTS - 1)
-        mass = np.bincount(group, weight[order], N_COMPONENTS)
-        held = mass > 0
-        safe = np.where(held, mass, 1.0)
-        centre = np.bincount(group, weight[order] * pooled[order], N_COMPONENTS) / safe
-        within = np.bincount(group, weight[order] * (pooled[order] - centre[group]) ** 2, N_COMPONENTS) / safe
-        keep = np.sqrt(1.0 - BANDWIDTH**2)
-        shrunk = mean + keep * (centre - mean)
-        sd = np.sqrt(keep**2 * within + BANDWIDTH**2 * variance)
-        return Likelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective)
-
-    def condensed(self, quantity: Quantity) -> Condensed:
-        """Give what a population needs of the draws: some hundred bytes, where the draws of a device are a megabyte."""
-        return Condensed(self.point(quantity), self.likelihood(quantity))
+    pool = quantity("ratio").pool
+    a, b, c, e = (float(pool(x)) for x in (second.lower, second.upper, first.lower, first.upper))
+    edges = np.linspace(a - e, b - c, 7)
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
+    density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)
+    point = float(pool(second.value / first.value))
+    return Measurement(point, Likelihood(True, edges[:-1], edges[1:], density / density.max()))
 
 
-@dataclass(frozen=True)
-class Condensed:
-    """The likelihood of a posterior whose draws are not kept."""
-
-    value: float  # median of the likelihood, pooled scale
-    kept: Likelihood  # the likelihood
-
-    def point(self, _quantity: Quantity) -> float:
-        """Return the median on the pooled scale."""
-        return self.value
-
-    def likelihood(self, _quantity: Quantity) -> Likelihood:
-        """Return the likelihood."""
-        return self.kept
-
-
-@dataclass(frozen=True)
-class Stated:
-    """A value with its standard deviation, as a report gives it."""
-
-    # mean, sd: natural unit
-    mean: float
-    sd: float
-
-    def __post_init__(self) -> None:
-        """Refuse a spread that is not above zero."""
-        if not (np.isfinite([self.mean, self.sd]).all() and self.sd > 0):
-            raise PopulationError(f"a stated value needs a finite mean and a spread above zero; got {self}")
-
-    def point(self, quantity: Quantity) -> float:
-        """Return the mean on the pooled scale."""
-        return float(quantity.pool(self.mean))
-
-    def likelihood(self, quantity: Quantity) -> Likelihood:
-        """Return a normal on the pooled scale; for a logarithm the spread is sd/mean (first order)."""
-        sd = self.sd / self.mean if quantity.logarithmic else self.sd
-        return Likelihood(False, np.array([self.point(quantity)]), np.array([sd]), np.ones(1))
+def weighted(name: str, values: FloatArray, log_prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Draws of a quantity on its pooled scale, and their importance weights 1/prior, which sum to one."""
+    if values.ndim != 1 or values.size < 4 * N_COMPONENTS:
+        raise PopulationError(
+            f"posterior draws must be one column of at least {4 * N_COMPONENTS}; got shape {values.shape}. "
+            "Run the fit of that device longer"
+        )
+    if log_prior.shape != values.shape:
+        raise PopulationError(
+            f"log prior has shape {log_prior.shape}, the draws {values.shape}; give one log density per draw"
+        )
+    pooled = quantity(name).pool(values)
+    if not np.all(np.isfinite(log_prior)):
+        raise PopulationError(
+            f"the prior density of {name} must be finite at every posterior draw; it is not. "
+            "Check that the prior given is the one the device was fitted with"
+        )
+    weight = np.exp(np.min(log_prior) - log_prior)
+    return pooled, weight / weight.sum()
 
 
-Measurement = Rounded | RoundedRatio | PosteriorDraws | Condensed | Stated
+def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> Measurement:
+    """Turn draws of a single-device posterior into a likelihood, by the prior under which they were made.
+
+    The likelihood follows by weighting each draw with 1/prior (Hogg, Myers and Bovy 2010, eq. 9). The weighted draws
+    are then summarised by a few normal components, equal in mass, that keep their mean and variance, so that the sum
+    over draws stays finite and smooth when the spread of the population is smaller than the gaps between draws.
+
+    `values` are equally weighted draws in natural units, shape (n,); `log_prior` is the log density at the draws *on
+    the pooled scale* (for K: the density of log K), up to a constant. `PopulationError` if the prior dominates so far
+    that hardly any draw carries the weight.
+    """
+    pooled, weight = weighted(name, values, log_prior)
+    effective = float(1.0 / np.sum(weight**2))
+    if effective < FEWEST_EFFECTIVE:
+        raise PopulationError(
+            f"{name}: only {effective:.0f} of {pooled.size} draws carry weight once the prior is divided "
+            f"out ({FEWEST_EFFECTIVE:.0f} are needed): the prior, not the recording, shaped this posterior. "
+            "Refit that device under a wider prior or leave this quantity out of it"
+        )
+    mean = float(np.sum(weight * pooled))
+    variance = float(np.sum(weight * (pooled - mean) ** 2))
+    if variance <= 0:
+        raise PopulationError(f"all posterior draws of {name} are equal; that is not a posterior")
+    order = np.argsort(pooled, kind="stable")
+    pooled, weight = pooled[order], weight[order]
+    up_to = np.cumsum(weight)
+    group = np.minimum((up_to * N_COMPONENTS).astype(np.int64), N_COMPONENTS - 1)
+    mass = np.bincount(group, weight, N_COMPONENTS)
+    held = mass > 0
+    safe = np.where(held, mass, 1.0)
+    centre = np.bincount(group, weight * pooled, N_COMPONENTS) / safe
+    within = np.bincount(group, weight * (pooled - centre[group]) ** 2, N_COMPONENTS) / safe
+    keep = np.sqrt(1.0 - BANDWIDTH**2)
+    shrunk = mean + keep * (centre - mean)
+    sd = np.sqrt(keep**2 * within + BANDWIDTH**2 * variance)
+    likelihood = Likelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective)
+    return Measurement(float(pooled[np.searchsorted(up_to, 0.5)]), likelihood)

@@ -1,10 +1,7 @@
 """Values that hold a fitted population: its sets, the draws of every quantity, and what they rest on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
@@ -37,12 +34,6 @@ class DeviceSet:
     points: Mapping[str, tuple[float, ...]] = field(repr=False)
     # how well each of these is known: standard deviation of the device's likelihood (rounding, or posterior)
     errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
-
-    def __post_init__(self) -> None:
-        """Freeze the mappings."""
-        for name in ("points", "errors"):
-            frozen = MappingProxyType({k: tuple(v) for k, v in getattr(self, name).items()})
-            object.__setattr__(self, name, frozen)
 
 
 @dataclass(frozen=True)
@@ -97,13 +88,6 @@ class PopulationResult:
     importance_draws: Mapping[str, float]
     seed: int  # seed of every number here
     tested: RangeTested | None = None  # amplitudes and speeds that the devices went through, as far as known
-
-    def __post_init__(self) -> None:
-        """Freeze the mappings."""
-        for name in ("posteriors", "priors", "importance_draws"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        others = {label: MappingProxyType(dict(fits)) for label, fits in self.other_priors.items()}
-        object.__setattr__(self, "other_priors", MappingProxyType(others))
 
     @property
     def set_names(self) -> tuple[str, ...]:

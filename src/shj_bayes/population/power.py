@@ -5,8 +5,6 @@ seen is not (planning for it promises most where chance was kind). The spread be
 power is averaged over its posterior (assurance; O'Hagan, Stevens and Campbell 2005), not taken at one value of it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -26,22 +24,10 @@ _SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
 def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, strata: int = 1) -> float:
     """Power of the two-sided t test of two samples at `LEVEL`, averaged over what is known of the spread.
 
-    Parameters
-    ----------
-    shift : float
-        True difference, pooled scale.
-    sds : array, shape (n,), or float
-        Equally probable values of the spread between devices of a set, pooled scale.
-    n_a, n_b : int
-        Devices.
-    strata : int
-        Pairs of sets that the devices are divided over; each takes two degrees of freedom.
-
-    Returns
-    -------
-    float
-        Always between 0 and 1; 0 where there are too few devices for any test. The noncentral t is integrated over
-        the estimate of the spread, because the distribution function of scipy gives NaN far out.
+    `sds` are equally probable values of the spread between devices of a set, pooled scale as the true difference
+    `shift`. The devices are divided over `strata` pairs of sets; each takes two degrees of freedom. 0 where there are
+    too few devices for any t test. The noncentral t is integrated over the estimate of the spread, because the
+    distribution function of scipy gives NaN far out.
     """
     sds = np.atleast_1d(np.asarray(sds, dtype=np.float64))
     if not (math.isfinite(shift) and np.all(np.isfinite(sds)) and np.all(sds > 0)):

@@ -5,12 +5,9 @@ devices show (see correlation), so that a quantity derived from two of them, suc
 run, has the spread of both and of their tie, as far as the devices tell it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -37,12 +34,6 @@ class NewDevice:
     prior: str  # prior of the spread it rests on
     # shape (n_draws,): natural units: K kN/mm, Fy kN, ratio 1, gamma s/mm, beta 1, Fy_second kN
     draws: Mapping[str, FloatArray] = field(repr=False)
-
-    def __post_init__(self) -> None:
-        """Freeze the draws."""
-        for values in self.draws.values():
-            values.setflags(write=False)
-        object.__setattr__(self, "draws", MappingProxyType(dict(self.draws)))
 
     def band(self, name: str) -> Band:
         """5, 50 and 95 % quantiles, natural unit."""

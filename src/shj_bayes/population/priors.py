@@ -1,7 +1,5 @@
 """What is assumed about the spread between devices before any is tested, and two other answers to the same question."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,24 +35,15 @@ class PopulationPrior:
 
     def packed(self) -> FloatArray:
         """Numbers in the order the sampler reads them."""
-        return np.array(
-            [
-                self.centre,
-                self.centre_sd,
-                self.between_scale,
-                np.log(self.spread_median),
-                self.spread_log_sd,
-                self.unequal_scale,
-            ]
-        )
+        level = (self.centre, self.centre_sd, self.between_scale)
+        return np.array([*level, np.log(self.spread_median), self.spread_log_sd, self.unequal_scale])
 
 
 _SPREAD = (
     "spread of one set: median 0.2 of the value (FEMA P-695 rates the dispersion of test data from 0.10, superior, to "
     "0.50, poor; geometric middle 0.22) with a factor of 7 either way, which reaches from what rounding alone makes "
     "(0.03) to more than the value itself; "
-    "unequal spread: half-normal 1, "
-    "so that sets may differ by factors of 3 and more; "
+    "unequal spread: half-normal 1, so that sets may differ by factors of 3 and more; "
 )
 _PRIORS = {
     "K": PopulationPrior(np.log(20.0), 3.0, 1.0, 0.2, 2.0, 1.0, _SPREAD + "level: 20 kN/mm, a factor 20 either way"),

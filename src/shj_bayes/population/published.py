@@ -1,7 +1,5 @@
 """The paper's tables, as files and as devices."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -60,16 +58,14 @@ class PublishedRow:
     def device(self) -> DeviceEstimate:
         """Turn the row into a device whose values are known up to their rounding."""
         value, step = self.values, self.steps
-        return DeviceEstimate.from_table(
-            f"T{self.table} {self.row}",
-            self.set_name,
-            K=Rounded.to_step(value["K", 1], step["K"]),
-            Fy=Rounded.to_step(value["Fy", 1], step["Fy"]),
-            Fy_second=Rounded.to_step(value["Fy", 2], step["Fy"]),
-            gamma=Rounded.gamma_of_dep(value["dep", 1], step["dep"]),
-            beta=Rounded.to_decade(value["beta", 1], step["beta"]),
-            tags=self.tags,
-        )
+        printed = {
+            "K": Rounded.to_step(value["K", 1], step["K"]),
+            "Fy": Rounded.to_step(value["Fy", 1], step["Fy"]),
+            "gamma": Rounded.gamma_of_dep(value["dep", 1], step["dep"]),
+            "beta": Rounded.to_decade(value["beta", 1], step["beta"]),
+        }
+        second = Rounded.to_step(value["Fy", 2], step["Fy"])
+        return DeviceEstimate.from_table(f"T{self.table} {self.row}", self.set_name, printed, second, self.tags)
 
 
 def read_table(number: int) -> list[dict[str, str]]:

@@ -1,7 +1,5 @@
 """The quantities that are pooled from device to device, and the scale on which each is close to normal."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass, replace
 

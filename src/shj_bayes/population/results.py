@@ -1,7 +1,5 @@
 """A fitted population as tables and files, and back."""
 
-from __future__ import annotations
-
 import json
 import unicodedata
 from dataclasses import asdict
@@ -14,7 +12,7 @@ import shj_bayes
 from shj_bayes._util.files import check_seal, damage_told, file_digest, read_json, replacing, sealed, write_text
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.correlation import correlation_table
-from shj_bayes.population.device import Tags
+from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import how_wide, new_device_table
 from shj_bayes.population.priors import PopulationPrior
@@ -33,21 +31,6 @@ def safe_cell(value: object) -> object:
     return "'" + value if runs else value
 
 
-def _quantity_row(result: PopulationResult, name: str) -> dict[str, Any]:
-    """Say what a quantity rests on: prior, R-hat, effective sample size, importance draws."""
-    fit = result.posteriors[name]
-    return {
-        "quantity": name,
-        "r_hat": fit.r_hat,
-        "ess": fit.ess,
-        "chains": fit.n_chains,
-        "draws": fit.mu.shape[0],
-        "importance_draws": result.importance_draws[name],
-        "converged": fit.converged,
-        "prior": result.priors[name].source,
-    }
-
-
 def _finite(value: Any) -> Any:
     """Return the value with infinities and NaN as None, which JSON can hold."""
     if isinstance(value, float) and not np.isfinite(value):
@@ -63,8 +46,8 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
     """Return everything but the draws, ready for ``json.dumps``; schema "shj-bayes/population/1"."""
     sets: list[dict[str, Any]] = []
     by_set = dict(list(new_device_table(result).groupby("set", sort=False)))
-    for group in (*result.sets, None):
-        name = ANY_SET if group is None else group.name
+    for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {})):
+        name = group.name
         bands = {
             str(row["quantity"]): {str(k): v for k, v in row.items() if k not in {"set", "n_devices", "quantity"}}
             for row in by_set[name].to_dict("records")
@@ -72,11 +55,11 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
         sets.append(
             {
                 "name": name,
-                "n_devices": 0 if group is None else len(group.devices),
-                "devices": [] if group is None else list(group.devices),
-                "tags": None if group is None else asdict(group.tags),
-                "points": {} if group is None else {k: list(v) for k, v in group.points.items()},
-                "errors": {} if group is None else {k: list(v) for k, v in group.errors.items()},
+                "n_devices": len(group.devices),
+                "devices": list(group.devices),
+                "tags": None if name == ANY_SET else asdict(group.tags),
+                "points": dict(group.points),
+                "errors": dict(group.errors),
                 "new_device": bands,
                 "how_wide": how_wide(result, name) if "Fy" in result.posteriors else None,
             }
@@ -88,30 +71,28 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
         "tested": None if result.tested is None else asdict(result.tested),
         "converged": result.converged,
         "sets": sets,
-        "quantities": [_quantity_row(result, name) for name in result.posteriors],
+        "quantities": [
+            {
+                "quantity": name,
+                "r_hat": fit.r_hat,
+                "ess": fit.ess,
+                "chains": fit.n_chains,
+                "draws": fit.mu.shape[0],
+                "importance_draws": result.importance_draws[name],
+                "converged": fit.converged,
+                "prior": result.priors[name].source,
+            }
+            for name, fit in result.posteriors.items()
+        ],
         "priors": {k: asdict(v) for k, v in result.priors.items()},
         "other_priors": list(result.other_priors),
         "correlation_between_quantities": correlation_table(result),
     }
-    cleaned: dict[str, Any] = _finite(document)
-    return cleaned
+    return {key: _finite(value) for key, value in document.items()}
 
 
 def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]:
-    """Write ``population.csv``, ``population.json`` and the draws ``population.npz``.
-
-    Parameters
-    ----------
-    result : PopulationResult
-        What to write.
-    folder : Path
-        Made when it does not exist.
-
-    Returns
-    -------
-    tuple of Path
-        The files written.
-    """
+    """Write ``population.csv``, ``population.json`` and the draws ``population.npz``; the folder is made if need be."""
     folder.mkdir(parents=True, exist_ok=True)
     table = new_device_table(result).map(safe_cell)
     write_text(folder / "population.csv", table.to_csv(index=False, lineterminator="\n"))
@@ -171,15 +152,9 @@ def _from_document(document: dict[str, Any], arrays: dict[str, FloatArray]) -> P
         mu, tau, hyper, n, diagnostics = (
             arrays[f"{label}/{name}/{p}"] for p in ("mu", "tau", "hyper", "n_devices", "diagnostics")
         )
+        r_hat, ess, n_chains = diagnostics.tolist()
         fits.setdefault(label, {})[name] = QuantityPosterior(
-            name,
-            mu,
-            tau,
-            hyper,
-            tuple(int(x) for x in n),
-            float(diagnostics[0]),
-            float(diagnostics[1]),
-            int(diagnostics[2]),
+            name, mu, tau, hyper, tuple(n.tolist()), r_hat, ess, int(n_chains)
         )
 
     def number(value: float | None, missing: float) -> float:

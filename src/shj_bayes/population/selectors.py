@@ -1,7 +1,5 @@
 """What may be compared: two sets by name, or two kinds of sets (coated, corroded, a coverage) stratum by stratum."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,40 +10,25 @@ from shj_bayes.population.posterior import PopulationResult
 
 Kind = tuple[Callable[[Tags], bool], Callable[[Tags], Tags]]
 """Which sets belong, and their tags without what is compared: sets with the same rest form a stratum."""
-Stratum = tuple[tuple[int, ...], tuple[int, ...]]
+Stratum = tuple[list[int], list[int]]
+"""Positions of the sets on both sides; all else is alike."""
 BARE = {"", "none", "bare", "uncoated", "plain", "blasted", "machined", "polished", "mill scale", "as rolled"}
 """Words for a surface without a coating; ``sweep blasted`` and the like are too."""
 WORDS = "coated, uncoated, corroded, uncorroded, or a coverage such as '70 %'"
 
 
 def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, str, tuple[Stratum, ...]]:
-    """Find the sets to compare.
+    """Find the sets to compare: two sets by name, or two kinds of sets.
 
-    Parameters
-    ----------
-    result : PopulationResult
-        A fitted population.
-    first, second : str
-        Names of two sets, or two kinds of sets.
-
-    Returns
-    -------
-    str, str
-        Both sides by name.
-    tuple of (first, second)
-        Positions of the sets of both sides, stratum by stratum; all else is alike within a stratum.
-
-    Raises
-    ------
-    PopulationError
-        If a set is unknown, both are the same, or no two sets differ in what is compared alone.
+    Gives both sides by name, and the positions of their sets, stratum by stratum; all else is alike within a stratum.
+    `PopulationError` if a set is unknown, both are the same, or no two sets differ in what is compared alone.
     """
     kinds = _kind(result, first), _kind(result, second)
     if kinds[0] is None and kinds[1] is None:
         i, j = result.index(first), result.index(second)
         if i == j:
             raise PopulationError(f"a set cannot be compared with itself ({first!r}); name two different sets")
-        return result.set_names[i], result.set_names[j], (((i,), (j,)),)
+        return result.set_names[i], result.set_names[j], (([i], [j]),)
     if kinds[0] is None or kinds[1] is None:
         raise PopulationError(f"compare two sets, or two kinds of sets ({WORDS}); got {first!r} and {second!r}")
     sides: list[dict[Tags, list[int]]] = [{}, {}]
@@ -54,7 +37,7 @@ def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, s
             assert kind is not None
             if kind[0](group.tags):
                 side.setdefault(kind[1](group.tags), []).append(i)
-    found = tuple((tuple(a), tuple(sides[1][rest])) for rest, a in sides[0].items() if rest in sides[1])
+    found = tuple((a, sides[1][rest]) for rest, a in sides[0].items() if rest in sides[1])
     if not found or any(set(a) & set(b) for a, b in found):
         raise PopulationError(
             f"no two sets differ in '{first}' against '{second}' alone; the tags of the sets (material, coating, "

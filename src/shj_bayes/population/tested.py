@@ -1,7 +1,5 @@
 """What the devices of a population were tested at: the range outside which nothing is said."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

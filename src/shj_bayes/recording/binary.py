@@ -1,7 +1,5 @@
 """MAT files (v4 to v7.3) and HDF5: numeric arrays only, nothing that could hold code."""
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

@@ -1,20 +1,8 @@
 """Single samples of a channel: empty cells, dropouts of the displacement transducer, clipping."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from shj_bayes.recording.limits import (
-    BAD_CELL_SHARE,
-    CLIP_MOTION,
-    CLIP_RUN,
-    CLIP_SHARE,
-    FILL_RUN,
-    SPIKE_NOISE,
-    SPIKE_RANGE,
-    SPIKE_SHARE,
-    SPIKE_USUAL,
-)
+from shj_bayes.recording import limits
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 
@@ -33,13 +21,15 @@ def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, l
     for a, b in runs(empty):
         if a == 0 or b == empty.size:
             keep[a:b], ends = False, ends + b - a
-        elif b - a > FILL_RUN:
+        elif b - a > limits.FILL_RUN:
             keep[a:b], holes = False, holes + b - a
     findings = []
     if ends:
         findings.append(Finding("empty-ends", "repaired", f"{ends} rows without numbers at the ends left out", ends))
     if holes:
-        message = f"{holes} rows in holes of more than {FILL_RUN} empty rows left out; each hole is now a gap in time"
+        message = (
+            f"{holes} rows in holes of more than {limits.FILL_RUN} empty rows left out; each hole is now a gap in time"
+        )
         findings.append(Finding("holes", "warning", message, holes))
     return keep, findings
 
@@ -57,9 +47,9 @@ def fill(time_s: FloatArray, values: FloatArray, name: str) -> tuple[FloatArray,
     share = count / values.size
     message = f"{name}: {count} empty cells ({share:.2%}) bridged by straight lines and not used as evidence"
     found = Finding("empty-cells", "repaired", message, count)
-    if share > BAD_CELL_SHARE:
+    if share > limits.BAD_CELL_SHARE:
         message = (
-            f"{message}; allowed are {BAD_CELL_SHARE:.0%}; fill them in, or take these rows out of the file "
+            f"{message}; allowed are {limits.BAD_CELL_SHARE:.0%}; fill them in, or take these rows out of the file "
             "(steps of time may differ)"
         )
         found = Finding("empty-cells", "unusable", message, count)
@@ -79,9 +69,10 @@ def spikes(displacement_mm: FloatArray) -> BoolArray:
     # A corner or a jolt continues the line on one of its sides; a dropout continues neither.
     off = np.minimum(between, np.minimum(onward, backward))
     core = float(np.diff(np.percentile(x, [1, 99]))[0])
-    limit = max(SPIKE_NOISE * noise_of(x), SPIKE_RANGE * core, SPIKE_USUAL * float(np.percentile(off, 95)))
+    usual = limits.SPIKE_USUAL * float(np.percentile(off, 95))
+    limit = max(limits.SPIKE_NOISE * noise_of(x), limits.SPIKE_RANGE * core, usual)
     found[2:-2] = off > limit
-    return found if np.count_nonzero(found) <= max(2, SPIKE_SHARE * found.size) else np.zeros_like(found)
+    return found if np.count_nonzero(found) <= max(2, limits.SPIKE_SHARE * found.size) else np.zeros_like(found)
 
 
 def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
@@ -94,15 +85,15 @@ def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
     extent, motion = float(np.ptp(values)), float(np.ptp(other))
     if extent <= 0.0 or motion <= 0.0:
         return found
-    equal = [(a, b + 1) for a, b in runs(np.diff(values) == 0.0) if b + 1 - a >= CLIP_RUN]
+    equal = [(a, b + 1) for a, b in runs(np.diff(values) == 0.0) if b + 1 - a >= limits.CLIP_RUN]
     for level in (float(values.min()), float(values.max())):
         at = [(a, b) for a, b in equal if values[a] == level]
         there, elsewhere = sum(b - a for a, b in at), sum(b - a for a, b in equal) - sum(b - a for a, b in at)
         opposite = sum(b - a for a, b in equal if values[a] in (values.min(), values.max()) and values[a] != level)
-        if there < max(2 * CLIP_RUN, CLIP_SHARE * values.size) or elsewhere - opposite > 0.2 * there:
+        if there < max(2 * limits.CLIP_RUN, limits.CLIP_SHARE * values.size) or elsewhere - opposite > 0.2 * there:
             continue
         entry = [abs(values[a] - values[a - 1]) / extent for a, _ in at if a > 0]
         moved = sum(float(np.ptp(other[a:b])) for a, b in at) / len(at)
-        if entry and float(np.median(entry)) > 1e-4 and moved > CLIP_MOTION * motion:
+        if entry and float(np.median(entry)) > 1e-4 and moved > limits.CLIP_MOTION * motion:
             found |= values == level
     return found

@@ -1,7 +1,5 @@
 """What ``shj-bayes check`` says about a recording, as text and as a dictionary."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
@@ -121,7 +119,10 @@ def describe(recording: Recording, motion: Motion | None) -> str:
     ]
     if motion is not None:
         lines += _motion_lines(facts["motion"])
-    return "\n".join(lines + _finding_lines(recording))
+    order = get_args(Severity)
+    found = sorted(recording.findings, key=lambda finding: -order.index(finding.severity))
+    said = [f"  {finding.severity:<9} {finding.code}: {finding.message}" for finding in found]
+    return "\n".join(lines + (said or ["  nothing to remark"]))
 
 
 def _range(pair: list[float]) -> str:
@@ -140,11 +141,3 @@ def _motion_lines(motion: dict[str, Any]) -> list[str]:
         lines.append(f"  {'blocks':<13}{'; '.join(shown)}")
     lines.append(f"  {'method':<13}{motion['method']}")
     return lines
-
-
-def _finding_lines(recording: Recording) -> list[str]:
-    """List the findings, the gravest first."""
-    lines = []
-    for severity in reversed(get_args(Severity)):
-        lines += [f"  {severity:<9} {f.code}: {f.message}" for f in recording.findings if f.severity == severity]
-    return lines or ["  nothing to remark"]

@@ -1,44 +1,19 @@
 """The clock of a recording: rows without time, repeats and backward jumps, jitter, gaps."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from itertools import pairwise
 
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.limits import (
-    BAD_TIME_SHARE,
-    GAP_STEPS,
-    JITTER_SHARE,
-    MANY_GAPS_SHARE,
-    MAX_DURATION_S,
-    MIN_SAMPLES,
-    RESTART_GAP_STEPS,
-)
+from shj_bayes.recording import limits
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 
 
 def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding]]:
-    """Rows whose times increase, as many as can be kept.
+    """Mark the rows whose times (NaN where there is none) increase, as many as can be kept.
 
-    Parameters
-    ----------
-    time_s : array, shape (n_rows,)
-        NaN where there is no time.
-    name : str
-        File name for messages.
-
-    Returns
-    -------
-    keep : array of bool, shape (n_rows,)
-    findings : list of Finding
-
-    Raises
-    ------
-    RecordingError
-        If more rows than a small share are out of order: then the clock is broken, not a few rows.
+    `RecordingError` where more rows than a small share are out of order: then the clock is broken, not a few rows.
     """
     findings: list[Finding] = []
     keep = np.isfinite(time_s)
@@ -55,7 +30,7 @@ def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding
     repeats, back = int(np.count_nonzero(steps == 0)), int(np.count_nonzero(steps < 0))
     kept = longest_increasing(times)
     dropped = times.size - kept.size
-    if dropped > max(3, BAD_TIME_SHARE * times.size):
+    if dropped > max(3, limits.BAD_TIME_SHARE * times.size):
         raise RecordingError(_broken_clock(name, times, steps, repeats, back, dropped))
     keep[:] = False
     keep[index[kept]] = True
@@ -80,10 +55,10 @@ def restarts(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArr
     found: list[int] = []
     begin = 0
     for k in (np.flatnonzero(np.diff(times) < 0) + 1).tolist():
-        if k - begin < MIN_SAMPLES or times.size - k < MIN_SAMPLES:
+        if k - begin < limits.MIN_SAMPLES or times.size - k < limits.MIN_SAMPLES:
             continue
         first, last, after = (
-            float(np.median(times[a : a + MIN_SAMPLES])) for a in (begin, k - MIN_SAMPLES, k)
+            float(np.median(times[a : a + limits.MIN_SAMPLES])) for a in (begin, k - limits.MIN_SAMPLES, k)
         )  # medians, since single times may be wrong
         if after < 0.5 * (first + last) and not _goes_on(displacement_mm, force_kN, int(index[k])):
             found.append(int(index[k]))
@@ -115,17 +90,17 @@ def follow_on(time_s: FloatArray, rows: list[int]) -> tuple[FloatArray, list[flo
         if before.size < 2 or own.size < 1:
             shifts.append(0.0)
             continue
-        last = before[-MIN_SAMPLES:]
+        last = before[-limits.MIN_SAMPLES :]
         step = float(np.median(np.abs(np.diff(last))))
         end = float(np.median(last)) + last.size * step
-        shifts.append(0.0 if own[0] > before[-1] else end + RESTART_GAP_STEPS * step - float(own[0]))
+        shifts.append(0.0 if own[0] > before[-1] else end + limits.RESTART_GAP_STEPS * step - float(own[0]))
         out[a:b] += shifts[-1]
     return out, shifts
 
 
 def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int, back: int, dropped: int) -> str:
     """Say which kind of broken clock it is and what to do."""
-    allowed = f"allowed are {BAD_TIME_SHARE:.0%}"
+    allowed = f"allowed are {limits.BAD_TIME_SHARE:.0%}"
     if repeats >= back * 5:
         return (
             f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few digits; "
@@ -133,10 +108,9 @@ def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int,
         )
     row = int(np.flatnonzero(steps < 0)[0])
     return (
-        f"{name}: time jumps back {back} times, first from {times[row]:.6g} s to {times[row + 1]:.6g} s "
-        f"at row {row + 2}; "
-        f"{dropped} of {times.size} rows would be lost ({allowed}); "
-        "export the time of the test anew, or one file for each run"
+        f"{name}: time jumps back {back} times, first from {times[row]:.6g} s to {times[row + 1]:.6g} s at row "
+        f"{row + 2}; {dropped} of {times.size} rows would be lost ({allowed}); export the time of the test anew, or "
+        "one file for each run"
     )
 
 
@@ -163,37 +137,32 @@ def longest_increasing(values: FloatArray) -> np.ndarray[tuple[int], np.dtype[np
 
 
 def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Finding]:
-    """Jitter, gaps and an unlikely duration; nothing is changed.
+    """Jitter, gaps and an unlikely duration of strictly increasing times; nothing is changed.
 
-    Parameters
-    ----------
-    time_s : array, shape (n_samples,)
-        Strictly increasing.
-    displacement_mm : array, shape (n_samples,)
-        To say how far the device moved in a gap.
+    The displacement says how far the device moved in a gap.
     """
     steps = np.diff(time_s)
     median = float(np.median(steps))
     findings: list[Finding] = []
     spread = float(np.diff(np.percentile(steps, [5, 95]))[0]) / median
-    if spread > JITTER_SHARE:
+    if spread > limits.JITTER_SHARE:
         message = (
             f"time steps vary by {spread:.0%} of their median {1e3 * median:.4g} ms; each sample keeps its own time"
         )
         findings.append(Finding("jitter", "note", message))
-    gaps = np.flatnonzero(steps > GAP_STEPS * median)
+    gaps = np.flatnonzero(steps > limits.GAP_STEPS * median)
     if gaps.size:
         worst = int(gaps[np.argmax(steps[gaps])])
         moved = float(np.max(np.abs(np.diff(displacement_mm)[gaps])))
         share = moved / max(float(np.ptp(displacement_mm)), 1e-300)
-        loud = gaps.size > max(1, MANY_GAPS_SHARE * steps.size) or share > 0.1
+        loud = gaps.size > max(1, limits.MANY_GAPS_SHARE * steps.size) or share > 0.1
         plural = "s" if gaps.size > 1 else ""
         message = (
             f"{gaps.size} gap{plural} in time, the longest {steps[worst]:.4g} s at {time_s[worst]:.6g} s "
             f"(step {median:.4g} s), with up to {moved:.3g} mm moved; noise and smoothing restart after each"
         )
         findings.append(Finding("gaps", "warning" if loud else "note", message, int(gaps.size)))
-    if time_s[-1] - time_s[0] > MAX_DURATION_S:
+    if time_s[-1] - time_s[0] > limits.MAX_DURATION_S:
         duration = time_s[-1] - time_s[0]
         message = f"the recording lasts {duration:.4g} s, over a week; is the time in ms? Then use --units time=ms"
         findings.append(Finding("time-unit", "warning", message))

@@ -1,7 +1,5 @@
 """Which column is time, displacement and force, and in which unit: by option, else by header, never by guess."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -55,23 +53,9 @@ class Channels:
 def choose(
     table: Table, columns: str | None = None, units: str | None = None, rate_Hz: float | None = None
 ) -> Channels:
-    """Pick and convert the three channels of a table.
+    """Pick and convert the three channels of a table; arguments are those of `shj_bayes.recording.reader.read`.
 
-    Parameters
-    ----------
-    table : Table
-        The file's columns.
-    columns : str or None
-        ``--columns``; roles that it does not name are looked for in the header.
-    units : str or None
-        ``--units``; roles that it does not name take the header's unit.
-    rate_Hz : float or None
-        Constant sampling rate of a file without a time column, Hz.
-
-    Raises
-    ------
-    RecordingError
-        If a channel is missing, ambiguous or in a unit that is not its own.
+    `RecordingError` if a channel is missing, ambiguous or in a unit that is not its own.
     """
     asked = parse_columns(columns)
     given = parse_units(units)
@@ -158,18 +142,9 @@ def _extra(name: str, value: Value, n: int, table: Table) -> Extra:
 
 
 def parse_columns(option: str | None) -> dict[str, str]:
-    """Read the ``--columns`` option.
+    """Read ``--columns``: column name, number or formula by role, or by name of a further channel.
 
-    Parameters
-    ----------
-    option : str or None
-        ``time=...,displacement=...,force=...``, and any further channel by a name of your own, such as
-        ``tension=...,temperature=...``; commas inside a name are allowed.
-
-    Returns
-    -------
-    dict
-        Role or name of the channel to column name, number or formula.
+    Commas inside a name of a column are allowed.
     """
     found: dict[str, str] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", option or ""):

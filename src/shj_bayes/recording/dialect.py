@@ -1,7 +1,5 @@
 """How a text table is written: separator, decimal sign, header, first line of numbers."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import dataclass, replace

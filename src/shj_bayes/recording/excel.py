@@ -1,7 +1,5 @@
 """XLSX workbooks: the first sheet that holds a table of numbers."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,6 +19,8 @@ def read_excel(path: Path, sha256: str) -> Table:
     _bounded(path)
     from openpyxl import load_workbook  # noqa: PLC0415
 
+    from shj_bayes.recording.text import table_from_lines  # noqa: PLC0415
+
     book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
     try:
         names = list(book.sheetnames)
@@ -28,9 +28,12 @@ def read_excel(path: Path, sha256: str) -> Table:
             sheet = book[name]
             if not hasattr(sheet, "iter_rows"):  # a chart sheet
                 continue
-            table = _table(sheet, path.name, sha256)
-            if table is not None:
-                return _with_sheet_note(table, name, names)
+            try:  # by way of the text reader, so that both find headers by the same rules
+                table = table_from_lines(_lines(sheet), path.name, sha256, "xlsx")
+            except NoNumbersError:
+                continue
+            note = Finding("sheet", "assumed", f"sheet {name!r} is read, the first with numbers of {len(names)}")
+            return table if len(names) == 1 else replace(table, findings=(*table.findings, note))
     finally:
         book.close()
     raise RecordingError(f"{path.name}: no sheet holds rows of two or more numbers; sheets are {', '.join(names[:8])}")
@@ -97,16 +100,6 @@ def _lines(sheet: Any) -> Iterator[str]:
             yield "\t".join(_cell(cell) for cell in row[: filled[-1] + 1])
 
 
-def _table(sheet: Any, name: str, sha256: str) -> Table | None:
-    """Table of a sheet by way of the text reader, so that both find headers by the same rules."""
-    from shj_bayes.recording.text import table_from_lines  # noqa: PLC0415
-
-    try:
-        return table_from_lines(_lines(sheet), name, sha256, "xlsx")
-    except NoNumbersError:
-        return None
-
-
 def _cell(value: object) -> str:
     """One cell as text without separators; repr keeps every digit of a number."""
     if value is None:
@@ -114,11 +107,3 @@ def _cell(value: object) -> str:
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return repr(float(value))
     return " ".join(str(value).split())
-
-
-def _with_sheet_note(table: Table, used: str, names: list[str]) -> Table:
-    """Say which of several sheets was read."""
-    if len(names) == 1:
-        return table
-    note = Finding("sheet", "assumed", f"sheet {used!r} is read, the first with numbers of {len(names)}")
-    return replace(table, findings=(*table.findings, note))

@@ -4,8 +4,6 @@ Python's parser reads them, once names and numbers stand aside; of its tree noth
 nothing is ever evaluated as code.
 """
 
-from __future__ import annotations
-
 import ast
 import operator
 import re
@@ -41,19 +39,9 @@ class Value:
 
 
 def evaluate(text: str, table: Table) -> Value:
-    """Value of a column name, a 1-based column number, or a formula of columns and single numbers.
+    """Value of a column name, a 1-based column number, or a formula of them and of single numbers.
 
-    Parameters
-    ----------
-    text : str
-        What stood behind the equals sign of ``--columns``.
-    table : Table
-        Where names and numbers are looked up.
-
-    Raises
-    ------
-    RecordingError
-        For unknown names, a product of two columns, or anything that is no formula.
+    `RecordingError` for unknown names, a product of two columns, or anything that is no formula.
     """
     text = text.strip()
     if len(text) > _MAX_LENGTH:  # before int(), which refuses thousands of digits in words of its own

@@ -4,8 +4,6 @@ A channel is averaged on an even grid and smoothed by local parabolas; the windo
 best from its neighbours (leave-one-out, in closed form for a linear filter; Allen 1974, Technometrics 16, 125).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -47,19 +45,7 @@ class Channel:
 
 
 def channel_of(extra: Extra, time_s: FloatArray, force_kN: FloatArray) -> Channel:
-    """Take the noise off a further channel, or say why it cannot serve.
-
-    Parameters
-    ----------
-    extra : Extra
-        The channel at the samples.
-    time_s, force_kN : array, shape (n_samples,)
-        Times and measured force of the same run.
-
-    Returns
-    -------
-    Channel
-    """
+    """Take the noise off a further channel or say why it cannot serve; times and force are those of its samples."""
     since = time_s - time_s[0]
     known = np.flatnonzero(np.isfinite(extra.values))
     gap = float(np.diff(since[known], prepend=0.0, append=since[-1]).max() / since[-1])

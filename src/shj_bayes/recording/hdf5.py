@@ -3,8 +3,6 @@
 Found by fuzzing (``tests/fuzz``): about one damaged file in a thousand ended the reader with a segmentation fault.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import io
 import json
@@ -122,15 +120,12 @@ def from_hdf5(path: Path) -> Iterator[Item]:
 
 
 def _safe(item: Any) -> bool:
-    """Whether a dataset is plain numbers in this very file; external and virtual ones are windows into other files."""
-    return _holds_numbers(item.dtype) and not item.external and not item.is_virtual
+    """Whether a dataset is plain numbers, or a table of them, in this very file.
 
-
-def _holds_numbers(dtype: np.dtype[Any]) -> bool:
-    """Whether a dataset is plain numbers, or a table of them; references and objects are not."""
-    if dtype.names:
-        return all(dtype[name].kind in "fiub" for name in dtype.names)
-    return dtype.kind in "fiub"
+    References and objects are not; external and virtual datasets are windows into other files.
+    """
+    kinds = [item.dtype[name] for name in item.dtype.names] if item.dtype.names else [item.dtype]
+    return all(kind.kind in "fiub" for kind in kinds) and not item.external and not item.is_virtual
 
 
 def _unit(item: Any) -> str | None:

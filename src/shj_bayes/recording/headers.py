@@ -1,7 +1,5 @@
 """Column headers taken apart: what is measured, and in which unit."""
 
-from __future__ import annotations
-
 import re
 
 from shj_bayes.recording.limits import MAX_NAME

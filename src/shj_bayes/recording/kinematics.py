@@ -1,21 +1,12 @@
 """From measured displacement to what the law needs: half-cycles, turning points and speed."""
 
-from __future__ import annotations
-
 import weakref
 
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.limits import (
-    MIN_STROKE_MM,
-    REVERSAL_COUNTS,
-    REVERSAL_NOISE,
-    REVERSAL_RANGE,
-    UNSURE_SD,
-    UNSURE_SHARE,
-)
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording import limits
+from shj_bayes.recording.motion import BoolArray, IntArray, Motion
 from shj_bayes.recording.noise import noise_of, resolution_of
 from shj_bayes.recording.recording import FloatArray, Recording
 from shj_bayes.recording.reversals import first_direction, hysteresis, place
@@ -25,20 +16,8 @@ from shj_bayes.recording.smoothing import smooth
 def motion_of(recording: Recording) -> Motion:
     """Half-cycles, turning points, smoothed displacement and speed of a measured recording.
 
-    Parameters
-    ----------
-    recording : Recording
-        Its displacement may be noisy, rounded by an encoder, unevenly sampled, and may rest or have corners.
-
-    Returns
-    -------
-    Motion
-        ``method`` states the window and the bandwidth of the speed.
-
-    Raises
-    ------
-    RecordingError
-        If the displacement does not move beyond its own noise.
+    The displacement may be noisy, rounded by an encoder, unevenly sampled, and may rest or have corners.
+    `RecordingError` if it does not move beyond its own noise.
     """
     # The checks ask first and the fit asks again, of a recording that differs in its findings alone.
     key = (id(recording.time_s), id(recording.displacement_mm))
@@ -60,17 +39,17 @@ def _motion(recording: Recording) -> Motion:
     count = resolution_of(raw)
     noise = noise_of(raw, count)
     extent = float(np.ptp(raw))
-    if raw.size < 8 or extent < max(MIN_STROKE_MM, 2 * REVERSAL_NOISE * noise):
+    least = max(limits.MIN_STROKE_MM, 2 * limits.REVERSAL_NOISE * noise)
+    if raw.size < 8 or extent < least:
         raise RecordingError(
             f"{recording.source.name}: the displacement moves {extent:.3g} mm in {raw.size} samples "
-            f"with {noise:.2g} mm noise; "
-            f"needed are 8 samples and {max(MIN_STROKE_MM, 2 * REVERSAL_NOISE * noise):.3g} mm; check column and unit"
+            f"with {noise:.2g} mm noise; needed are 8 samples and {least:.3g} mm; check column and unit"
         )
-    floor = max(REVERSAL_COUNTS * count, REVERSAL_RANGE * extent)
+    floor = max(limits.REVERSAL_COUNTS * count, limits.REVERSAL_RANGE * extent)
     # The first search only has to find the large half-cycles; what it takes for one narrows the window.
-    curve = smooth(time, raw, noise, count, max(REVERSAL_NOISE * noise, 2 * floor))
+    curve = smooth(time, raw, noise, count, max(limits.REVERSAL_NOISE * noise, 2 * floor))
     # The second search works on the smoothed curve, so that its threshold may be as low as the noise that is left.
-    threshold = max(REVERSAL_NOISE * curve.noise, floor)
+    threshold = max(limits.REVERSAL_NOISE * curve.noise, floor)
     turns = hysteresis(curve.values, threshold)
     turn_s, turn_mm = place(time, raw, curve, turns, noise)
     start = _boundaries(time, turn_s)
@@ -92,12 +71,8 @@ def _motion(recording: Recording) -> Motion:
 
 
 def _unsure(
-    time: FloatArray,
-    turn_s: FloatArray,
-    start: np.ndarray[tuple[int], np.dtype[np.int64]],
-    velocity_sd: FloatArray,
-    along: FloatArray,
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    time: FloatArray, turn_s: FloatArray, start: IntArray, velocity_sd: FloatArray, along: FloatArray
+) -> BoolArray:
     """Mark samples of which it is not known on which side of a reversal they lie.
 
     The time at which a noisy displacement turns is known to three standard deviations of the velocity over the
@@ -108,19 +83,19 @@ def _unsure(
     out = np.zeros(time.size, dtype=np.bool_)
     for k, moment in enumerate(turn_s, start=1):
         i = int(start[k])
-        reach = max(int(np.ceil(UNSURE_SHARE * min(i - start[k - 1], start[k + 1] - i))), 1)
+        reach = max(int(np.ceil(limits.UNSURE_SHARE * min(i - start[k - 1], start[k + 1] - i))), 1)
         before, after = max(i - reach, int(start[k - 1])), min(i + reach, time.size - 1)
         # The faster of both sides: a rest before the reversal does not blur the moment at which the motion goes on.
         rise = max(
             abs(along[after]) / (time[after] - moment + step), abs(along[before]) / (moment - time[before] + step)
         )
-        spread = UNSURE_SD * float(velocity_sd[i]) / max(rise, 1e-12)
+        spread = limits.UNSURE_SD * float(velocity_sd[i]) / max(rise, 1e-12)
         limit = max(reach * step, step)
         out |= np.abs(time - moment) <= min(max(spread, step), limit)
     return out
 
 
-def _boundaries(time: FloatArray, turn_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _boundaries(time: FloatArray, turn_s: FloatArray) -> IntArray:
     """First sample at or after each turning time; every half-cycle keeps at least one sample."""
     start = np.concatenate([[0], np.searchsorted(time, turn_s, side="left"), [time.size]]).astype(np.int64)
     for k in range(1, start.size - 1):
@@ -128,7 +103,7 @@ def _boundaries(time: FloatArray, turn_s: FloatArray) -> np.ndarray[tuple[int], 
     return start
 
 
-def _between(values: FloatArray, turning: FloatArray, start: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
+def _between(values: FloatArray, turning: FloatArray, start: IntArray) -> FloatArray:
     """Keep each half-cycle between its turning points: slip against its direction is noise."""
     begin = np.repeat(turning, np.diff(start))
     end = np.repeat(np.append(turning[1:], np.nan), np.diff(start))

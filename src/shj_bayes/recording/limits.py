@@ -1,7 +1,5 @@
 """Every threshold of the readers and checks in one place, with the reason for its value."""
 
-from __future__ import annotations
-
 # --- what may be read: a laboratory recording is at most some hundred megabytes; more is a mistake or an attack ---
 MAX_ROWS = 10_000_000
 MAX_COLUMNS = 512

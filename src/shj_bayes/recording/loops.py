@@ -1,27 +1,8 @@
 """Checks on the whole loop: magnitude, sign, swapped columns, offset, lag, number of cycles."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from shj_bayes.recording.limits import (
-    CENTRE_SHARE,
-    FEW_HALF_CYCLES,
-    LAG_STEPS,
-    MAX_FORCE_KN,
-    MAX_STROKE_MM,
-    MIN_FORCE_KN,
-    MIN_HALF_CYCLES,
-    MIN_SAMPLES,
-    MIN_SAMPLES_PER_HALF_CYCLE,
-    MIN_STROKE_MM,
-    OFFSET_SHARE,
-    REST_SAMPLES,
-    REVERSAL_NOISE,
-    REVERSAL_RANGE,
-    SIGN_SHARE,
-    SWAPPED_PRODUCT,
-)
+from shj_bayes.recording import limits
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.recording import Finding, FloatArray, Recording
@@ -33,14 +14,15 @@ def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> lis
     force, stroke = float(np.max(np.abs(force_kN))), float(np.ptp(displacement_mm))
     varies = float(np.ptp(force_kN))
     checks = (
-        (force > MAX_FORCE_KN, "force-unit", f"force up to {force:.6g} kN; the largest machines reach "
-         f"{MAX_FORCE_KN:g} kN; if it is in N, use --units force=N"),
-        (varies < MIN_FORCE_KN, "force-flat", f"force varies by {varies:.3g} kN only; at least {MIN_FORCE_KN:g} kN is "
-         "needed; check its column and unit"),
-        (stroke > MAX_STROKE_MM, "displacement-unit", f"displacement spans {stroke:.6g} mm; at most "
-         f"{MAX_STROKE_MM:g} mm is plausible; check its column, or state the unit, such as --units displacement=mm"),
-        (stroke < MIN_STROKE_MM, "displacement-flat", f"displacement spans {stroke:.3g} mm; at least "
-         f"{MIN_STROKE_MM:g} mm is needed; is it in m or in? Use --units displacement=m"),
+        (force > limits.MAX_FORCE_KN, "force-unit", f"force up to {force:.6g} kN; the largest machines reach "
+         f"{limits.MAX_FORCE_KN:g} kN; if it is in N, use --units force=N"),
+        (varies < limits.MIN_FORCE_KN, "force-flat", f"force varies by {varies:.3g} kN only; at least "
+         f"{limits.MIN_FORCE_KN:g} kN is needed; check its column and unit"),
+        (stroke > limits.MAX_STROKE_MM, "displacement-unit", f"displacement spans {stroke:.6g} mm; at most "
+         f"{limits.MAX_STROKE_MM:g} mm is plausible; check its column, or state the unit, such as "
+         "--units displacement=mm"),
+        (stroke < limits.MIN_STROKE_MM, "displacement-flat", f"displacement spans {stroke:.3g} mm; at least "
+         f"{limits.MIN_STROKE_MM:g} mm is needed; is it in m or in? Use --units displacement=m"),
     )  # fmt: skip
     return [Finding(code, "unusable", message) for found, code, message in checks if found]
 
@@ -91,7 +73,8 @@ def roughness(values: FloatArray) -> float:
 
 def half_cycles(values: FloatArray) -> int:
     """Count the half-cycles of a channel, shape (n_samples,), with the threshold that the displacement has."""
-    return len(hysteresis(values, max(REVERSAL_NOISE * noise_of(values), REVERSAL_RANGE * float(np.ptp(values))))) + 1
+    threshold = max(limits.REVERSAL_NOISE * noise_of(values), limits.REVERSAL_RANGE * float(np.ptp(values)))
+    return len(hysteresis(values, threshold)) + 1
 
 
 def exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
@@ -113,19 +96,18 @@ def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[Fl
     for the user to say which column is which.
     """
     area = dissipation(displacement_mm, force_kN)
-    if area > -SIGN_SHARE:
+    if area > -limits.SIGN_SHARE:
         return force_kN, []
-    if exchanged(displacement_mm, force_kN) > SWAPPED_PRODUCT:
+    if exchanged(displacement_mm, force_kN) > limits.SWAPPED_PRODUCT:
         message = (
             f"displacement and force seem swapped: the loop gives energy back (area {area:+.2f} of a friction loop; "
-            f"above {-SIGN_SHARE:g} is allowed), and the displacement is rougher than the force, jumps more and "
+            f"above {-limits.SIGN_SHARE:g} is allowed), and the displacement is rougher than the force, jumps more and "
             f"turns more often ({half_cycles(displacement_mm)} half-cycles, the force {half_cycles(force_kN)})"
         )
         return force_kN, [Finding("swapped-columns", "unusable", message)]
     message = (
-        f"the loop gave energy back (area {area:+.2f} of a friction loop; "
-        f"above {-SIGN_SHARE:g} is allowed), so one channel "
-        f"has the wrong sign; the force is turned round, which exchanges the names push and pull"
+        f"the loop gave energy back (area {area:+.2f} of a friction loop; above {-limits.SIGN_SHARE:g} is allowed), so "
+        "one channel has the wrong sign; the force is turned round, which exchanges the names push and pull"
     )
     return -force_kN, [Finding("force-sign", "repaired", message)]
 
@@ -133,22 +115,21 @@ def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[Fl
 def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
     """Too few samples or half-cycles, offsets and lag."""
     findings = []
-    if recording.n_samples < MIN_SAMPLES:
-        message = (
-            f"{recording.n_samples} samples; at least {MIN_SAMPLES} are needed; export every row, or sample faster"
-        )
+    if recording.n_samples < limits.MIN_SAMPLES:
+        message = f"{recording.n_samples} samples; at least {limits.MIN_SAMPLES} are needed; export every row"
+        message += ", or sample faster"
         findings.append(Finding("few-samples", "unusable", message))
-    if motion.n_half < FEW_HALF_CYCLES:
-        severe = motion.n_half < MIN_HALF_CYCLES
+    if motion.n_half < limits.FEW_HALF_CYCLES:
+        severe = motion.n_half < limits.MIN_HALF_CYCLES
         message = (
-            f"{motion.n_half} half-cycles; at least {MIN_HALF_CYCLES} are needed, "
-            f"{FEW_HALF_CYCLES} to see a change from cycle to cycle; record more cycles"
+            f"{motion.n_half} half-cycles; at least {limits.MIN_HALF_CYCLES} are needed, "
+            f"{limits.FEW_HALF_CYCLES} to see a change from cycle to cycle; record more cycles"
         )
         findings.append(Finding("few-cycles", "unusable" if severe else "warning", message))
     per_half = recording.n_samples / motion.n_half
-    if per_half < MIN_SAMPLES_PER_HALF_CYCLE:
+    if per_half < limits.MIN_SAMPLES_PER_HALF_CYCLE:
         message = (
-            f"{per_half:.1f} samples in a half-cycle; at least {MIN_SAMPLES_PER_HALF_CYCLE} are needed "
+            f"{per_half:.1f} samples in a half-cycle; at least {limits.MIN_SAMPLES_PER_HALF_CYCLE} are needed "
             f"to see the stiffness; sample faster"
         )
         findings.append(Finding("coarse-sampling", "warning", message))
@@ -163,7 +144,7 @@ def _offsets(recording: Recording, motion: Motion) -> list[Finding]:
     if half_stroke <= 0:
         return []
     # Strokes that start from one end are no offset.
-    if CENTRE_SHARE * half_stroke < abs(centre) < 0.5 * half_stroke:
+    if limits.CENTRE_SHARE * half_stroke < abs(centre) < 0.5 * half_stroke:
         message = (
             f"the middle of the stroke is at {centre:+.3g} mm, {abs(centre) / half_stroke:.0%} of the amplitude; "
             f"kept as it is"
@@ -173,7 +154,7 @@ def _offsets(recording: Recording, motion: Motion) -> list[Finding]:
     if push is None or pull is None:
         return findings
     offset, half = 0.5 * (push + pull), 0.5 * abs(push - pull)
-    if abs(offset) > OFFSET_SHARE * half:
+    if abs(offset) > limits.OFFSET_SHARE * half:
         message = (
             f"the force is {push:.4g} kN pushing and {pull:.4g} kN pulling, {offset:+.3g} kN off centre; kept as it "
             f"is: a load cell that was not zeroed, or a device that differs in push and pull"
@@ -199,10 +180,10 @@ def _rest(recording: Recording, motion: Motion, half: float) -> list[Finding]:
     still = np.abs(x - x[0]) < max(5 * motion.noise_mm, 1e-3 * float(np.ptp(x)))
     n = int(np.argmin(still)) if not still.all() else 0
     # Coarse sampling makes motion look like noise, and then everything seems to be at rest.
-    if n < REST_SAMPLES or motion.noise_mm > 0.01 * float(np.ptp(x)):
+    if n < limits.REST_SAMPLES or motion.noise_mm > 0.01 * float(np.ptp(x)):
         return []
     force = float(np.median(recording.force_kN[:n]))
-    if abs(force) <= OFFSET_SHARE * half:
+    if abs(force) <= limits.OFFSET_SHARE * half:
         return []
     message = f"force at rest before the first movement is {force:+.3g} kN ({n} samples), not zero; kept as it is"
     return [Finding("rest-offset", "note", message, n)]
@@ -212,7 +193,7 @@ def _lag(recording: Recording, motion: Motion) -> list[Finding]:
     """Delay of the force after the displacement, where the unloading branches show one."""
     lag = lag_of(recording, motion)
     step = 1.0 / recording.rate_Hz
-    if lag is None or abs(lag) < LAG_STEPS * step:
+    if lag is None or abs(lag) < limits.LAG_STEPS * step:
         return []
     size = f"by about {1e3 * abs(lag):.3g} ms ({abs(lag) / step:.1f} samples)"
     if lag > 0:

@@ -1,7 +1,5 @@
 """How noisy a measured displacement is, and whether it comes in counts of an encoder."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.recording.recording import FloatArray

@@ -89,6 +89,11 @@ class _Column:
                 self.n_grouped += 1
         return values, wrong
 
+    def joined(self) -> FloatArray:
+        """Give the whole column; the pieces are freed."""
+        pieces, self.pieces = self.pieces, []
+        return np.concatenate(pieces) if pieces else np.zeros(0)
+
     def findings(self, name: str) -> Iterator[Finding]:
         """Say what was met in the column."""
         if self.n_words:
@@ -106,31 +111,10 @@ class _Column:
 def numbers(
     lines: Iterable[str], dialect: Dialect, names: list[str], file: str
 ) -> tuple[list[FloatArray], list[int], list[Finding]]:
-    """Parse rows in blocks, so that memory holds the numbers and one block of text.
+    """Parse rows, from the first line of numbers on, in blocks: memory holds the numbers and one block of text.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        Rows from the first line of numbers on.
-    dialect : Dialect
-        How they are written.
-    names : list of str
-        Column names for messages; empty where there are none.
-    file : str
-        File name for messages.
-
-    Returns
-    -------
-    list of array, shape (n_rows,)
-        One for each column; NaN where there is no number.
-    n_words : list of int
-        Cells of each column that hold text.
-    findings : list of Finding
-
-    Raises
-    ------
-    RecordingError
-        For too many rows, and where 1.234 may be a thousand.
+    Columns, NaN where there is no number; how many cells of each hold text; findings. `names` (empty where there are
+    none) and `file` are for messages. `RecordingError` for too many rows, and where 1.234 may be a thousand.
     """
     columns = [_Column(dialect.decimal) for _ in range(dialect.width)]
     labels = [name or f"#{i + 1}" for i, name in enumerate(names)]
@@ -160,7 +144,7 @@ def numbers(
         findings.append(Finding("broken-rows", "repaired", f"{lost} rows with too many cells left out", lost))
     for column, label in zip(columns, labels, strict=True):
         findings += column.findings(label)
-    return [_joined(column) for column in columns], [column.n_words for column in columns], findings
+    return [column.joined() for column in columns], [column.n_words for column in columns], findings
 
 
 def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
@@ -231,12 +215,6 @@ def _refuse_slow(columns: list[_Column], labels: list[str], file: str) -> None:
             f"{file}: more than {MAX_SPECIAL} numbers have groups of thousands or D exponents; export it as plain "
             f"numbers, such as 1234.5"
         )
-
-
-def _joined(column: _Column) -> FloatArray:
-    """Pieces of a column as one array; each piece is freed as it goes."""
-    pieces, column.pieces = column.pieces, []
-    return np.concatenate(pieces) if pieces else np.zeros(0)
 
 
 def _unusual(cell: str, decimal: str) -> float | None:

@@ -4,23 +4,13 @@ No check can find a wrong unit that gives a usual size, so these refuse only whe
 saying it settles the matter.
 """
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import replace
 
 import numpy as np
 
+from shj_bayes.recording import limits
 from shj_bayes.recording.columns import Channels
-from shj_bayes.recording.limits import (
-    ASSUMED_FORCE_KN,
-    ASSUMED_SPEED_MM_S,
-    ASSUMED_STROKE_MM,
-    LONG_TEST_S,
-    SWAPPED_BURSTS,
-    SWAPPED_ROUGHNESS,
-    SWAPPED_SMOOTH,
-)
 from shj_bayes.recording.loops import burstiness, changes, roughness
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.units import TARGET, Role, factor
@@ -40,9 +30,9 @@ def plausibility_findings(
     duration = float(time_s[-1] - time_s[0])
     speed = float(np.sum(np.abs(changes(displacement_mm)))) / max(duration, 1e-300)
     measures: tuple[tuple[Role, float, str, tuple[float, float], str], ...] = (
-        ("displacement", stroke, "a stroke of {:.3g} mm", ASSUMED_STROKE_MM, "mm"),
-        ("force", force, "a force of up to {:.3g} kN", ASSUMED_FORCE_KN, "kN"),
-        ("time", speed, "a mean speed of {:.3g} mm/s", ASSUMED_SPEED_MM_S, "mm/s"),
+        ("displacement", stroke, "a stroke of {:.3g} mm", limits.ASSUMED_STROKE_MM, "mm"),
+        ("force", force, "a force of up to {:.3g} kN", limits.ASSUMED_FORCE_KN, "kN"),
+        ("time", speed, "a mean speed of {:.3g} mm/s", limits.ASSUMED_SPEED_MM_S, "mm/s"),
     )
     findings = []
     for role, value, words, (low, high), unit in measures:
@@ -53,7 +43,7 @@ def plausibility_findings(
                 f"unit that is{_usual(role, value, low, high)}"
             )
             findings.append(Finding("unit-unlikely", "unusable", message))
-    if "time" not in channels.assumed and speed < ASSUMED_SPEED_MM_S[0] and duration > LONG_TEST_S:
+    if "time" not in channels.assumed and speed < limits.ASSUMED_SPEED_MM_S[0] and duration > limits.LONG_TEST_S:
         message = (
             f"the test lasts {duration / 3600:.3g} h at a mean speed of {speed:.2g} mm/s; if the times are "
             "milliseconds, give --units time=ms"
@@ -78,12 +68,12 @@ def _swapped(channels: Channels, displacement_mm: FloatArray, force_kN: FloatArr
     ratio = burstiness(displacement_mm) / max(burstiness(force_kN), 1e-300)
     smooth = roughness(force_kN)
     rough = roughness(displacement_mm) / max(smooth, 1e-300)
-    if smooth > SWAPPED_ROUGHNESS or (ratio < SWAPPED_BURSTS and rough < SWAPPED_SMOOTH):
+    if smooth > limits.SWAPPED_ROUGHNESS or (ratio < limits.SWAPPED_BURSTS and rough < limits.SWAPPED_SMOOTH):
         return []
     message = (
         f"displacement and force seem swapped: the displacement jumps like a friction force ({ratio:.1f} times as "
-        f"bursty and {rough:.1f} times as rough as the force; below {SWAPPED_BURSTS:g} and {SWAPPED_SMOOTH:g} is "
-        "usual) and the force runs as smoothly as a driven displacement"
+        f"bursty and {rough:.1f} times as rough as the force; below {limits.SWAPPED_BURSTS:g} and "
+        f"{limits.SWAPPED_SMOOTH:g} is usual) and the force runs as smoothly as a driven displacement"
     )
     told = {"displacement", "force"} <= channels.named
     return [Finding("swapped-columns", "warning" if told else "unusable", message)]

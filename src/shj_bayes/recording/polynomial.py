@@ -4,8 +4,6 @@ The same numbers as `scipy.signal.savgol_filter` and `scipy.interpolate.CubicHer
 than reading and checking a recording.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from math import factorial
 
@@ -19,20 +17,8 @@ from shj_bayes.recording.recording import FloatArray
 def weights(window: int, degree: int, derivative: int = 0, step: float = 1.0) -> FloatArray:
     """Weights whose sum of products with a window of samples is the polynomial's derivative at its middle.
 
-    Savitzky and Golay 1964, Analytical Chemistry 36, 1627-1639.
-
-    Parameters
-    ----------
-    window, degree : int
-        Odd number of samples; degree of the polynomial, below it.
-    derivative : int
-        0 for the value.
-    step : float
-        Spacing of the samples.
-
-    Returns
-    -------
-    array, shape (window,)
+    Savitzky and Golay 1964, Analytical Chemistry 36, 1627-1639. `window` is an odd number of samples, above `degree`;
+    `step` is their spacing; derivative 0 is the value.
     """
     solve = _powers(window, degree)[1]
     return frozen(solve[derivative] * (factorial(derivative) / (window // 2 * step) ** derivative))

@@ -1,7 +1,5 @@
 """The displacement regime of the paper's Table 1, sampled exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,10 +30,7 @@ class Block:
 def table_1(last_block_cycles: int = 5) -> tuple[Block, ...]:
     """Blocks of the paper's Table 1.
 
-    Parameters
-    ----------
-    last_block_cycles : {5, 6}
-        The table prints 6 cycles for the last block, the text says 5 and a total of 20; 5 is the default.
+    It prints 6 cycles for the last block, the text says 5 and a total of 20; 5 is the default.
     """
     if last_block_cycles not in (5, 6):
         raise RecordingError(
@@ -48,21 +43,9 @@ def table_1(last_block_cycles: int = 5) -> tuple[Block, ...]:
 
 
 def exact_motion(blocks: tuple[Block, ...], rate_Hz: float) -> tuple[FloatArray, Motion]:
-    """Sample a sequence of sine blocks with exact turning points and speed.
+    """Sample sine blocks, one after the other, with exact turning points and speed: times, s, and the motion.
 
-    Parameters
-    ----------
-    blocks : tuple of Block
-        Run one after the other; each starts and ends at zero displacement going up.
-    rate_Hz : float
-        Sampling rate, Hz; at least 8 samples in the shortest cycle.
-
-    Returns
-    -------
-    time_s : array, shape (n_samples,)
-        Sampling times, s.
-    motion : Motion
-        Displacement, speed and half-cycles without noise.
+    Each block starts and ends at zero displacement going up; the rate gives 8 samples in the shortest cycle at least.
     """
     fastest = max(block.frequency_Hz for block in blocks)
     if not 8 * fastest <= rate_Hz <= 1e5:

@@ -1,7 +1,5 @@
 """Checks and safe repairs in order: the clock, the cells, the magnitudes, the sign, the loop."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.errors import RecordingError
@@ -16,27 +14,10 @@ from shj_bayes.recording.recording import BoolArray, Finding, FloatArray, Record
 def repair(
     time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray, name: str
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, tuple[Finding, ...]]:
-    """Make three raw channels into channels that can be used, and say what was done.
+    """Make three raw channels, NaN where the file has no number, into channels that can be used, and say what was done.
 
-    Parameters
-    ----------
-    time_s, displacement_mm, force_kN : array, shape (n_rows,)
-        NaN where the file has no number.
-    name : str
-        File name for messages.
-
-    Returns
-    -------
-    time_s, displacement_mm, force_kN : array, shape (n_samples,)
-        Finite, times strictly increasing.
-    used : array of bool, shape (n_samples,)
-        False for samples that were filled in or are clipped.
-    findings : tuple of Finding
-
-    Raises
-    ------
-    RecordingError
-        If too little is left to be a recording, or the clock is broken.
+    Times (strictly increasing), displacement and force, finite; which samples are evidence, those filled in or clipped
+    being none; findings. `RecordingError` if too little is left to be a recording, or the clock is broken.
     """
     keep, findings = orderly_rows(time_s, name)
     t, x, f = time_s[keep], displacement_mm[keep], force_kN[keep]

@@ -1,7 +1,5 @@
 """From a file to a Recording: table, columns, units, checks and repairs, in that order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

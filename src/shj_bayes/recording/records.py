@@ -1,7 +1,5 @@
 """JSON files: a list of records, a list of rows, or an object of columns, alone or under one of the keys."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -18,24 +16,9 @@ _SHAPES = '[{"time_s": 0, ...}, ...], {"time_s": [0, ...], ...} or [[0, ...], ..
 
 
 def read_records(path: Path, sha256: str) -> Table:
-    """Read a JSON file.
+    """Read a table out of JSON; ``units``, an object of column to unit, is read too.
 
-    Parameters
-    ----------
-    path : Path
-        The file; null, and what is no number, counts as an empty cell.
-    sha256 : str
-        Its digest.
-
-    Returns
-    -------
-    Table
-        Single numbers beside the columns can be used in formulas; ``units``, an object of column to unit, is read.
-
-    Raises
-    ------
-    RecordingError
-        If it is too large or holds no table.
+    Single numbers beside the columns can be used in formulas. `RecordingError` if it is too large or holds no table.
     """
     size = path.stat().st_size
     if size > MAX_JSON_BYTES:

@@ -64,26 +64,12 @@ def first_direction(values: FloatArray, turns: list[int]) -> int:
 def place(
     time_s: FloatArray, raw: FloatArray, curve: Smooth, turns: list[int], noise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Give every reversal its turning time and turning displacement.
+    """Give every reversal, an index into the smoothed displacement, its turning time and turning displacement.
 
     A quartic in time is fitted around each extreme, over an eighth of the shorter neighbouring stroke. Where it does
     not fit, there may be a corner, or a rest, whose level is the median of its samples and which ends when the motion
-    back begins; else the smoothed curve gives time and displacement, between the samples too.
-
-    Parameters
-    ----------
-    time_s, raw : array, shape (n_samples,)
-        Time, and displacement as measured.
-    curve : Smooth
-        The same smoothed, with its velocity and the times of corners, starts and stops.
-    turns : list of int
-        Indices of the reversals in the smoothed displacement.
-    noise : float
-        Standard deviation of one raw sample.
-
-    Returns
-    -------
-    turn_s, turn_mm : array, shape (len(turns),)
+    back begins; else the smoothed curve gives time and displacement, between the samples too. `noise` is the standard
+    deviation of one raw sample.
     """
     smoothed, kinks_s = curve.values, curve.kinks_s
     times, places = np.empty(len(turns)), np.empty(len(turns))

@@ -10,27 +10,9 @@ from typing import Literal
 import numpy as np
 
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording import limits
 from shj_bayes.recording.cells import runs as stretches
 from shj_bayes.recording.clock import clock_findings
-from shj_bayes.recording.limits import (
-    FEW_HALF_CYCLES,
-    LONG_REST,
-    MIN_HALF_CYCLES,
-    MIN_SAMPLES,
-    MIN_STROKE_MM,
-    PROTOCOL_HALF_CYCLES,
-    PROTOCOL_VARIES,
-    REST_AT,
-    REST_BINS,
-    REST_HOME,
-    REST_NOISE,
-    REST_RANGE,
-    REST_SPEED,
-    REVERSAL_NOISE,
-    REVERSAL_RANGE,
-    SAME_STROKE,
-    SKETCH_SAMPLES,
-)
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.quality import inspect
 from shj_bayes.recording.recording import Finding, FloatArray, Recording
@@ -65,7 +47,7 @@ def divisions(recording: Recording) -> tuple[Division, ...]:
     sketch = _sketch(recording)
     if sketch is None:
         return tuple(found)
-    pauses = _apart(recording, sketch, FEW_HALF_CYCLES)
+    pauses = _apart(recording, sketch, limits.FEW_HALF_CYCLES)
     if pauses:
         strokes = [_strokes(part) for part in sketch.parts([pause.middle_s for pause in pauses])]
         again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _again(strokes[0], own)]
@@ -82,26 +64,11 @@ def divisions(recording: Recording) -> tuple[Division, ...]:
 
 
 def split(recording: Recording, n_runs: int | None = None) -> tuple[Recording, ...]:
-    """Part a recording into its runs.
+    """Part a recording into `n_runs`, or by the surest division; into itself where there is nothing to part.
 
-    Parameters
-    ----------
-    recording : Recording
-        As read from one file.
-    n_runs : int, optional
-        Number of runs that it holds; where not given, the surest division is taken.
-
-    Returns
-    -------
-    tuple of Recording
-        In order, without the rests between them. Each has the digest of the file, its name with ``run 2`` behind it,
-        and the findings of the whole but for those on the clock and the half-cycles, which are its own. The recording
-        itself where there is nothing to part.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be parted into `n_runs`; the message says what was found.
+    The runs come in order, without the rests between them. Each has the digest of the file, its name with ``run 2``
+    behind it, and the findings of the whole but for those on the clock and the half-cycles, which are its own.
+    `RecordingError` if it cannot be parted into `n_runs`; the message says what was found.
     """
     if n_runs == 1:
         return (recording,)
@@ -130,26 +97,12 @@ def check_runs(runs: Runs) -> None:
 
 
 def settle(recordings: Sequence[Recording], runs: Runs = None) -> list[Recording]:
-    """Part the recordings of a device into its runs as the user says.
+    """Part the recordings of a device, one from each file, into its runs as the user says.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        As read, one from each file.
-    runs : int, "split", "one" or None
-        Number of runs in all files together; ``"split"`` parts where runs are found; ``"one"`` never parts. Where
-        nothing is said, only a file that tells its own runs apart is parted.
-
-    Returns
-    -------
-    list of Recording
-        Without an option, a recording whose protocol begins again carries an ``unusable`` finding, one with long rests
-        between unlike stretches a ``warning``; both name the options.
-
-    Raises
-    ------
-    RecordingError
-        If they cannot be parted into the number of runs that was given.
+    A number of runs is that of all files together; ``"split"`` parts where runs are found; ``"one"`` never parts. Where
+    nothing is said, only a file that tells its own runs apart is parted: a recording whose protocol begins again
+    carries an ``unusable`` finding, one with long rests between unlike stretches a ``warning``; both name the options.
+    `RecordingError` if they cannot be parted into the number of runs that was given.
     """
     if runs == "one":
         return list(recordings)
@@ -234,7 +187,7 @@ class _Sketch:
     @property
     def threshold_mm(self) -> float:
         """Return that counts as a reversal."""
-        return max(REVERSAL_NOISE * self.noise_mm, REVERSAL_RANGE * float(np.ptp(self.x_mm)))
+        return max(limits.REVERSAL_NOISE * self.noise_mm, limits.REVERSAL_RANGE * float(np.ptp(self.x_mm)))
 
     def at(self, time_s: float) -> float:
         """Displacement at a time."""
@@ -250,8 +203,8 @@ class _Sketch:
         before, after = self.parts([pause.begin_s])[0], self.parts([pause.end_s])[1]
         ends = [float(part.x_mm[turn]) for part, k in ((before, -1), (after, 0)) for turn in part.turns()[k:][:1]]
         centre = 0.5 * float(np.max(self.x_mm) + np.min(self.x_mm))
-        full = any(abs(abs(end - centre) - abs(level - centre)) < SAME_STROKE * span for end in ends)
-        return full and abs(level - float(self.x_mm[0])) > REST_HOME * span
+        full = any(abs(abs(end - centre) - abs(level - centre)) < limits.SAME_STROKE * span for end in ends)
+        return full and abs(level - float(self.x_mm[0])) > limits.REST_HOME * span
 
     def longest_half_cycle_s(self, pauses: list[_Pause]) -> float:
         """Longest time from one reversal to the next, without those that hold one of the pauses."""
@@ -267,9 +220,10 @@ class _Sketch:
 
 def _sketch(recording: Recording) -> _Sketch | None:
     """Thin the displacement out; None where there is nothing to see."""
-    x, step = recording.displacement_mm, max(1, recording.n_samples // SKETCH_SAMPLES)
+    x, step = recording.displacement_mm, max(1, recording.n_samples // limits.SKETCH_SAMPLES)
     noise = noise_of(x)
-    if recording.n_samples < 2 * MIN_SAMPLES or np.ptp(x) < max(MIN_STROKE_MM, 2 * REVERSAL_NOISE * noise):
+    least = max(limits.MIN_STROKE_MM, 2 * limits.REVERSAL_NOISE * noise)
+    if recording.n_samples < 2 * limits.MIN_SAMPLES or np.ptp(x) < least:
         return None
     return _Sketch(recording.time_s[::step], x[::step], noise)
 
@@ -281,8 +235,8 @@ def _pauses(sketch: _Sketch) -> list[_Pause]:
     places = x[[0, *turns, x.size - 1]]
     travel = float(np.sum(np.abs(np.diff(places))))
     # In a bin the device moves by far more than its noise, so that a bin without movement is a rest.
-    n = int(min(REST_BINS, x.size // 2, travel / max(REST_NOISE * sketch.noise_mm, 1e-300)))
-    if n < MIN_SAMPLES:
+    n = int(min(limits.REST_BINS, x.size // 2, travel / max(limits.REST_NOISE * sketch.noise_mm, 1e-300)))
+    if n < limits.MIN_SAMPLES:
         return []
     edges = np.linspace(t[0], t[-1], n + 1)
     # The displacement at the edges too: a bin without samples, in a gap, then shows how far the device moved in it.
@@ -293,13 +247,13 @@ def _pauses(sketch: _Sketch) -> list[_Pause]:
     first = np.searchsorted(moments[order], edges)[:-1]
     high = np.maximum(np.maximum.reduceat(values, first), at_edges[1:])
     span = high - np.minimum(np.minimum.reduceat(values, first), at_edges[1:])
-    still = span < max(REST_SPEED * travel / n, 0.2 * REST_NOISE * sketch.noise_mm)
+    still = span < max(limits.REST_SPEED * travel / n, 0.2 * limits.REST_NOISE * sketch.noise_mm)
     found = [_Pause(float(edges[a]), float(edges[b])) for a, b in stretches(still) if a > 0 and b < n]
     level = [np.interp([pause.begin_s, pause.end_s], t, x) for pause in found]
-    found = [p for p, ends in zip(found, level, strict=True) if abs(ends[1] - ends[0]) < REST_RANGE * np.ptp(x)]
+    found = [p for p, ends in zip(found, level, strict=True) if abs(ends[1] - ends[0]) < limits.REST_RANGE * np.ptp(x)]
     resting = sum(pause.length_s for pause in found)
     usual = (float(t[-1] - t[0]) - resting) / (len(turns) + 1)
-    return [pause for pause in found if pause.length_s > LONG_REST * usual]
+    return [pause for pause in found if pause.length_s > limits.LONG_REST * usual]
 
 
 def _apart(recording: Recording, sketch: _Sketch, n_half: int) -> list[_Pause]:
@@ -310,7 +264,7 @@ def _apart(recording: Recording, sketch: _Sketch, n_half: int) -> list[_Pause]:
         since = before.parts([kept[-1].middle_s])[1] if kept else before
         if all(part.x_mm.size > 1 and len(part.turns()) + 1 >= n_half for part in (since, after)):
             kept.append(pause)
-    return kept if all(b - a >= MIN_SAMPLES for a, b in _between(recording, sketch, kept)) else []
+    return kept if all(b - a >= limits.MIN_SAMPLES for a, b in _between(recording, sketch, kept)) else []
 
 
 def _strokes(sketch: _Sketch) -> FloatArray:
@@ -321,16 +275,20 @@ def _strokes(sketch: _Sketch) -> FloatArray:
 def _again(first: FloatArray, other: FloatArray) -> bool:
     """Whether a protocol begins again: at once, or after the way back from where the one before it was cut off."""
     full = first[1:]
-    varied = full.size >= PROTOCOL_HALF_CYCLES and float(np.max(full)) > PROTOCOL_VARIES * float(np.min(full))
-    return _alike(first, other) or (varied and any(_alike(full, other[back:]) for back in (1, 2)))
+    return _alike(first, other) or (_varied(full) and any(_alike(full, other[back:]) for back in (1, 2)))
+
+
+def _varied(sizes: FloatArray) -> bool:
+    """Whether amplitudes are a protocol that can be seen to begin again."""
+    return sizes.size >= limits.PROTOCOL_HALF_CYCLES and bool(sizes.max() >= limits.PROTOCOL_VARIES * sizes.min())
 
 
 def _alike(first: FloatArray, other: FloatArray) -> bool:
     """Whether two protocols are the same as far as both go."""
     n = min(first.size, other.size)
-    if n < FEW_HALF_CYCLES - 1:
+    if n < limits.FEW_HALF_CYCLES - 1:
         return False
-    limit = SAME_STROKE * np.maximum(first[:n], 0.2 * float(np.max(first)))
+    limit = limits.SAME_STROKE * np.maximum(first[:n], 0.2 * float(np.max(first)))
     return bool(np.all(np.abs(first[:n] - other[:n]) <= limit))
 
 
@@ -343,9 +301,9 @@ def _repeated(recording: Recording, sketch: _Sketch) -> list[Division]:
         if n % period:
             continue
         blocks = size.reshape(-1, period)
-        if np.any(np.abs(blocks - blocks[0]) > SAME_STROKE * np.maximum(blocks[0], 0.2 * float(np.max(size)))):
+        if np.any(np.abs(blocks - blocks[0]) > limits.SAME_STROKE * np.maximum(blocks[0], 0.2 * float(np.max(size)))):
             continue
-        if period < PROTOCOL_HALF_CYCLES or float(np.max(blocks[0])) < PROTOCOL_VARIES * float(np.min(blocks[0])):
+        if not _varied(blocks[0]):
             return []  # the same cycle again and again is one run
         starts = [_crossing(sketch, turns[k - 1], turns[k]) for k in range(period, n, period)]
         words = f"the same {period} amplitudes come {n // period} times, one after the other"
@@ -365,7 +323,7 @@ def _longest_rests(recording: Recording, n_runs: int) -> Division | None:
     sketch = _sketch(recording)
     if sketch is None:
         return None
-    pauses = _apart(recording, sketch, MIN_HALF_CYCLES)
+    pauses = _apart(recording, sketch, limits.MIN_HALF_CYCLES)
     by_length = sorted(pauses, key=lambda pause: pause.length_s, reverse=True)
     chosen, rest = by_length[: n_runs - 1], by_length[n_runs - 1 :]
     if len(chosen) < n_runs - 1 or (rest and chosen[-1].length_s < 1.5 * rest[0].length_s):
@@ -387,11 +345,11 @@ def _between(recording: Recording, sketch: _Sketch, pauses: list[_Pause]) -> tup
         a, b = (int(i) for i in np.searchsorted(t, [pause.begin_s, pause.end_s]))
         # The pause was seen in pieces of the duration; it began with the first sample at its level.
         level = float(np.median(x[a:b])) if b > a else float(x[min(a, x.size - 1)])
-        near = slice(max(begin, a - MIN_SAMPLES - 2 * x.size // REST_BINS), a)
-        moving = np.flatnonzero(np.abs(x[near] - level) > REST_AT * sketch.noise_mm)
+        near = slice(max(begin, a - limits.MIN_SAMPLES - 2 * x.size // limits.REST_BINS), a)
+        moving = np.flatnonzero(np.abs(x[near] - level) > limits.REST_AT * sketch.noise_mm)
         end = near.start + int(moving[-1]) + 1 if moving.size else near.start
         spans.append((begin, end))
-        begin = max(end, b - MIN_SAMPLES)
+        begin = max(end, b - limits.MIN_SAMPLES)
     return (*spans, (begin, recording.n_samples))
 
 

@@ -1,7 +1,5 @@
 """Displacement and velocity by a local polynomial whose window follows from the noise and that stops at corners."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -77,18 +75,10 @@ class Samples:
 
 
 def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, threshold: float) -> Smooth:
-    """Smooth a measured displacement and differentiate it.
+    """Smooth a measured displacement with strictly increasing times and differentiate it.
 
-    Parameters
-    ----------
-    time_s, values : array, shape (n_samples,)
-        Samples with strictly increasing times.
-    noise : float
-        Standard deviation of one sample.
-    count : float
-        Step of the encoder, 0 when there is none.
-    threshold : float
-        Hysteresis of the first search for half-cycles.
+    `noise` is the standard deviation of one sample, `count` the step of the encoder, 0 when there is none, `threshold`
+    the hysteresis of the first search for half-cycles.
     """
     samples = Samples(time_s, values, noise)
     turns = hysteresis(values, threshold)
@@ -170,29 +160,14 @@ def _curve(samples: Samples, half_s: float, stops: FloatArray) -> tuple[FloatArr
 
 
 def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, stops: FloatArray) -> FloatArray:
-    """Wider windows for slow half-cycles, each judged by itself with the criterion of `choose_half_width`.
+    """Half of the window of each half-cycle, s: wider ones for slow half-cycles, by the rule of `choose_half_width`.
 
-    One window for all would be set by the fastest block: at Table 1 the slow blocks would keep four times the noise
-    in displacement and speed, which showed as a bias of 3 standard deviations in Fy and gamma at 10 Hz.
+    One window for all would be set by the fastest block: at Table 1 the slow blocks would keep four times the noise in
+    displacement and speed, which showed as a bias of 3 standard deviations in Fy and gamma at 10 Hz.
 
-    Parameters
-    ----------
-    samples : Samples
-        As measured.
-    allowed : float
-        Change of the curve that does not matter.
-    edges : array, shape (n_half + 1,)
-        Begin, rough reversals, end, s.
-    half_s : float
-        Half of the window that suits all half-cycles, s.
-    stops : array
-        Corners and gaps, s. Half-cycles that touch one keep the common window: a wider one would lean more on where
-        exactly the corner is.
-
-    Returns
-    -------
-    array, shape (n_half,)
-        Half of the window of each, s; neighbours differ by a factor of 1.5 at most, since windows reach over.
+    `half_s` is the half window that suits all. Half-cycles that touch one of the `stops` (corners and gaps, s) keep it:
+    a wider one would lean more on where exactly the corner is. Neighbours differ by a factor of 1.5 at most, since
+    windows reach over.
     """
     width = np.full(edges.size - 1, half_s)
     touched = np.searchsorted(stops, edges[1:] + half_s) > np.searchsorted(stops, edges[:-1] - half_s)
@@ -214,25 +189,12 @@ def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, st
 
 
 def choose_half_width(samples: Samples, allowed: float, edges: FloatArray) -> float:
-    """Widest window that moves the curve of no half-cycle by more than a share of the noise.
+    """Half of the widest window, s, that moves the curve of no half-cycle by more than is `allowed`, noise or not.
 
     Windows are widened by a factor 1.5. In each half-cycle (without its ends, where a corner may be) the difference
-    between neighbouring windows is compared with what noise alone would give; its median is used, so that a stop
-    within the half-cycle does not count as curvature. A fifth of the shortest half-cycle is never exceeded.
-
-    Parameters
-    ----------
-    samples : Samples
-        As measured.
-    allowed : float
-        Change of the curve that does not matter, whether or not it is noise.
-    edges : array, shape (n_half + 1,)
-        Begin, rough reversals, end, s.
-
-    Returns
-    -------
-    float
-        Half of the window, s.
+    between neighbouring windows is compared with what noise alone would give; its median is used, so that a stop within
+    the half-cycle does not count as curvature. A fifth of the shortest half-cycle is never exceeded. `edges` are the
+    begin, the rough reversals and the end, s.
     """
     # The first and the last half-cycle may be cut short or hold a rest, so only whole ones tell the shortest duration.
     whole = np.diff(edges)[1:-1] if edges.size > 3 else np.diff(edges)
@@ -272,26 +234,11 @@ def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tupl
 
 
 def find_kinks(grid: Grid, half: int, allowed: float, count: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Places where the slope jumps: corners of a triangle, starts and stops.
+    """Places on the grid where the slope jumps: corners of a triangle, starts and stops.
 
-    The coefficient of abs(t) beside a local quintic is a linear filter of the samples; where it stands far out of
-    its noise there is a corner.
-
-    Parameters
-    ----------
-    grid : Grid
-        Samples on an even grid.
-    half : int
-        Half-width of the window, grid points.
-    allowed : float
-        Corners that smoothing would round by less than this are left to it.
-    count : float
-        Step of the encoder: what rounding alone can do is no corner, even where counts lie evenly about a top.
-
-    Returns
-    -------
-    array of int
-        Grid indices.
+    The coefficient of abs(t) beside a local quintic is a linear filter of the samples; where it stands far out of its
+    noise there is a corner. Corners that smoothing would round by less than `allowed` are left to it; what rounding to
+    encoder steps (`count`) can do alone is no corner, even where counts lie evenly about a top.
     """
     if half < 4 or grid.time.size < 4 * half:
         return np.zeros(0, dtype=np.int64)

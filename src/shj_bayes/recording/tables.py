@@ -1,7 +1,5 @@
 """A file from the laboratory as named columns of numbers, whatever its format."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -53,17 +51,9 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read any supported file into columns of numbers.
+    """Read a file of any supported format into columns of numbers; the ending tells which it is.
 
-    Parameters
-    ----------
-    path : str or Path
-        CSV, TSV, TXT, DAT (also .gz), XLSX, JSON, MAT (v4 to v7.3), HDF5 or TDMS; the ending tells which.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such file, or it is empty, too large, or not what its ending says.
+    `RecordingError` if there is no such file, or it is empty, too large, or not what its ending says.
     """
     path = Path(path)
     kind = _kind(path)

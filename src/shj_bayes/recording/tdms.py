@@ -1,7 +1,5 @@
 """TDMS files as LabVIEW writes them."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

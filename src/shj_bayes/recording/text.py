@@ -3,8 +3,6 @@
 The file is read as a stream: memory holds the numbers and one block of lines, never the whole text.
 """
 
-from __future__ import annotations
-
 import codecs
 import gzip
 import io
@@ -74,11 +72,7 @@ def _rows(lines: Iterable[str], comments: list[str], name: str) -> Iterator[str]
     """Lines that may be rows; the first comments go into a list."""
     surplus = 0
     for line in lines:
-        if line[:1].isdigit() or line[:1] == "-":  # most of them
-            surplus -= 1
-            yield line
-            continue
-        text = line.lstrip()
+        text = line if line[:1].isdigit() else line.lstrip()
         if text and not text.startswith(("#", "%")):
             surplus -= 1
             yield line

@@ -138,22 +138,9 @@ def _refusal(text: str, role: Role, known: bool) -> str:
 
 
 def parse_units(option: str | None) -> dict[Role, str]:
-    """Read the ``--units`` option: units in any order, or ``role=unit`` pairs.
+    """Read ``--units``: units in any order, or ``role=unit`` pairs; units as written by role, only what was given.
 
-    Parameters
-    ----------
-    option : str or None
-        For example ``"mm,kN,s"`` or ``"time=ms,force=lb"``.
-
-    Returns
-    -------
-    dict
-        Role to unit as written; only what was given.
-
-    Raises
-    ------
-    RecordingError
-        For something that is no unit of a channel, or two units of the same one.
+    `RecordingError` for something that is no unit of a channel, or two units of the same one.
     """
     found: dict[Role, str] = {}
     for part in (piece.strip() for piece in (option or "").split(",")):

@@ -1,7 +1,5 @@
 """Our own recordings as text: three columns in s, mm and kN."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What was held possible before the test: loops of the prior beside those of the paper and of the posterior."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -38,14 +36,7 @@ class Beforehand:
 
 
 def beforehand(device: DeviceData, amplitude_mm: float, peak_speed_mm_s: float) -> Beforehand:
-    """Loops of one sine cycle of the amplitude and peak speed that were tested.
-
-    Parameters
-    ----------
-    device : DeviceData
-    amplitude_mm, peak_speed_mm_s : float
-        Of the cycle.
-    """
+    """Loops of one sine cycle of the amplitude and peak speed that were tested."""
     variant = str(device.record["model"]["variant"])
     published = device.record["model"]["priors"] == "afc"
     prior, paper, inside = [], [], 0
@@ -115,9 +106,7 @@ def _laws(draws: Mapping[str, FloatArray], n: int, run: int) -> FloatArray:
 
 def _published_laws(run: int) -> FloatArray:
     """Law parameters of one run of the published devices, shape (25, 4)."""
-    return np.array(
-        [
-            [row.values["K", run], row.values["Fy", run], row.values["beta", run], 1 / row.values["dep", run]]
-            for row in published_rows()
-        ]
-    )
+    rows = [[row.values[name, run] for name in ("K", "Fy", "beta", "dep")] for row in published_rows()]
+    laws = np.array(rows)
+    laws[:, 3] = 1 / laws[:, 3]
+    return laws

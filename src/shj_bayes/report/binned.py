@@ -1,7 +1,5 @@
 """Mean residual over the stroke, beside what noise alone would give. Numbers only."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

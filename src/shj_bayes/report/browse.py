@@ -1,7 +1,5 @@
 """Show a finished page: in the browser of the desk, or printed to PDF. Nothing is served."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import webbrowser
@@ -43,23 +41,7 @@ def open_page(page: Path) -> bool:
 
 
 def write_pdf(page: Path) -> Path:
-    """Print a page to PDF (A4), beside it.
-
-    Parameters
-    ----------
-    page : Path
-        The page.
-
-    Returns
-    -------
-    Path
-        The PDF, of the page's name.
-
-    Raises
-    ------
-    ReportError
-        If no Chromium is installed, or it fails.
-    """
+    """Print a page to PDF (A4), beside it; `ReportError` if no Chromium is installed, or it fails."""
     browser = find_browser()
     if browser is None:
         raise ReportError(
@@ -71,9 +53,7 @@ def write_pdf(page: Path) -> Path:
         command = [browser, "--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
         command += ["--disable-sync", "--disable-component-update", "--disable-quic", f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
-            command.append(
-                "--no-sandbox"
-            )  # Chromium refuses to start for root otherwise; the page runs our script only
+            command.append("--no-sandbox")  # Chromium does not start for root otherwise; only our script runs
         command += ["--no-pdf-header-footer", f"--print-to-pdf={made.resolve()}", page.resolve().as_uri()]
         try:
             subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)

@@ -1,7 +1,5 @@
 """The page of a campaign, and that of the published tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from shj_bayes.population.results import load_population
 from shj_bayes.report import words
 from shj_bayes.report.campaign_file import WITH_SET, WORDS, read_campaign
 from shj_bayes.report.campaign_physics import rows_of, statements, table
+from shj_bayes.report.diagnosis_words import percent
 from shj_bayes.report.page import PAGE, write_page
 from shj_bayes.report.residual_file import DIAGNOSIS, read_residual
 from shj_bayes.report.sets_page import population_content, tested_motion
@@ -27,27 +26,9 @@ PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) 
 def render_campaign(
     folder: Path, population: PopulationResult | None = None, curves: Sequence[CurveContrast] = ()
 ) -> Path:
-    """Write ``report.html`` of a campaign.
+    """Write ``report.html`` of a campaign; its population is read from the folder when that holds one.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder with ``campaign.json`` (name, sets with devices: name, folder, status, reason, verdict) and the
-        devices' folders.
-    population : PopulationResult, optional
-        Fitted population; read from the folder when it holds one.
-    curves : sequence of CurveContrast
-        Comparisons of curves of its sets.
-
-    Returns
-    -------
-    Path
-        The page.
-
-    Raises
-    ------
-    ReportError
-        If the folder holds no readable ``campaign.json``.
+    `curves` are comparisons of curves of its sets. `ReportError` if the folder holds no readable ``campaign.json``.
     """
     record = read_campaign(folder)
     if population is None and (folder / "population.json").exists():
@@ -61,10 +42,7 @@ def render_campaign(
         "simulated": bool(record.get("simulated")),
         "warnings": [str(line) for line in record.get("warnings", ())],
         "devices": devices,
-        "n_done": len(done),
-        "n_failed": len(devices) - len(done),
-        "verdicts": {w: sum(d["verdict"] == w for d in done) for w in ("reliable", "tentative", "unusable")},
-        "n_poor": sum(d["grade"] == "poor" for d in done),
+        "done": done,
         "population": population_content(population, intervals, motion, curves) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
         "physics": _physics(folder, record),
@@ -86,17 +64,15 @@ def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
             usable = device.get("with_set") in ("reliable", "tentative")
             fitted[device["folder"]] = (diagnosis, with_set if usable else "")
     rows = [row for row in rows_of(record) if all(place in fitted for place in row.folders)]
-    return {"said": statements(record), "table": found, "pictures": pictures(folder, rows, fitted)}
+    drawn = pictures(folder, rows, fitted)
+    return {"said": statements(record), "table": found, "percent": percent, "pictures": drawn}
 
 
 def render_tables(folder: Path, population: PopulationResult, claims: Sequence[Claim] = ()) -> Path:
     """Write ``report.html`` of the published devices, with the paper's claims against its own numbers."""
-    colours = {Held.YES: "holds", Held.NO: "not"}
     content = {
-        "claims": [
-            {"claim": c.claim, "verdict": c.verdict, "colour": colours.get(c.verdict, "part"), "sentence": c.sentence}
-            for c in claims
-        ],
+        "claims": claims,
+        "colours": {Held.YES: "holds", Held.NO: "not"},
         "n_devices": sum(len(group.devices) for group in population.sets),
         "population": population_content(population, {}, PUBLISHED_MOTION),
         "margins": MARGINS if (folder / MARGINS).exists() else "",
@@ -125,13 +101,8 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
         ).exists():
             row[key] = quote(f"{place}/{page}")
     for parameter in _parameters(folder / place):
-        key = str(parameter["name"])
-        row["intervals"][key] = (parameter["q05"], parameter["q50"], parameter["q95"])
-        row["numbers"][key] = {
-            "exact": repr(parameter["q50"]),
-            "text": words.rounded(parameter["q50"], parameter["sd"] or 0.0),
-            "interval": words.interval(parameter),
-        }
+        row["intervals"][parameter["name"]] = (parameter["q05"], parameter["q50"], parameter["q95"])
+        row["numbers"][parameter["name"]] = parameter
     left = read_residual(folder / place)
     if left:
         row["grade"], row["residual"] = left.grade, words.left_cell(left)

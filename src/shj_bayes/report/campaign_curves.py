@@ -1,7 +1,5 @@
 """Curves of devices over the coordinates that their sets have in common. Importing this imports matplotlib."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,8 +14,8 @@ from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.model.curve import curve_named
 from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
 from shj_bayes.report.diagnosis_words import over_words
-from shj_bayes.report.figures import campaign as figures
-from shj_bayes.report.figures.campaign import DeviceCurve
+from shj_bayes.report.figures import population as figures
+from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
 
 PLACES = 61  # of a curve
@@ -46,13 +44,11 @@ def _picture(parts: Sequence[tuple[Row, list[DeviceCurve]]]) -> Picture:
     name = over_words(first.coordinate).removeprefix("the ")
     unit = "" if first.unit == "1" else f" ({first.unit})"
     what = class_words(first.id)
-    return Picture(
-        figures.curves([(row.set_name, curves) for row, curves in parts], f"{name}{unit}"),
-        f"Change of the {what}, per cent of Fy, for each device of {', '.join(set_words(row) for row, _ in parts)}.",
-        " ".join(statement(row) for row, _ in parts),
-        f"Change of the {what}",
-        wide=True,
-    )
+    drawn = figures.curves([(row.set_name, curves) for row, curves in parts], f"{name}{unit}")
+    who = ", ".join(set_words(row) for row, _ in parts)
+    said = " ".join(statement(row) for row, _ in parts)
+    alt = f"Change of the {what}, per cent of Fy, for each device of {who}."
+    return Picture(drawn, alt, said, f"Change of the {what}", wide=True)
 
 
 def _curve(folder: Path, row: Row, i: int, diagnosis: str, with_set: str) -> DeviceCurve | None:

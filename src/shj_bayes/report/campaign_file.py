@@ -1,7 +1,5 @@
 """``campaign.json`` read back: what it holds is checked, and its device folders lie in the campaign's."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the devices of each set have in common, in words and numbers, from ``campaign.json``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -170,18 +168,9 @@ def table(record: Mapping[str, Any]) -> dict[str, Any] | None:
         "sets": [
             {"name": name or ALL, "n": next(len(r.folders) for r in rows if r.set_name == name)} for name in names
         ],
-        "classes": [
-            {"words": class_words(one), "cells": [_cell(kept[one].get(name)) for name in names]} for one in order
-        ],
+        "classes": [{"words": class_words(one), "cells": [kept[one].get(name) for name in names]} for one in order],
         "excluded": [class_words(one) for one in sorted(by_class, key=str) if one not in kept],
     }
-
-
-def _cell(row: Row | None) -> dict[str, str]:
-    if row is None:
-        return {"exact": "", "probability": "", "devices": ""}
-    parts = f"{len(row.holders)} of {len(row.folders)} devices; {sum(row.alone)} alone"
-    return {"exact": repr(row.probability), "probability": percent(row.probability), "devices": parts}
 
 
 def _count(n: int) -> str:

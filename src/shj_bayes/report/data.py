@@ -1,7 +1,5 @@
 """The files of a fit as plain values for the page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -59,11 +57,6 @@ class RunData:
         x = self.displacement_mm
         sign = np.where(x[ends] >= x[self.starts], 1, -1)
         return np.asarray(np.repeat(sign, ends - self.starts + 1), dtype=np.int64)
-
-    @property
-    def rate_Hz(self) -> float:
-        """Rate of the samples that are held, Hz."""
-        return float(1 / np.median(np.diff(self.time_s)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """The page of one device."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,8 +15,8 @@ from shj_bayes.model.law import variant_named
 from shj_bayes.model.parameters import base_of
 from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
-from shj_bayes.report.device_numbers import Numbers, numbers_of
 from shj_bayes.report.force_unit import ForceUnit, force_unit
+from shj_bayes.report.numbers import Numbers, numbers_of
 from shj_bayes.report.page import LOOPS, write_page
 from shj_bayes.report.residual_file import LeftOver, diagnosis_in, left_over, write_residual
 from shj_bayes.report.viewer import device_viewer, thinning_words
@@ -36,7 +34,7 @@ def render_device(folder: Path) -> Path:
         device = read_device(folder)
         numbers, left = numbers_of(device), left_over(device, folder)
         viewer = device_viewer(device, numbers)
-        moving = {"pictures": draw(device, numbers, left), "viewer": viewer, "thinning": thinning_words(viewer)}
+        moving = {"pictures": draw(device, numbers), "viewer": viewer, "thinning": thinning_words(viewer)}
         filled = content(device, numbers, left) | moving
         filled["diagnosis"] = f"{diagnosis_in(folder)}/diagnosis.html" if left.diagnosed else ""
         write_residual(folder, left)
@@ -59,25 +57,20 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
     return {
         "name": device.name,
         "simulated": any(is_simulated(entry) for entry in record["inputs"]),
-        "verdict": record["verdict"],
         "badges": badges(record, left),
-        "reasons": record["reasons"],
         "remarks": [words.remark(r, *units[r["parameter"]], family=record["model"]["priors"]) for r in remarks],
         "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
         "cards": cards(device, numbers.one_speed is not None, unknown),
         "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
         "alias": words.alias_words(numbers.one_speed),
-        "dep": words.dep_words(gamma),
         "speed": words.speed_words(gamma, peak),
         "peak_speed": words.short(peak),
         "runs": [run_row(run, entry, unit) for run, entry in zip(device.runs, record["inputs"], strict=True)],
-        "findings": [
-            {"run": i, "what": words.SEVERITIES.get(f["severity"], f["severity"]), "message": f["message"]}
-            for i, entry in enumerate(record["inputs"], start=1)
-            for f in entry["findings"]
-        ],
+        "findings": [f | {"run": i} for i, entry in enumerate(record["inputs"], start=1) for f in entry["findings"]],
         "energy": energy_words(numbers),
         "losses": loss_words(device, numbers),
+        "left": left,
+        "law_width": unit.factor * max(band.law_width_kN for band in numbers.bands),
         "friction": any("tension" in run.extras for run in device.runs),
         "freed": freed_words(device),
         "before": before_words(numbers, unit),
@@ -85,7 +78,6 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
         "priors": [prior_row(device, law, unit) for law in record["prior_laws"]],
         "made": _day(str(record["created"])),
         "model": record["model"] | {"variant": variant_named(record["model"]["variant"])},
-        "sampling": record["sampling"],
         "record": record,
     }
 
@@ -93,13 +85,13 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
 def loss_words(device: DeviceData, numbers: Numbers) -> list[str]:
     """Say how much of the sliding force was lost from the first run to each later one, and over which travel."""
     out, travel = [], [run.travel_m for run in device.runs]
-    for loss in numbers.losses:
-        metres = sum(travel[: loss.run - 1])
-        before = "in the first" if loss.run == 2 else "in the runs before it"
+    for number, (low, middle, high) in numbers.losses.items():
+        metres = sum(travel[: number - 1])
+        before = "in the first" if number == 2 else "in the runs before it"
         out.append(
-            f"From run 1 to run {loss.run} the sliding force fell by {loss.q50:.1f} % (90 % interval {loss.q05:.1f} to "
-            f"{loss.q95:.1f} %; a negative number is a gain), after {metres:.3g} m of travel {before}: "
-            f"{loss.q50 / metres:.2g} % per metre."
+            f"From run 1 to run {number} the sliding force fell by {middle:.1f} % (90 % interval {low:.1f} to "
+            f"{high:.1f} %; a negative number is a gain), after {metres:.3g} m of travel {before}: "
+            f"{middle / metres:.2g} % per metre."
         )
     return out
 
@@ -159,19 +151,9 @@ def cards(device: DeviceData, one_speed: bool, unknown: Collection[str]) -> list
 
 
 def parameter_row(row: dict[str, Any], unknown: bool) -> dict[str, Any]:
-    """One row of the parameter table: shown and exact."""
-    base = base_of(row["name"])
-    keys = ("mean", "sd", "q05", "q50", "q95")
-    return {
-        "name": row["name"],
-        "unit": "" if row["unit"] == "1" else row["unit"],
-        "meaning": meaning_of(row["name"]).meaning,
-        "dep": words.dep_words(row) if base == "gamma" else "",
-        "numbers": [{"exact": repr(row[k]), "text": words.rounded(row[k], row["sd"] or 0.0)} for k in keys],
-        "unknown": unknown,
-        "ess": f"{min(row['ess_bulk'] or 0, row['ess_tail'] or 0):.0f}",
-        "rhat": f"{row['rhat']:.3f}" if row["rhat"] is not None else "not known",
-    }
+    """One row of the parameter table."""
+    speed = base_of(row["name"]) == "gamma"
+    return row | {"meaning": meaning_of(row["name"]).meaning, "unknown": unknown, "speed": speed}
 
 
 def prior_row(device: DeviceData, law: dict[str, Any], unit: ForceUnit) -> dict[str, str]:
@@ -191,25 +173,14 @@ def prior_row(device: DeviceData, law: dict[str, Any], unit: ForceUnit) -> dict[
 
 
 def run_row(run: RunData, entry: dict[str, Any], unit: ForceUnit) -> dict[str, Any]:
-    """Describe one recording, for the table of what was tested."""
-    x, used = run.displacement_mm, int(np.count_nonzero(run.used))
-    roles = [f"{role}: {column} [{entry['units'].get(role, '?')}]" for role, column in entry["columns"].items()]
-    return {
+    """One recording, for the table of what was tested."""
+    x, force = run.displacement_mm, unit.factor * run.force_kN
+    return entry | {
         "number": run.number,
-        "file": entry["name"],
-        "format": entry["format"],
-        "samples": f"{entry['n_samples']:d}",
-        "unused": entry["n_samples"] - used,
-        "rate": f"{entry['rate_Hz']:.5g}",
-        "duration": f"{entry['duration_s']:.5g}",
-        "half_cycles": entry["n_half_cycles"],
-        "stroke": f"{x.min():.1f} to {x.max():.1f}",
-        "force": f"{unit.factor * run.force_kN.min():.3g} to {unit.factor * run.force_kN.max():.3g}",
-        "columns": "; ".join(roles) or "made in memory",
-        "method": entry["motion_method"],
-        "noise": words.short(entry["displacement_noise_mm"]),
+        "unused": entry["n_samples"] - int(np.count_nonzero(run.used)),
+        "stroke_mm": (x.min(), x.max()),
+        "force": (force.min(), force.max()),
         "zero": _zero(entry.get("zero_error_kN"), unit),
-        "sha256": entry["sha256"] or "none (not read from a file)",
     }
 
 
@@ -229,11 +200,11 @@ def energy_words(numbers: Numbers) -> str:
     outside = sum(e.n_outside for e in numbers.energies)
     measured = sum(float(e.measured_J.sum()) for e in numbers.energies)
     error = 100 * (sum(float(e.median_J.sum()) for e in numbers.energies) / measured - 1)
+    shown = f"{measured / 1000:.4g} kJ" if measured >= 1000 else f"{measured:.4g} J"
     said = "the same to within 0.1 %" if abs(error) < 0.1 else f"{abs(error):.1f} % {'more' if error > 0 else 'less'}"
     return (
-        f"The {n} full cycles dissipated {_energy(measured)}; the model predicts {said}. "
-        f"{outside} of {n} cycles lie outside their 90 % band; about "
-        f"{max(1, round(0.1 * n))} would by chance."
+        f"The {n} full cycles dissipated {shown}; the model predicts {said}. {outside} of {n} cycles lie "
+        f"outside their 90 % band; about {max(1, round(0.1 * n))} would by chance."
     )
 
 
@@ -255,10 +226,6 @@ def before_words(numbers: Numbers, unit: ForceUnit) -> str:
             "98 % of what the priors allow, so the priors leave room for devices of this kind."
         )
     return text
-
-
-def _energy(joule: float) -> str:
-    return f"{joule / 1000:.4g} kJ" if joule >= 1000 else f"{joule:.4g} J"
 
 
 def _day(stamp: str) -> str:

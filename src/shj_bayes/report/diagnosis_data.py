@@ -1,7 +1,5 @@
 """The files of a diagnosis as plain values for the page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -39,9 +37,7 @@ class Channels:
     slip_mm: FloatArray = field(repr=False)
     travel_m: FloatArray = field(repr=False)
     direction: IntArray = field(repr=False)  # +1 while displacement grows (push), -1 while it falls
-    # run, block: number of the run, and of the cycle counted through all runs
-    run: IntArray = field(repr=False)
-    block: IntArray = field(repr=False)
+    run: IntArray = field(repr=False)  # number of the run
     used: BoolArray = field(repr=False)  # samples that are evidence
     # force_kN to after_kN: measured, modelled by the base law, modelled by the law with what was found
     force_kN: FloatArray = field(repr=False)
@@ -117,7 +113,6 @@ def _read_channels(folder: Path) -> Channels:
                 **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
                 direction=_whole(np.sign(data["direction"].to_numpy())),
                 run=_whole(data["run"].to_numpy()),
-                block=_whole(data["block"].to_numpy()),
                 used=np.asarray(data["weight"].to_numpy() > 0),
             )
     except (OSError, KeyError, ValueError, TypeError) as error:

@@ -1,7 +1,5 @@
 """What a diagnosis page draws of the residuals: profiles and maps. Numbers only."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 

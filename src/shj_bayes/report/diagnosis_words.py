@@ -1,7 +1,5 @@
 """What a diagnosis page says: rows of its tables and its sentences, as plain values."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping
@@ -47,7 +45,8 @@ DIRECTIONS = {"push": "push", "pull": "pull", "both": "push and pull alike"}
 COORDINATES = {
     "position": "the position",
     "distance": "the distance from mid-stroke",
-    "travel": "the distance travelled",
+    "travel": "the distance slid",
+    "passes": "the number of passes over the place",
     "time": "the time",
     "heat": "the heat that sliding has left",
     "amplitude": "the amplitude",
@@ -76,6 +75,11 @@ def title_of(name: Any) -> str:
     return effect.title if effect else str(name)
 
 
+def titles(names: Any) -> str:
+    """Plain names of effects in a row."""
+    return "; ".join(map(title_of, names or ()))
+
+
 def over_words(name: Any) -> str:
     """Say on what the force depends: a coordinate, or a further channel; the word itself where neither is known."""
     word = str(name)
@@ -83,13 +87,7 @@ def over_words(name: Any) -> str:
 
 
 def channel_words(record: Mapping[str, Any]) -> list[str]:
-    """Say of each further channel that the force was held against it without a dependence, or why it was not.
-
-    Parameters
-    ----------
-    record : mapping
-        Content of ``diagnosis.json``.
-    """
+    """Say of each further channel that the force was held against it without a dependence, or why it was not."""
     found = {c.get("coordinate") for c in record.get("coordinates") or () if number(c.get("probability")) >= LIKELY}
     out = []
     for c in record.get("channels") or ():
@@ -216,23 +214,6 @@ def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def coordinates(data: DiagnosisData) -> list[dict[str, str]]:
-    """Tabulate what the force depends on."""
-    out = []
-    for c in data.record.get("coordinates") or ():
-        evidence, size = number(c.get("evidence")), number(c.get("size_percent"))
-        out.append(
-            {
-                "words": curve_words(c),
-                "probability": percent(c.get("probability")),
-                "evidence": f"{evidence:+.0f}" if math.isfinite(evidence) else "",
-                "size": f"{per_cent(size / 100)} %" if math.isfinite(size) else "",
-                "names": "; ".join(title_of(name) for name in c.get("matches") or ()) or "none known",
-            }
-        )
-    return out
-
-
 def limits_words(data: DiagnosisData) -> str:
     """Say what is not excluded where nothing was found."""
     open_ = [c for c in data.record.get("coordinates") or () if number(c.get("probability")) >= LIMIT]
@@ -281,11 +262,12 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
         row = data.record["shift"].get(name)
         if row is None:
             continue
-        unit = _unit(name)
         note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
         if not data.channels.changed:
-            note = f"{_first_up(dep(row['after']))}." if name == "gamma" else f"Spread {spread(row['after'])}."
-        out.append(_card(f"{name}: {meaning_of(name).meaning}", value(row["before"]), value(row["after"]), unit, note))
+            said = dep(row["after"])
+            note = f"{said[:1].upper()}{said[1:]}." if name == "gamma" else f"Spread {spread(row['after'])}."
+        title = f"{name}: {meaning_of(name).meaning}"
+        out.append(_card(title, value(row["before"]), value(row["after"]), unit(name), note))
     before, after = (number(data.record[k].get("heldout_rmse_kN")) for k in ("before", "after"))
     floor = words.short(number(data.record["after"].get("noise_kN")))
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
@@ -301,158 +283,25 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     return out
 
 
-def effects(data: DiagnosisData) -> list[dict[str, Any]]:
-    """Describe the effects found."""
-    out = []
-    for e in data.record["effects"]:
-        known = catalogue().get(str(e["id"]))
-        size = number(e.get("size_kN"))
-        # An effect acts on the sliding force that stands beside it in the law: that of the law with what was found.
-        whole = number((data.record["shift"].get("Fy") or {}).get("after", {}).get("mean"))
-        whole = whole if data.channels.changed and whole > 0 else data.capacity_kN
-        out.append(
-            {
-                "id": e["id"],
-                "title": e.get("title") or title_of(e["id"]),
-                "family": FAMILIES.get(str(e.get("family")), str(e.get("family") or "not known")),
-                "statement": spaced(str(e["statement"])),
-                "cause": e.get("cause") or (known.cause if known else ""),
-                "shows": e.get("shows") or (known.shows if known else ""),
-                "equation": e.get("equation") or "",
-                "partial": bool(e.get("partial")),
-                "probability": percent(e.get("probability")),
-                "size": f"up to {words.short(size)} kN, {per_cent(size / whole)} % of the sliding force"
-                if math.isfinite(size)
-                else "not known",
-                "rivals": [title_of(name) for name in e.get("rivals") or ()],
-                "parameters": [
-                    {
-                        "name": name,
-                        "unit": "" if p.get("unit") in (None, "1") else p["unit"],
-                        "mean": value(p),
-                        "exact": repr(number(p.get("mean"))),
-                        "sd": spread(p),
-                        "interval": f"{_like(p, 'q05')} to {_like(p, 'q95')}",
-                    }
-                    for name, p in (e.get("parameters") or {}).items()
-                ],
-            }
-        )
-    return out
+def effect_size(data: DiagnosisData, effect: Mapping[str, Any]) -> str:
+    """Say how large an effect is beside the sliding force of the law that it acts in: that with what was found."""
+    whole = number((data.record["shift"].get("Fy") or {}).get("after", {}).get("mean"))
+    whole = whole if data.channels.changed and whole > 0 else data.capacity_kN
+    known = math.isfinite(number(effect.get("size_kN")))
+    return f"up to {of_sliding(effect['size_kN'], whole)}" if known else "not known"
 
 
-def family(data: DiagnosisData) -> list[dict[str, str]]:
-    """List the members of the family, most probable first."""
-    known = catalogue()
-    return [
-        {
-            "id": str(member["id"]),
-            "title": title_of(member["id"]),
-            "probability": percent(member.get("probability")),
-            "shows": known[member["id"]].shows if member["id"] in known else "",
-        }
-        for member in data.record["family"] or ()
-    ]
+def of_sliding(kN: Any, whole: float) -> str:
+    """Return a force, and its part of the sliding force."""
+    return f"{words.short(number(kN))} kN, {per_cent(number(kN) / whole)} % of the sliding force"
 
 
-def shift(data: DiagnosisData) -> list[dict[str, str]]:
-    """Tabulate every base parameter before and after."""
-    out = []
-    for name, row in data.record["shift"].items():
-        before, after = row["before"], row["after"]
-        unsure = undetermined(name, before), undetermined(name, after)
-        moved = math.nan if any(unsure) else number(after.get("mean")) - number(before.get("mean"))
-        gamma = base_of(name) == "gamma"
-        out.append(
-            {
-                "name": name,
-                "meaning": _meaning(name),
-                "unit": _unit(name),
-                "before": NOT_DETERMINED if unsure[0] else value(before),
-                "before_exact": repr(number(before.get("mean"))),
-                "before_sd": "" if unsure[0] else spread(before),
-                "after": NOT_DETERMINED if unsure[1] else value(after),
-                "after_exact": repr(number(after.get("mean"))),
-                "after_sd": "" if unsure[1] else spread(after),
-                "before_dep": dep(before) if gamma else "",
-                "after_dep": dep(after) if gamma else "",
-                "change": _change(moved, number(before.get("mean")), gamma=gamma),
-            }
-        )
-    return out
-
-
-def locations(data: DiagnosisData) -> list[dict[str, str]]:
-    """Tabulate where the base law fails."""
-    out = []
-    for where in data.record["location"]:
-        low, high = (number(v) for v in where["interval"])
-        # Along the motion everywhere on the page; the record keeps the sign of the force for one direction alone.
-        size = number(where["size_kN"]) * (-1 if where["direction"] == "pull" else 1)
-        unit = "" if where["unit"] == "1" else f" {where['unit']}"
-        span = f"{words.short(low)} to {words.short(high)}{unit}"
-        if where["coordinate"] == "run":
-            span = ", ".join(str(i) for i in range(math.ceil(low), math.ceil(high)))
-        out.append(
-            {
-                "coordinate": where["coordinate"],
-                "span": span,
-                "direction": DIRECTIONS.get(where["direction"], where["direction"]),
-                "runs": ", ".join(str(run) for run in where["runs"]),
-                "size": f"{size:+.3g}",
-                "exact": repr(size),
-                "percent": f"{'+' if size > 0 else ''}{per_cent(size / data.capacity_kN)}",
-                "share": percent(where.get("share")),
-                "p": p_words(where["p_value"]),
-            }
-        )
-    return out
-
-
-def aliases(data: DiagnosisData) -> list[dict[str, str]]:
-    """Say in words what the displacement history cannot separate."""
-    out = []
-    for alias in data.record["aliases"]:
-        (first, second), correlation = alias["pair"], number(alias.get("correlation"))
-        if second == "base law":
-            text = f"“{title_of(first)}” cannot be seen: the base law takes it up."
-        else:
-            text = f"“{title_of(first)}” looks like “{title_of(second)}”"
-            text += ": more of the one is like less of the other." if correlation < 0 else "."
-        out.append({"ids": f"{first}, {second}", "text": text, "correlation": f"{correlation:+.2f}"})
-    return out
-
-
-def candidates(data: DiagnosisData) -> list[dict[str, str]]:
-    """Tabulate every effect tried."""
-    return [
-        {
-            "id": c["id"],
-            "title": c.get("title") or title_of(c["id"]),
-            "gain": f"{number(c.get('elpd_gain')) + 0.0:+.1f}".replace("-0.0", "0.0").replace("+0.0", "0.0"),
-            "exact": repr(number(c.get("elpd_gain"))),
-            "probability": percent(c.get("probability")),
-            "size": f"{size:.2f}" if (size := number(c.get("size_kN"))) >= 0.005 else "below 0.01",
-            "reason": str(c.get("reason") or ""),
-            "kept": "kept" if c.get("kept") else "",
-        }
-        for c in data.record["candidates"]
-    ]
-
-
-def quality(data: DiagnosisData) -> list[dict[str, str]]:
-    """Tabulate errors before and after."""
-    rows = (
-        ("rmse_kN", "Error on all samples (root mean square, kN)"),
-        ("heldout_rmse_kN", "Error on cycles that were held out (kN)"),
-        ("noise_kN", "Noise floor (kN)"),
-        ("energy_error_percent", "Error of the energy of a cycle (mean, %)"),
-    )
-    before, after = data.record["before"], data.record["after"]
-    return [
-        {"name": name, "before": words.short(number(before.get(key))), "after": words.short(number(after.get(key)))}
-        for key, name in rows
-    ]
+def span_words(where: Mapping[str, Any]) -> str:
+    """Say between which values of a coordinate, or in which runs, the base law fails."""
+    low, high = (number(v) for v in where["interval"])
+    if where["coordinate"] == "run":
+        return ", ".join(str(i) for i in range(math.ceil(low), math.ceil(high)))
+    return f"{words.short(low)} to {words.short(high)} {where['unit']}".removesuffix(" 1")
 
 
 def heldout_words(data: DiagnosisData) -> str:
@@ -476,24 +325,6 @@ def heldout_words(data: DiagnosisData) -> str:
         f"{text} With what was found these predictions are better, by {sure} than chance: log predictive density "
         f"+{gain:.0f}, standard error {error:.0f}."
     )
-
-
-def unknown(data: DiagnosisData) -> dict[str, str] | None:
-    """Describe what no effect explains."""
-    u = data.record.get("unknown")
-    if not u:
-        return None
-    size, period = number(u.get("size_kN")), u.get("period")
-    return {
-        "coordinate": u.get("coordinate") or "not known",
-        "size": f"{words.short(size)} kN, {per_cent(size / data.capacity_kN)} % of the sliding force",
-        "formula": u.get("formula") or "",
-        "formula_words": u.get("formula_words") or "",
-        "period": f"{words.short(number(period['length']))} {period['unit']} of {period['coordinate']}"
-        if period
-        else "",
-        "words": u.get("words") or "",
-    }
 
 
 def shape_columns(shape: Any) -> dict[str, FloatArray]:
@@ -523,9 +354,27 @@ def per_cent(share: float) -> str:
     return f"{100 * share:.2g}" if abs(share) < 0.1 else f"{100 * share:.0f}"
 
 
-def value(row: Mapping[str, Any]) -> str:
-    """Mean with the digits that its spread makes meaningful."""
-    return words.rounded(number(row.get("mean")), number(row.get("sd")))
+def more_words(error: float) -> str:
+    """Say by how many per cent a model misses the measured energy."""
+    if abs(error) < 0.05:
+        return "the measured energy to better than 0.1 %"
+    return f"{abs(error):.1f} % {'more' if error > 0 else 'less'} energy than was measured"
+
+
+def per_cent_of(percent: Any) -> str:
+    """Return a size in per cent; nothing where there is none."""
+    size = number(percent)
+    return f"{per_cent(size / 100)} %" if math.isfinite(size) else ""
+
+
+def given(form: str, value: Any) -> str:
+    """Write a number; nothing where there is none."""
+    return form.format(number(value)) if math.isfinite(number(value)) else ""
+
+
+def value(row: Mapping[str, Any], key: str = "mean") -> str:
+    """Mean, or another value, with the digits that its spread makes meaningful."""
+    return words.rounded(number(row.get(key)), number(row.get("sd")))
 
 
 def spread(row: Mapping[str, Any]) -> str:
@@ -549,11 +398,7 @@ def _card(what: str, before: str, after: str, unit: str, note: str) -> dict[str,
     return {"what": what, "before": before, "after": after, "unit": unit, "note": note}
 
 
-def _first_up(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _meaning(name: str) -> str:
+def meaning(name: str) -> str:
     """Meaning of a parameter; a name that this version does not know is shown without one."""
     try:
         return meaning_of(name).meaning
@@ -561,23 +406,22 @@ def _meaning(name: str) -> str:
         return ""
 
 
-def _unit(name: str) -> str:
+def unit(name: str) -> str:
+    """Give the unit of a parameter; nothing where it has none, or this version does not know it."""
     try:
-        unit = meaning_of(name).unit
+        found = meaning_of(name).unit
     except ModelError:
         return ""
-    return "" if unit == "1" else unit
+    return "" if found == "1" else found
 
 
-def _like(row: Mapping[str, Any], key: str) -> str:
-    return words.rounded(number(row.get(key)), number(row.get("sd")))
-
-
-def _change(moved: float, before: float, *, gamma: bool) -> str:
-    """Change of a parameter: per cent, but of gamma, which may be 0, the difference."""
-    if not math.isfinite(moved):
+def change(name: str, row: Mapping[str, Mapping[str, Any]]) -> str:
+    """Say by how much a parameter changed: per cent, but of gamma, which may be 0, the difference."""
+    before = number(row["before"].get("mean"))
+    moved = number(row["after"].get("mean")) - before
+    if not math.isfinite(moved) or undetermined(name, row["before"]) or undetermined(name, row["after"]):
         return "not known"
-    if gamma or before == 0:
+    if base_of(name) == "gamma" or before == 0:
         return f"{moved:+.2g}" if abs(moved) >= 5e-5 else "none"
     share = 100 * moved / before
     return f"{share:+.1f} %" if abs(share) >= 0.05 else "none"

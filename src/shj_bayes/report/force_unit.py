@@ -1,7 +1,5 @@
 """Newton for devices of less than a kilonewton: 0.26 kN is no number that a laboratory reads off its load cell."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

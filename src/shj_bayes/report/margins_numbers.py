@@ -1,13 +1,11 @@
 """The numbers of a designer's sheet, chosen from all margins and written as text. Nothing is drawn here."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.files import shown
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Margin
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import sets_suffice
@@ -44,38 +42,35 @@ FACTORS = (
     "ASCE 7 upper bound force",
 )
 EQUIVALENTS = ("phi equivalent, first run", "phi equivalent, after a first earthquake", "phi_o equivalent")
+ENDS = ((5, LOW), (50, MIDDLE), (95, HIGH))
 SPREADS = ("device to device", "within a device", "model, V_delta")
-Index = dict[tuple[str, str, str, str], Margin]
 
 
-def band_table(sheet: Sheet) -> list[dict[str, Any]]:
-    """One row per set: middle and 5 to 95 % of a new device in every quantity."""
-    index = _index(sheet)
+def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
+    """One row per set: the numbers for design, bands of a new device, and factors for a class of EN 15129."""
+    index = {row.key: row for row in sheet.rows}
+    factors = (*FACTORS, kind_of("LBDP", importance), kind_of("UBDP", importance), *EQUIVALENTS)
     rows = []
     for name in shown_sets(sheet):
-        cells = {}
+        own = {row.kind: row for row in sheet.rows if row.set_name == name}
+        bands = {}
         for quantity, _, unit in BANDS:
-            found = [
-                index.get((name, quantity, f"new device, {level} %", side))
-                for level, side in ((5, LOW), (50, MIDDLE), (95, HIGH))
-            ]
-            if all(found):
-                scale = 100.0 if unit == "%" else 1.0
-                low, middle, high = (digits(scale * m.value) for m in found if m)
-                cells[quantity] = {"middle": middle, "range": f"{low} to {high}"}
-        rows.append({"name": name_of(name), "n": _devices(index, name), "cells": cells})
-    return rows
-
-
-def first_table(sheet: Sheet) -> list[dict[str, Any]]:
-    """One row per set: tested devices, the numbers for drift and for capacity design, kN, and phi_o."""
-    index = _index(sheet)
-    rows = []
-    for name in shown_sets(sheet):
-        low, high = index[name, "force", DRIFT, LOW], index[name, "force", CAPACITY, HIGH]
-        over = index[name, "force", EQUIVALENTS[-1], HIGH]
-        numbers = {"drift": digits(low.value), "capacity": digits(high.value), "phi_o": digits(over.value)}
-        rows.append({"name": name_of(name), "n": _devices(index, name)} | numbers)
+            keys = ((name, quantity, f"new device, {level} %", side) for level, side in ENDS)
+            found = [index[key].value * (100.0 if unit == "%" else 1.0) for key in keys if key in index]
+            if len(found) == len(ENDS):
+                bands[quantity] = found
+        typical = index.get((name, "least", "new device, 50 %", MIDDLE))
+        rows.append(
+            {
+                "name": name_of(name),
+                "n": typical.n_devices if typical else 0,
+                "drift": own[DRIFT].value,
+                "capacity": own[CAPACITY].value,
+                "phi_o": own[EQUIVALENTS[-1]].value,
+                "bands": bands,
+                "factors": [own.get(kind) for kind in factors],
+            }
+        )
     return rows
 
 
@@ -96,7 +91,7 @@ def spread_table(sheet: Sheet) -> list[dict[str, Any]]:
 
 def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     """One row per set: values by testing, low and high, with the spread common to all sets where there is one."""
-    index = _index(sheet)
+    index = {row.key: row for row in sheet.rows}
     rows = []
     for name in shown_sets(sheet):
         cells, degrees, n = [], math.nan, 0
@@ -107,18 +102,6 @@ def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
                 degrees, n = pair[0].degrees, pair[0].n_devices
         nu = f"{degrees:.0f}" if math.isfinite(degrees) else "-"
         rows.append({"name": name_of(name), "n": n, "nu": nu, "cells": cells})
-    return rows
-
-
-def factor_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
-    """One row per set: factors on the nominal sliding force and the bounds they give, for a class of EN 15129."""
-    index = _index(sheet)
-    kinds = (*FACTORS, kind_of("LBDP", importance), kind_of("UBDP", importance), *EQUIVALENTS)
-    rows = []
-    for name in shown_sets(sheet):
-        own = {row.kind: row for row in sheet.rows if row.set_name == name}
-        cells = [(digits(own[kind].value), own[kind].warning) if kind in own else ("-", "") for kind in kinds]
-        rows.append({"name": name_of(name), "n": _devices(index, name), "cells": cells})
     return rows
 
 
@@ -133,12 +116,3 @@ def shown_sets(sheet: Sheet) -> list[str]:
 def tested_sets(sheet: Sheet) -> list[str]:
     """Names of the sets that were tested."""
     return [name for name in dict.fromkeys(row.set_name for row in sheet.rows) if name != ANY_SET]
-
-
-def _index(sheet: Sheet) -> Index:
-    return {row.key: row for row in sheet.rows}
-
-
-def _devices(index: Index, name: str) -> int:
-    row = index.get((name, "least", "new device, 50 %", MIDDLE))
-    return row.n_devices if row else 0

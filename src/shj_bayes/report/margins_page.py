@@ -1,7 +1,5 @@
 """The designer's sheet: margins of every set on two printed pages, each number with unit, clause and n."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,7 @@ from shj_bayes.population.loops import LoopBand
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.report import margins_numbers as numbers
-from shj_bayes.report.page import Picture, write_page
+from shj_bayes.report.page import write_page
 
 MARGINS_PAGE = "margins.html"
 MAX_PICTURES = 4
@@ -33,87 +31,43 @@ def render_margins(
     importance: str,
     simulated: bool = False,
 ) -> Path:
-    """Write ``margins.html``.
+    """Write ``margins.html``: the sheet that was drawn up for an importance class of the structure.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    sheet : Sheet
-        The margins.
-    loops : sequence of LoopBand
-        Bands of the loop of a new device; drawn where the sheet has room, that is for few sets.
-    name : str
-        Title of the campaign or of the tables.
-    importance : {"I", "II", "III"}
-        Importance class of the structure that the sheet was drawn up for.
-    simulated : bool
-        True where the recordings were simulated.
-
-    Returns
-    -------
-    Path
-        The page.
+    `loops`, bands of the loop of a new device, are drawn where the sheet has room, that is for few sets.
     """
     tested = numbers.testing_table(sheet, "least"), numbers.testing_table(sheet, "least_2")
     content: dict[str, Any] = {
         "name": name,
         "simulated": simulated,
-        "cycle": _cycle(sheet),
-        "first": numbers.first_table(sheet),
+        "sets": numbers.set_table(sheet, importance),
         "spreads": numbers.spread_table(sheet),
-        "bands": numbers.band_table(sheet),
         "quantities": numbers.BANDS,
         "tests": numbers.TESTED,
         "testing": [
             {"title": "first run", "rows": tested[0]},
             {"title": "after a first earthquake (second run)", "rows": tested[1]},
         ],
-        "factors": numbers.factor_table(sheet, importance),
         "importance": importance,
         "left_out": max(0, len(numbers.tested_sets(sheet)) - numbers.MAX_SETS),
         "untested": "" if sets_suffice(n_sets := len(numbers.tested_sets(sheet))) else never_tested_words(n_sets),
         "few": len(numbers.shown_sets(sheet)) <= FEW_SETS,
-        "warnings": sheet.warnings,
-        "diagnoses": sheet.diagnoses,
         "far": published_factors(FAR_SPEED),
         "coverage": ", ".join(f"{100 * c:.1f} % with {n}" for n, c in COVERAGE.items()),
-        "n_rows": len(sheet.rows),
+        "sheet": sheet,
         "loops": _pictures(loops),
     }
     return write_page(folder, "margins.html", content, name=MARGINS_PAGE)
 
 
-def _pictures(loops: Sequence[LoopBand]) -> list[Picture]:
+def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:
     """Loop bands of the tested sets, as far as two pages have room for them."""
     by_set: dict[str, list[LoopBand]] = {}
     for band in loops:
         if band.set_name != ANY_SET:
             by_set.setdefault(band.set_name, []).append(band)
     if len(by_set) > MAX_PICTURES:
-        return []
+        return {}
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
     from shj_bayes.report.figures.population import loop  # noqa: PLC0415
 
-    return [
-        Picture(
-            loop(bands),
-            f"Force over displacement of the tested devices of {name}: median and 90 % band, run by run.",
-            "Every tested device through its widest cycle, with the model that was found for it. Values: loops.csv.",
-            name,
-        )
-        for name, bands in by_set.items()
-    ]
-
-
-def _cycle(sheet: Sheet) -> dict[str, str]:
-    """History of the virtual test and what was tested, as text."""
-    tested = sheet.tested
-    return {
-        "history": sheet.history,
-        "tested": ""
-        if tested is None
-        else f"amplitudes {tested.smallest_mm:.3g} to {tested.largest_mm:.3g} mm, speeds up to "
-        f"{tested.fastest_mm_s:.3g} mm/s ({tested.source})",
-        "beyond": "yes" if sheet.extrapolated else "",
-    }
+    return {name: loop(bands) for name, bands in by_set.items()}

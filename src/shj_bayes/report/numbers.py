@@ -9,6 +9,8 @@ import numpy as np
 
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.population.quantities import LEVELS, band_of
+from shj_bayes.report.beforehand import Beforehand, beforehand
+from shj_bayes.report.binned import StrokeProfile, stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
 
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
@@ -54,15 +56,10 @@ def force_band(run: RunData) -> Band:
 
 
 def cycle_marks(run: RunData) -> FloatArray:
-    """Where cycles begin and end, as fractional sample numbers.
+    """Where cycles begin and end, as fractional sample numbers, shape (n_cycles + 1,); empty without a full cycle.
 
     A cycle goes from one crossing of mid-stroke to the next in the same direction, beginning with the direction in
     which the run starts; so a block of sine cycles gives exactly its cycles, as closed loops.
-
-    Returns
-    -------
-    array, shape (n_cycles + 1,)
-        Empty when there is no full cycle.
     """
     x = run.displacement_mm
     if run.reversals.size == 0:
@@ -104,7 +101,6 @@ class CycleEnergy:
     run: int
     amplitude_mm: FloatArray = field(repr=False)
     peak_speed_mm_s: FloatArray = field(repr=False)
-    duration_s: FloatArray = field(repr=False)
     # measured_J to high_J: measured, and 5, 50 and 95 % of what the posterior predicts would be measured
     measured_J: FloatArray = field(repr=False)
     low_J: FloatArray = field(repr=False)
@@ -127,7 +123,6 @@ def cycle_energy(run: RunData) -> CycleEnergy:
         np.array([0.5 * np.ptp(x[a:b]) for a, b in spans]),
         # The largest of many noisy speeds is too large; the 98th percentile of a sine is its peak to 0.1 %.
         np.array([np.quantile(run.speed_mm_s[a:b], 0.98) for a, b in spans]),
-        np.diff(np.interp(marks, np.arange(x.size), run.time_s)),
         energy_between(run.force_kN, x, marks),
         low,
         median,
@@ -223,20 +218,41 @@ def one_peak_speed(energies: tuple[CycleEnergy, ...]) -> float | None:
     return middle if alike >= 0.9 else None
 
 
+def degradation(device: DeviceData) -> dict[int, tuple[float, float, float]]:
+    """Loss of sliding force from the first run to every later one, per cent: 5, 50 and 95 % of its posterior."""
+    names = {run.number: run_name("ratio", run.number) for run in device.runs[1:]}
+    return {number: band_of(100 * (1 - device.draws[name].ravel())) for number, name in names.items()}
+
+
 @dataclass(frozen=True, eq=False)
-class Degradation:
-    """Loss of sliding force from the first run to run `run`, per cent: 5, 50 and 95 %."""
+class Numbers:
+    """All that is drawn or said, computed once."""
 
-    run: int
-    q05: float
-    q50: float
-    q95: float
+    bands: tuple[Band, ...]
+    energies: tuple[CycleEnergy, ...]
+    shapes: tuple[CycleShape, ...]
+    losses: dict[int, tuple[float, float, float]]
+    profiles: tuple[tuple[StrokeProfile, StrokeProfile], ...]
+    one_speed: float | None
+    before: Beforehand
 
 
-def degradation(device: DeviceData) -> tuple[Degradation, ...]:
-    """Loss of sliding force for every run after the first, from the posterior of the ratios."""
-    out = []
-    for run in device.runs[1:]:
-        name = run_name("ratio", run.number)
-        out.append(Degradation(run.number, *band_of(100 * (1 - device.draws[name].ravel()))))
-    return tuple(out)
+def numbers_of(device: DeviceData) -> Numbers:
+    """Compute the numbers of a device page."""
+    energies = tuple(cycle_energy(run) for run in device.runs)
+    first = device.runs[0]
+    whole = 0.5 * float(np.ptp(first.displacement_mm))
+    amplitude = max((float(e.amplitude_mm.max()) for e in energies if e.amplitude_mm.size), default=whole)
+    speed = max((float(np.median(e.peak_speed_mm_s)) for e in energies if e.peak_speed_mm_s.size), default=0.0)
+    speed = speed or float(np.quantile(first.speed_mm_s, 0.98))
+    bands = tuple(force_band(run) for run in device.runs)
+    measured = zip(device.runs, energies, bands, strict=True)
+    return Numbers(
+        bands,
+        energies,
+        tuple(cycle_shape(run, energy, band.median) for run, energy, band in measured),
+        degradation(device),
+        tuple(stroke_profiles(run) for run in device.runs),
+        one_peak_speed(energies),
+        beforehand(device, amplitude, speed),
+    )

@@ -1,7 +1,5 @@
 """Templates with escaping: what goes into a page is text, whatever it holds."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 from collections.abc import Sequence
@@ -15,6 +13,7 @@ from markupsafe import Markup
 
 import shj_bayes
 from shj_bayes._util.files import write_text
+from shj_bayes.report import words
 
 PAGE = "report.html"
 TABLES, LOOPS = ("sheet", "tables"), ("sheet", "tables", "loops")  # scripts of a page, in the order they run
@@ -33,13 +32,15 @@ class Picture:
 
 @cache
 def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["words"] = words  # numbers are written where they stand
+    return environment
 
 
 @cache

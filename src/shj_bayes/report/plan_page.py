@@ -1,7 +1,5 @@
 """The page of a plan and its summary in words: what to run next, what it would tell, and what it is compared with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +12,7 @@ from shj_bayes.planning.devices import ASSURANCE, WITHIN
 from shj_bayes.planning.known import Belief, Known, mechanisms_of
 from shj_bayes.planning.plan import FORCE, WHICH, Plan, Worth
 from shj_bayes.report.diagnosis_words import over_words
-from shj_bayes.report.page import Picture, write_page
+from shj_bayes.report.page import write_page
 
 PLAN_PAGE = "plan.html"
 
@@ -25,15 +23,8 @@ def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> P
         "names": ", ".join(d["name"] for d in record["devices"]),
         "headline": headline(record),
         "lines": lines(record),
-        "rivals": [[(set_words(s), f"{100 * s['probability']:.3g}") for s in d["sets"]] for d in record["devices"]],
-        "devices": [d["name"] for d in record["devices"]],
-        "rows": [_cells(r, record) for r in (*record["candidates"], *record["compared"])],
-        "blocks": [(r["name"], r["file"], [_block(b) for b in r["blocks"]]) for r in record["candidates"]],
-        "which": record["question"] == WHICH,
-        "further": (record["further_devices"] or {}).get("table", []),
-        "rig": record["rig"],
-        "seed": record["seed"],
-        "schema": record["schema"],
+        "record": record,
+        "set_words": set_words,
         "pictures": _devices(record) if plan is None else _pictures(plan),
     }
     return write_page(folder, "plan.html", content, name=PLAN_PAGE)
@@ -136,102 +127,42 @@ def set_words(one: Mapping[str, Any]) -> str:
     return f"{names} ({where})" if names else where
 
 
-def _cells(row: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, Any]:
-    done = row["simulated"]
-    return {
-        "name": row["name"],
-        "file": row["file"] or "",
-        "minutes": f"{row['minutes']:.1f}",
-        "gain": f"{row['gain_nats']:.3f}",
-        "per_minute": f"{row['gain_per_minute']:.4f}",
-        "truth": f"{100 * row['probability_of_truth']:.1f}",
-        "right": f"{100 * row['chance_right']:.1f}",
-        "sd": "" if row["sd"] is None else f"{row['sd']:.3g}",
-        "force": f"{row['force_kN']:.4g}",
-        "simulated": "" if not done else f"{done['right']} of {done['n']}, {100 * done['of_truth']:.1f}",
-        "broken": "; ".join(row["limits_broken"]),
-    }
-
-
-def _block(block: Mapping[str, Any]) -> tuple[str, ...]:
-    return (
-        f"{block['amplitude_mm']:.4g}",
-        f"{block['speed_mm_s']:.4g}",
-        str(block["cycles"]),
-        str(block["waveform"]),
-        f"{block['rest_s']:.3g}",
-    )
-
-
-def _pictures(plan: Plan) -> list[Picture]:
+def _pictures(plan: Plan) -> dict[str, Any]:
     """Displacement over time, predicted loops of the two leading rivals, and where they differ."""
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
     from shj_bayes.report.figures import plan as draw  # noqa: PLC0415
 
     if not plan.best:
-        return []
+        return {}
     known, protocol = plan.known[0], plan.best[0].protocol
     time, motion = protocol.sampled(plan.rig.rate_Hz)
-    out = [
-        Picture(
-            draw.history(time, motion.displacement_mm, motion.speed_mm_s),
-            "Displacement and speed of the best protocol over time.",
-            f"{protocol.duration_s / 60:.1f} minutes, {protocol.travel_m:.2f} m of travel; every block starts and "
-            "ends at rest in the middle of the stroke.",
-            f"The best protocol: {protocol.name}",
-            wide=True,
-        )
-    ]
+    x = motion.displacement_mm
+    drawn: dict[str, Any] = {"history": draw.history(time, x, motion.speed_mm_s), "protocol": protocol}
     leading = [next(b for b in known.beliefs if b.key == key) for key in known.keys[:2]]
     if len(leading) < 2:
-        return out
+        return drawn
     history = known.placed(histories([time], [motion])[0])
     first, second = (_force(b, history) for b in leading)
     sets = [{"classes": sorted(b.key), "mechanisms": mechanisms_of(b.key)} for b in leading]
     names = (set_words(sets[0]), set_words(sets[1]))
-    x = motion.displacement_mm
-    gap = first - second
-    out.append(
-        Picture(
-            draw.rivals(x, first, second, names),
-            "Predicted loops of the planned test if one rival is true and if the other is.",
-            "Each rival as it fits the tests so far; the other one in grey.",
-            "What the test would show",
-            wide=True,
-        )
-    )
     noise = _noise(known)
-    out.append(
-        Picture(
-            draw.apart(time, gap, noise),
-            "Difference of the two predicted forces over time.",
-            f"{names[0]} less {names[1]}: up to {np.abs(gap).max():.3g} kN apart, for a noise of {noise:.2g} kN. A "
-            "constant difference tells nothing: the sliding force of a run is fitted.",
-            "Where they part",
-            wide=True,
-        )
-    )
-    return out
+    return drawn | {
+        "rivals": draw.rivals(x, first, second, names),
+        "apart": draw.apart(time, first - second, noise),
+        "names": names,
+        "gap_kN": np.abs(first - second).max(),
+        "noise_kN": noise,
+    }
 
 
-def _devices(record: Mapping[str, Any]) -> list[Picture]:
+def _devices(record: Mapping[str, Any]) -> dict[str, str]:
+    """Half width of what is known over the number of further devices."""
     from shj_bayes.report.figures import plan as draw  # noqa: PLC0415
 
     table = record["further_devices"]["table"]
-    if not table:
-        return []
-    n, expected, assured = (
-        [float(row[k]) for row in table] for k in ("n_further", "half_width_expected", "half_width_assured")
-    )
-    return [
-        Picture(
-            draw.devices(n, expected, assured, WITHIN),
-            "Half width of the 90 % interval of the 5 % force over the number of further devices.",
-            "Half of the 90 % interval of the force that 95 % of devices exceed.",
-            "Further devices",
-            wide=True,
-        )
-    ]
+    keys = ("n_further", "half_width_expected", "half_width_assured")
+    n, expected, assured = ([float(row[key]) for row in table] for key in keys)
+    return {"devices": draw.devices(n, expected, assured, WITHIN)} if table else {}
 
 
 def _force(b: Belief, history: Any) -> Any:

@@ -1,7 +1,5 @@
 """The numbers of a campaign page: sets side by side, new devices, comparisons. Nothing is drawn here."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from itertools import combinations
@@ -11,11 +9,10 @@ import numpy as np
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
-from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.loops import LoopBand, loop_band
 from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
 from shj_bayes.population.predict import RUN_FORCES, SECOND_RUN, new_device, new_device_table, sets_suffice
-from shj_bayes.population.quantities import QUANTITIES, FloatArray
+from shj_bayes.population.quantities import LEVELS, QUANTITIES
 
 MEANING = {
     "Fy": "sliding force, first run",
@@ -74,19 +71,10 @@ def name_of(set_name: str) -> str:
 def set_bands(
     result: PopulationResult, intervals: Mapping[tuple[str, str], Mapping[str, Interval]] | None = None
 ) -> dict[str, tuple[SetBand, ...]]:
-    """Bands of a new device of every set, by quantity.
+    """Bands of a new device of every set, by quantity in the order of `SHOWN`.
 
-    Parameters
-    ----------
-    result : PopulationResult
-        A fitted population.
-    intervals : mapping of (set, device) to mapping of quantity to interval, optional
-        90 % intervals of the tested devices; their points where it says nothing.
-
-    Returns
-    -------
-    dict of str to tuple of SetBand
-        In the order of `SHOWN`; the last band of each is that of a set never tested, where enough were tested to say.
+    The last band of each is that of a set never tested, where enough were tested to say. `intervals` are 90 % intervals
+    of the tested devices; their points stand where it says nothing.
     """
     table = new_device_table(result)
     groups = {group.name: group for group in result.sets}
@@ -152,11 +140,6 @@ def pairs(result: PopulationResult) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(chosen, key=lambda pair: -min(size[pair[0]], size[pair[1]]))[:MAX_PAIRS])
 
 
-def comparisons(result: PopulationResult) -> tuple[Comparison, ...]:
-    """Comparisons of `pairs`."""
-    return tuple(compare(result, a, b) for a, b in pairs(result))
-
-
 def curve_words(curve: CurveContrast) -> str:
     """Say how the force of two sets changes along a coordinate, value by value and all values together."""
     title, unit = coordinate_named(curve.coordinate).title, "" if curve.unit == "1" else f" {curve.unit}"
@@ -181,15 +164,14 @@ def force_matrix(result: PopulationResult) -> list[list[Quotient | None]]:
     n = len(result.sets)
     if not 2 <= n <= MAX_MATRIX or "Fy" not in result.posteriors:
         return []
-    level = result.posteriors["Fy"].mu
-    others = [fits["Fy"].mu for fits in result.other_priors.values() if "Fy" in fits]
-    return [[_quotient(level, others, i, j) if i != j else None for j in range(n)] for i in range(n)]
+    levels = [result.posteriors["Fy"].mu, *(fits["Fy"].mu for fits in result.other_priors.values() if "Fy" in fits)]
 
+    def quotient(i: int, j: int) -> Quotient:
+        low, middle, high = (float(v) for v in np.exp(np.quantile(levels[0][:, i] - levels[0][:, j], LEVELS)))
+        ends = [np.quantile(mu[:, i] - mu[:, j], (LEVELS[0], LEVELS[2])) for mu in levels]
+        return Quotient((low, middle, high), not any(a < 0 < b for a, b in ends))
 
-def _quotient(level: FloatArray, others: list[FloatArray], i: int, j: int) -> Quotient:
-    low, middle, high = (float(v) for v in np.exp(np.quantile(level[:, i] - level[:, j], (0.05, 0.5, 0.95))))
-    ends = [np.quantile(mu[:, i] - mu[:, j], (0.05, 0.95)) for mu in (level, *others)]
-    return Quotient((low, middle, high), not any(a < 0 < b for a, b in ends))
+    return [[quotient(i, j) if i != j else None for j in range(n)] for i in range(n)]
 
 
 def loop_bands(result: PopulationResult, amplitude_mm: float, peak_speed_mm_s: float) -> tuple[LoopBand, ...]:

@@ -1,7 +1,5 @@
 """What a page says and shows of a population; the same for a campaign and for the published tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ import numpy as np
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.record import read_group
 from shj_bayes.margins.curves import CurveContrast
-from shj_bayes.population.compare import Comparison
+from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.predict import dep_words, how_wide, never_tested_words, sets_suffice
 from shj_bayes.report import sets, words
@@ -39,16 +37,14 @@ def population_content(
         "wide": [how_wide(result, row.set_name, "Fy") for row in bands.get("Fy", ())],
         "untested": "" if sets_suffice(len(result.sets)) else never_tested_words(len(result.sets)),
         "few": _few(result),
-        "names": list(result.set_names),
-        "matrix": _matrix(result),
-        "contrasts": [_contrast(c) for c in sets.comparisons(result)],
-        "converged": result.converged,
+        "matrix": sets.force_matrix(result),
+        "contrasts": [_contrast(compare(result, a, b)) for a, b in sets.pairs(result)],
         "priors": [
             {"name": name, "source": prior.source, "r_hat": f"{fit.r_hat:.3f}", "ess": f"{fit.ess:.0f}"}
             for name, prior in result.priors.items()
             if (fit := result.posteriors.get(name)) is not None
         ],
-        "seed": result.seed,
+        "result": result,
     }
 
 
@@ -71,27 +67,14 @@ def _table(bands: Mapping[str, tuple[sets.SetBand, ...]]) -> list[dict[str, Any]
             row = rows.setdefault(band.set_name, {"name": band.name, "n": band.n_devices, "cells": {}})
             low, middle, high = band.band
             row["n"] = max(row["n"], band.n_devices)
-            row["cells"][quantity] = {
-                "exact": repr(middle),
-                "middle": words.digits(middle),
-                "low": words.digits(low),
-                "high": words.digits(high),
-                "dep": _dep(low, high) if quantity == "gamma" else "",
-            }
+            # Band of gamma as dep, short enough for a cell.
+            dep = "dep open" if low <= 0 <= high else f"dep {dep_words(low, high)}"
+            dep = dep if quantity == "gamma" else ""
+            row["cells"][quantity] = {"low": low, "middle": middle, "high": high, "dep": dep}
+    second = {b.name: f"{100 * b.band[0]:.0f} to {100 * b.band[2]:.0f} %" for b in bands.get("ratio", ())}
     for row in rows.values():
-        row["second"] = _per_cent(bands, row["name"])
+        row["second"] = second.get(row["name"], "")
     return list(rows.values())
-
-
-def _per_cent(bands: Mapping[str, tuple[sets.SetBand, ...]], name: str) -> str:
-    """Sliding force of the second run of a set, in per cent of the first."""
-    band = next((b.band for b in bands.get("ratio", ()) if b.name == name), None)
-    return f"{100 * band[0]:.0f} to {100 * band[2]:.0f} %" if band else ""
-
-
-def _dep(low: float, high: float) -> str:
-    """Band of gamma as dep, short enough for a cell."""
-    return "dep open" if low <= 0 <= high else f"dep {dep_words(low, high)}"
 
 
 def _few(result: PopulationResult) -> str:
@@ -123,18 +106,3 @@ def _contrast(comparison: Comparison) -> dict[str, Any]:
         }
     sentence = next((c.sentence for c in comparison.contrasts if c.quantity == "Fy"), "")
     return {"pair": f"{comparison.set_a} against {comparison.set_b}", "cells": cells, "sentence": sentence}
-
-
-def _matrix(result: PopulationResult) -> list[dict[str, Any]]:
-    """Sliding force of each set over that of each other, as text."""
-    return [
-        {"name": name, "cells": [_cell(cell) for cell in row]}
-        for name, row in zip(result.set_names, sets.force_matrix(result), strict=False)
-    ]
-
-
-def _cell(cell: sets.Quotient | None) -> dict[str, Any] | None:
-    if cell is None:
-        return None
-    low, middle, high = cell.band
-    return {"text": f"{middle:.2f}", "range": f"{low:.2f} to {high:.2f}", "settled": cell.settled}

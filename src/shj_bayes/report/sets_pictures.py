@@ -1,7 +1,5 @@
 """The pictures of a population, each with its sentence. Importing this imports matplotlib."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
@@ -76,32 +74,15 @@ def _ends(rows: tuple[sets.SetBand, ...]) -> str:
     return f"Medians from {least.band[1]:.3g}{unit} ({least.name}) to {most.band[1]:.3g}{unit} ({most.name}). {text}"
 
 
-def _loops(bands: tuple[LoopBand, ...]) -> list[Picture]:
-    out = []
-    for set_name, group in groupby(bands, key=lambda band: band.set_name):
-        parts, name = list(group), sets.name_of(set_name)
-        energy = "; ".join(f"run {b.run}: {_kilojoule(b.energy_kN_mm)}" for b in parts)
-        out.append(
-            Picture(
-                figures.loop(parts),
-                f"Band of the force over displacement of a new device of {name}.",
-                f"Energy of one cycle, median and 90 % interval: {energy}. Devices tested: {parts[0].n_devices}.",
-                name,
-            )
-        )
-    return out
+def _loops(bands: tuple[LoopBand, ...]) -> list[dict[str, Any]]:
+    """Loops of each set, of all its runs."""
+    found = groupby(bands, key=lambda band: band.set_name)
+    return [
+        {"address": figures.loop(parts), "name": sets.name_of(name), "runs": parts}
+        for name, parts in ((name, list(group)) for name, group in found)
+    ]
 
 
-def _apart(curve: CurveContrast) -> Picture:
+def _apart(curve: CurveContrast) -> dict[str, Any]:
     title = coordinate_named(curve.coordinate).title
-    return Picture(
-        figures.apart(curve),
-        f"Force of {curve.set_a} over that of {curve.set_b} along {title}, with its 90 % band.",
-        sets.curve_words(curve),
-        f"{curve.set_a} against {curve.set_b}: along {title}",
-    )
-
-
-def _kilojoule(energy: tuple[float, float, float]) -> str:
-    low, middle, high = (value / 1000 for value in energy)
-    return f"{middle:.3g} kJ ({low:.3g} to {high:.3g})"
+    return {"address": figures.apart(curve), "of": curve, "title": title, "words": sets.curve_words(curve)}

@@ -1,7 +1,5 @@
 """The loops as numbers inside the page, for its script to draw: bounded, thinned, in whole numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -12,9 +10,9 @@ import numpy as np
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import numbers as n
 from shj_bayes.report.data import DeviceData, IntArray
-from shj_bayes.report.device_numbers import Numbers
 from shj_bayes.report.diagnosis_data import DiagnosisData
 from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.numbers import Numbers
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
 MOST = 6  # runs that can be looked into

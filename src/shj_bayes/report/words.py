@@ -1,7 +1,5 @@
 """Numbers in words: what a laboratory engineer or a designer reads on the page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -39,13 +37,7 @@ _DETERMINES = {
     "gamma": "cycles of one stroke at clearly different speeds",
     "ratio": "a second run over the same strokes",
 }
-SEVERITIES = {
-    "unusable": "must not be used",
-    "warning": "warning",
-    "repaired": "repaired",
-    "assumed": "assumed",
-    "note": "note",
-}
+SEVERITIES = {"unusable": "must not be used"}  # the others say it themselves
 
 
 def rounded(value: float, spread: float) -> str:

@@ -11,7 +11,6 @@ from shj_bayes.inference.convergence import (
     Diagnostics,
     autocorrelation_time,
     burn_in,
-    converged,
     diagnose_chains,
     judge,
 )
@@ -38,7 +37,7 @@ def verdict(x: np.ndarray, acceptance: np.ndarray | float = 0.3) -> tuple[str, s
 def test_all_fine() -> None:
     word, reasons, figures = verdict(chains(2000, tau=10.0))
     assert word == "reliable", reasons
-    assert converged(figures)
+    assert judge(figures).word == "reliable"
     assert "4 independent ensembles agree" in reasons
     assert np.all(figures.rhat < 1.01)
     np.testing.assert_allclose(figures.tau, 10.0, rtol=0.2)
@@ -50,7 +49,7 @@ def test_too_short_is_not_reliable_and_says_so() -> None:
     word, reasons, figures = verdict(chains(300, tau=20.0))
     assert word == "tentative"
     assert "autocorrelation times long (50 is wanted); run longer" in reasons
-    assert not converged(figures)
+    assert judge(figures).word != "reliable"
 
 
 def test_much_too_short_is_unusable() -> None:

@@ -83,7 +83,7 @@ def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:
     assert f"over {misfit.floor.n_pieces} cycles" in words
     _, start = find_start(misfit.posterior)
     gaussian = np.sqrt(np.diag(start.covariance))
-    shown = misfit.posterior.unbounded(draws_of(misfit)).std(axis=0)
+    shown = misfit.posterior.model.unbounded(draws_of(misfit)).std(axis=0)
     i = misfit.floor.names.index("Fy")
     assert shown[i] == pytest.approx(gaussian[i] * misfit.floor.factor[i], rel=0.2)
     cycles = misfit.record["cycles"]

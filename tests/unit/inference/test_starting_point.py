@@ -33,7 +33,7 @@ def found(make_small: Make) -> tuple[Posterior, Start]:
 @pytest.mark.parametrize("name", DEVICES)
 def test_map_is_near_the_truth(make_small: Make, as_vector: Vector, name: str, variant: str) -> None:
     posterior, start = find_start(make_small(DEVICES[name], variant=variant))
-    truth = posterior.unbounded(as_vector(posterior, DEVICES[name]))[0]
+    truth = posterior.model.unbounded(as_vector(posterior, DEVICES[name]))[0]
     # In units of its own curvature the truth is a chi-squared draw; 1e-4 of those are larger than this.
     distance = (start.free - truth) @ np.linalg.solve(start.covariance, start.free - truth)
     assert distance < stats.chi2(truth.size).ppf(1 - 1e-4) * 1.5  # the Gaussian is an approximation

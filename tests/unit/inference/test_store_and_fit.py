@@ -114,7 +114,7 @@ def test_draws_and_densities_belong_together(fitted: Fitted) -> None:
     theta = np.stack([data["posterior"][n].to_numpy()[2, :5] for n in posterior.names], axis=1)
     lp = data["sample_stats"]["lp"].to_numpy()
     assert lp.shape == data["posterior"]["K"].shape
-    z = posterior.unbounded(theta)
+    z = posterior.model.unbounded(theta)
     np.testing.assert_allclose(lp[2, :5], posterior.log_posterior_free(z), atol=1e-6)
     parts = data["log_likelihood"][FORCE].to_numpy()[2, :5]
     np.testing.assert_allclose(parts, posterior.log_likelihood_by_half_cycle(theta), atol=1e-6)

@@ -22,7 +22,7 @@ NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
 @pytest.fixture(scope="module")
 def scene(small_device, as_vector) -> Scene:
     """Two short runs, at the parameters that they were simulated from."""
-    z = small_device.unbounded(as_vector(small_device))[0, : small_device.model.n_law]
+    z = small_device.model.unbounded(as_vector(small_device))[0, : small_device.model.n_law]
     return Scene(small_device, z)
 
 

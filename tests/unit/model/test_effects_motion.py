@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
-from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm
+from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
 from shj_bayes.model.history import ARRAYS, History, delayed, histories
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import Block, exact_motion
@@ -22,6 +23,11 @@ BASE = Base(K, FY, 200.0, 0.0, FY)
 
 def ramps(turning: list[float], step: float = 0.01) -> History:
     """Constant speed of 1 mm/s from one turning point to the next."""
+    return in_runs(turning, 1, step)[0]
+
+
+def in_runs(turning: list[float], n: int, step: float = 0.01) -> tuple[History, ...]:
+    """So many runs of the same ramps."""
     legs, start, x = list(pairwise(turning)), [0], []
     for k, (a, b) in enumerate(legs):
         leg = a + np.sign(b - a) * np.arange(0 if k == 0 else step, abs(b - a) + step / 2, step)
@@ -30,7 +36,7 @@ def ramps(turning: list[float], step: float = 0.01) -> History:
     where = np.concatenate(x)
     direction = np.array([int(np.sign(b - a)) for a, b in legs])
     motion = Motion(where, np.ones(where.size), np.array(start), np.array(turning[:-1]), direction)
-    return histories([np.arange(where.size) * step], [motion])[0]
+    return histories([np.arange(where.size) * step] * n, [motion] * n)
 
 
 def run(history: History, variant: str = "continuous", base: Base = BASE, **values: dict[str, float]) -> np.ndarray:
@@ -278,3 +284,28 @@ def test_sliding_begins_where_the_force_of_the_reversal_lets_it():
     begins = [h.slip_mm[a:b][slid[a:b] > 0] for a, b in pairwise(h.motion.start)]
     assert [round(float(s.min()), 1) if s.size else None for s in begins] == [4.0, None, 1.0, None]
     assert np.sum(slid_since_mm(h, BASE)) == pytest.approx(26.0 + 10.0, abs=0.1)
+
+
+def test_the_distance_slid_goes_on_from_run_to_run_without_what_was_elastic():
+    runs = in_runs([0.0, 30.0, -30.0, 30.0], 2)
+    first, second = (slid_m(h, BASE) for h in runs)
+    done = np.array([26.0, 52.0, 52.0]) / 1000.0  # all but Fy/K of the first stroke, then all but 2 Fy/K
+    assert first[-1] == pytest.approx(done.sum(), abs=1e-4) == pytest.approx(second[0], abs=1e-4)
+    assert second[-1] == pytest.approx(2 * done.sum(), abs=2e-4)
+    bounded = replace(runs[1], travel_m=0.5 * runs[1].travel_m)
+    np.testing.assert_allclose(slid_m(bounded, BASE), 0.5 * second)
+
+
+def test_a_place_counts_what_has_slid_over_it():
+    """Against the bell summed over every step; a place that no stroke reaches counts none."""
+    runs = in_runs([0.0, 60.0, -30.0, 50.0], 2)
+    width = 0.1
+    place = np.concatenate([h.position_mm for h in runs])
+    slid = np.concatenate([slid_since_mm(h, BASE) for h in runs])
+    middle = place - 0.5 * slid * np.concatenate([h.direction for h in runs])
+    sd = width * runs[0].half_stroke_mm
+    got = np.concatenate([passes(h, BASE, width) for h in runs])
+    for i in (50, 400, 900, place.size - 1):
+        bell = np.exp(-0.5 * ((place[i] - middle[: i + 1]) / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
+        assert got[i] == pytest.approx(np.sum(bell * slid[: i + 1]), abs=0.03)
+    assert got.max() == pytest.approx(5.5, abs=0.1)  # mid-stroke, in the middle of the sixth stroke

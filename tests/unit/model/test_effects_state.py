@@ -10,6 +10,7 @@ from scipy import optimize
 
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.effects.sliding import slid_m
 from shj_bayes.model.history import History, histories
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import Block, exact_motion
@@ -46,7 +47,7 @@ def test_wear_goes_on_where_the_first_run_ended():
     a, b = clamping("wear", first, size=0.1), clamping("wear", second, BASES[1], size=0.1)
     assert a[0] == 1.0
     assert b[0] == pytest.approx(a[-1], rel=1e-3)
-    assert b[-1] == pytest.approx(np.exp(-0.1 * second.travel_m[-1]))
+    assert b[-1] == pytest.approx(np.exp(-0.1 * slid_m(second, BASES[1])[-1]))
 
 
 def test_drift_and_bedding_in_go_on_too():

@@ -8,10 +8,12 @@ def table_device(name, set_name, K, Fy, second, dep, tags=None):
     return DeviceEstimate.from_table(
         name,
         set_name,
-        K=Rounded.to_step(K, 1.0),
-        Fy=Rounded.to_step(Fy, 5.0),
-        Fy_second=Rounded.to_step(second, 5.0),
-        gamma=Rounded.gamma_of_dep(dep, 30.0),
-        beta=Rounded.to_decade(10.0),
+        {
+            "K": Rounded.to_step(K, 1.0),
+            "Fy": Rounded.to_step(Fy, 5.0),
+            "gamma": Rounded.gamma_of_dep(dep, 30.0),
+            "beta": Rounded.to_decade(10.0),
+        },
+        Rounded.to_step(second, 5.0),
         tags=tags or Tags(),
     )

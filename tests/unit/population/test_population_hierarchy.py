@@ -11,7 +11,7 @@ from shj_bayes.inference.ranks import ess_bulk, rhat
 from shj_bayes.population import hierarchy
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.hierarchy import Sweeps, fit_population, fit_quantity
-from shj_bayes.population.measurement import Likelihood, PosteriorDraws, Rounded
+from shj_bayes.population.measurement import Likelihood, Rounded, of_draws
 from shj_bayes.population.priors import other_priors, population_prior
 from shj_bayes.population.quantities import quantity
 
@@ -61,7 +61,7 @@ def test_one_set_of_two_rounded_values_against_a_grid(prior):
     posterior = likelihood * p_level[:, None] * p_spread
     fit = fit_quantity(
         "Fy",
-        [[Rounded.to_step(v, 5.0).likelihood(FY) for v in (75.0, 95.0)]],
+        [[Rounded.to_step(v, 5.0).of("Fy").likelihood for v in (75.0, 95.0)]],
         prior,
         np.random.SeedSequence(5),
         Sweeps(n_keep=4000, thin=3),
@@ -116,7 +116,7 @@ def test_gaussian_case_against_its_closed_form(kind, rng):
             return Likelihood(False, np.array([centre]), np.array([ERROR]), np.ones(1))
         z = stats.norm.ppf((np.arange(4000) + 0.5) / 4000)
         draws = (centre / ERROR**2 + m0 / s0**2) / precision + precision**-0.5 * z
-        return PosteriorDraws(np.exp(draws), stats.norm.logpdf(draws, m0, s0)).likelihood(FY)
+        return of_draws("Fy", np.exp(draws), stats.norm.logpdf(draws, m0, s0)).likelihood
 
     fit = fit_quantity("Fy", [[device(c) for c in row] for row in CENTRES], known, np.random.SeedSequence(8))
     centre, sd = closed_form_levels()
@@ -129,7 +129,7 @@ def test_gaussian_case_against_its_closed_form(kind, rng):
 def test_identical_rounded_values_do_not_give_zero_spread():
     def spread(step, name="default"):
         prior = PRIOR if name == "default" else other_priors(PRIOR)[name]
-        sets = [[Rounded.to_step(90.0, step).likelihood(FY)] * 2 for _ in range(3)]
+        sets = [[Rounded.to_step(90.0, step).of("Fy").likelihood] * 2 for _ in range(3)]
         return np.quantile(fit_quantity("Fy", sets, prior, np.random.SeedSequence(2)).tau[:, 0], 0.5)
 
     coarse, fine = spread(5.0), spread(0.05)
@@ -141,7 +141,8 @@ def test_identical_rounded_values_do_not_give_zero_spread():
 def test_one_device_is_wider_than_eight(rng):
     def width(n):
         values = [
-            Rounded.to_step(v, 1.0).likelihood(FY) for v in 80 * np.exp(0.1 * stats.norm.ppf((np.arange(n) + 0.5) / n))
+            Rounded.to_step(v, 1.0).of("Fy").likelihood
+            for v in 80 * np.exp(0.1 * stats.norm.ppf((np.arange(n) + 0.5) / n))
         ]
         fit = fit_quantity("Fy", [values], PRIOR, np.random.SeedSequence(2))
         new = np.random.default_rng(1).normal(fit.mu[:, 0], fit.tau[:, 0])
@@ -157,7 +158,7 @@ def new_device_coverage(n_devices, n_campaigns, *, ignore_spread=False, n_sets=5
         rng = np.random.default_rng([19, n_devices, c])
         mu, tau = rng.normal(np.log(80), 0.3, n_sets), 0.2 * np.exp(rng.normal(0, 0.5, n_sets))
         printed = 5.0 * np.maximum(np.round(np.exp(rng.normal(mu, tau, (n_devices, n_sets))) / 5.0), 1.0)
-        sets = [[Rounded.to_step(v, 5.0).likelihood(FY) for v in printed[:, s]] for s in range(n_sets)]
+        sets = [[Rounded.to_step(v, 5.0).of("Fy").likelihood for v in printed[:, s]] for s in range(n_sets)]
         fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence([19, c]), Sweeps(300, 400))
         new = fit.mu if ignore_spread else rng.normal(fit.mu, fit.tau)
         low, high = np.quantile(new, [0.05, 0.95], axis=0)
@@ -182,7 +183,7 @@ def test_a_band_that_ignores_the_spread_fails_the_same_test():
 def test_same_seed_same_numbers_whatever_the_workers_and_the_other_quantities():
     def devices(*names):
         return [
-            DeviceEstimate(f"{s}{v}", s, {q: Rounded.to_step(v, 5.0) for q in names})
+            DeviceEstimate(f"{s}{v}", s, {q: Rounded.to_step(v, 5.0).of(q) for q in names})
             for s, v in (("a", 80), ("a", 90), ("b", 60))
         ]
 
@@ -194,12 +195,12 @@ def test_same_seed_same_numbers_whatever_the_workers_and_the_other_quantities():
 
 def test_global_random_state_is_not_touched(result):
     state = np.random.get_state()[1].copy()  # noqa: NPY002
-    fit_population([DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85)})], seed=1)
+    fit_population([DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85).of("Fy")})], seed=1)
     assert np.array_equal(state, np.random.get_state()[1])  # noqa: NPY002
 
 
 def test_far_apart_devices_are_still_sampled():
-    sets = [[Rounded.to_step(v, 0.001).likelihood(FY) for v in (0.01, 80_000.0)]]
+    sets = [[Rounded.to_step(v, 0.001).of("Fy").likelihood for v in (0.01, 80_000.0)]]
     fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence(1))
     assert np.all(np.isfinite(fit.mu))
     assert np.median(fit.tau) > 3
@@ -207,7 +208,7 @@ def test_far_apart_devices_are_still_sampled():
 
 def test_a_negative_seed_and_an_empty_quantity_are_refused():
     with pytest.raises(PopulationError, match="seed must be zero"):
-        fit_population([DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85)})], seed=-1)
+        fit_population([DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85).of("Fy")})], seed=-1)
     with pytest.raises(PopulationError, match="nothing to pool"):
         fit_quantity("Fy", [[]], PRIOR, np.random.SeedSequence(1))
     with pytest.raises(PopulationError, match="every scale"):
@@ -228,7 +229,7 @@ def test_chain_diagnostics_on_chains_of_known_kind(rng):
 
 
 def test_chains_that_have_not_met_run_longer_for_as_many_draws(monkeypatch):
-    devices = [DeviceEstimate(n, "s", {"Fy": Rounded(x, x - 5, x + 5)}) for n, x in (("a", 80), ("b", 95))]
+    devices = [DeviceEstimate(n, "s", {"Fy": Rounded(x, x - 5, x + 5).of("Fy")}) for n, x in (("a", 80), ("b", 95))]
     asked = []
 
     def counted(*args, **options):

@@ -99,6 +99,7 @@ def test_forms_count_under_the_name_of_their_effect():
     assert outcome(stated_key("wear_power", 0.1, seed=3), answer("named", "wear")) == "right"
     assert outcome(stated_key("wear_power", 0.1, seed=3), answer("named", "thermal")) == "sibling"
     assert outcome(stated_key("local_wear", 0.1, seed=3), answer("named", "wear")) == "right"
+    assert outcome(stated_key("local_wear", 0.1, seed=3), answer("named", "local_wear")) == "right"
     assert outcome(stated_key("local_wear", 0.1, seed=3), answer("named", "wear", "centre_wear")) == "wrong"
 
 

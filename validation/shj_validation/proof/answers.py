@@ -4,8 +4,6 @@ What is known stands in the publications (see the README of the recordings' fold
 the pressure are read only after the diagnosis is done.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

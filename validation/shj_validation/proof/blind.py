@@ -1,7 +1,5 @@
 """Diagnose recordings without knowing what is concealed; this is all that runs behind the fence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

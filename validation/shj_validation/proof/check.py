@@ -1,7 +1,5 @@
 """Check the transcript of a finished proof: anyone can, with one command, and needs to believe nothing."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """What is drawn for a trial besides its effects: the device, and the nuisances that every real test has."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

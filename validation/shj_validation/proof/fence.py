@@ -5,8 +5,6 @@ every process or socket it makes; a hook cannot be taken off again. Compiled cod
 leaks, not against an attacker with a debugger. What it does not rest on is trust in the diagnosis.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import sysconfig

@@ -1,7 +1,5 @@
 """From a key to recordings: the simulators drive the rig, the recorder samples it, noise is added."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

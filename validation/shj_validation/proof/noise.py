@@ -1,7 +1,5 @@
 """Force noise of a trial: the kinds that real load cells show, stated in seconds, one standard deviation for all."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import lfilter
 

@@ -1,7 +1,5 @@
 """The page of a proof: what was aimed at, what was found, what falls short."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Pictures of a proof; they only draw what the score holds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

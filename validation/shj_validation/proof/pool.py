@@ -1,7 +1,5 @@
 """Workers behind the fence, started once and given one trial after another."""
 
-from __future__ import annotations
-
 import json
 import os
 import queue

@@ -1,7 +1,5 @@
 """What a finished diagnosis predicts for a displacement history that it has not seen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Displacement histories on a fine grid: the paper's Table 1, an improved test, and a slowed earthquake."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Real recordings with a concealed answer: the column that records it is withheld, then opened and compared."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

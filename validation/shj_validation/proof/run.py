@@ -1,7 +1,5 @@
 """The proof from seed to page: make, commit, diagnose, open, score. It can be stopped at any moment and goes on."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from dataclasses import dataclass

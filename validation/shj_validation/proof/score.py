@@ -1,7 +1,5 @@
 """One trial held against its key, and all trials counted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Seal and open: digests of the keys are published before the diagnosis starts, the keys themselves after it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """All trials counted: the targets written down in advance, and whether they were met."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """What the key says that a diagnosis can be held against: what can be seen of it, and the true base parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -4,8 +4,6 @@ One line in, one line out, both JSON. It is started with ``python -I -m shj_vali
 environment; FOLDER holds copies of the recordings and nothing else.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -2,8 +2,8 @@
 
 lambda_max = [1 + 0.75 (lambda_ae,max - 1)] lambda_test,max lambda_spec,max, and the same for the lower bound; 18.2.4.5
 sets the least spread. The text of the standard could not be read here (public copies showed only their first page):
-formula, the 0.75 and the limits 1.2 and 0.85 (dampers), 1.8 and 0.60 (isolators) are given from knowledge of it. Check
-them against your edition.
+formula, the 0.75 and the limits 1.2 and 0.85 for dampers are given from knowledge of it. Check them against your
+edition.
 
 The nominal property is the force of the third cycle of the first run. What happened to it in the tests (first cycle,
 travel, later runs, speed, whatever else) stands in lambda_test: smallest plateau and largest force of all runs over
@@ -11,22 +11,17 @@ that third cycle. It is the larger change of two, that of a typical device and t
 lambda_test x lambda_spec reaches the force that 95 % of new devices deliver even where devices wear differently.
 """
 
-from __future__ import annotations
-
-import math
 from collections.abc import Iterator, Sequence
 
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.delivered import Delivered
-from shj_bayes.margins.pair import Bounds
-from shj_bayes.margins.row import FACTORS, HIGH, LOW, MIDDLE, Margin
-from shj_bayes.population.quantities import LOWEST
+from shj_bayes.margins.delivered import Bounds, Delivered
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 
 CLAUSE = "ASCE 7 18.2.4"
 ADJUSTMENT = 0.75
 """Share of the environmental factor that is taken: not all extremes happen at once."""
-FLOORS = {"damper": (0.85, 1.2), "isolator": (0.60, 1.8)}
-"""Least spread of (lower, upper) that must be assumed; isolators: unless prototypes are tested full scale."""
+FLOOR = (0.85, 1.2)
+"""Least spread of (lower, upper) that must be assumed for a damper."""
 
 
 def modification(environment: Bounds, testing: Bounds, specification: Bounds) -> Bounds:
@@ -37,10 +32,9 @@ def modification(environment: Bounds, testing: Bounds, specification: Bounds) ->
     )
 
 
-def with_floor(bounds: Bounds, device: str = "damper") -> Bounds:
-    """Bounds no narrower than the standard's least spread for that kind of device."""
-    low, high = FLOORS[device]
-    return Bounds(min(bounds.low, low), max(bounds.high, high))
+def with_floor(bounds: Bounds) -> Bounds:
+    """Bounds no narrower than the standard's least spread."""
+    return Bounds(min(bounds.low, FLOOR[0]), max(bounds.high, FLOOR[1]))
 
 
 def specification(force: Delivered, nominal_kN: float) -> Bounds:
@@ -58,7 +52,7 @@ def _rows(given: Given) -> Iterator[Margin]:
     parts, nominal = given.parts, given.parts.nominal_kN
     formula, inputs = "50 % of a new device, third cycle of the first run", f"nominal {nominal:.4g} kN"
     origin = ("ASCE 7, NZ practice", formula, f"{inputs} ({parts.nominal_words})", "what the factors below multiply")
-    yield _row(given, "nominal sliding force", MIDDLE, (nominal, "kN"), origin)
+    yield given.of_force("nominal sliding force", MIDDLE, nominal, "kN", origin)
     spec, test = specification(parts.force, nominal), testing(parts.force)
     total = modification(parts.age.measured, test, spec)
     factors = (spec, test, parts.age.measured, total, with_floor(total))
@@ -76,7 +70,7 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
     else:
         word, bound, level, what, floor = "max", "upper", 95, "largest force", "not below"
         reached, third, sign = force.high, force.third_high, "1 + 0.75 (ae - 1)"
-    limit = FLOORS["damper"][side == HIGH]
+    limit = FLOOR[side == HIGH]
     rows = (
         (f"lambda_spec,{word}", spec, f"{level} % of a new device, third cycle of the first run / nominal",
          ("1", f"{force.third_low:.4g} to {force.third_high:.4g} kN", "manufacturing: device to device"), CLAUSE),
@@ -95,13 +89,7 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
          ("kN", f"{final:.3f} x {nominal:.4g} kN", f"{bound}-bound analysis"), CLAUSE),
     )  # fmt: skip
     for kind, value, formula, (unit, inputs, purpose), clause in rows:
-        yield _row(given, kind, side, (value, unit), (clause, formula, inputs, purpose))
-
-
-def _row(given: Given, kind: str, side: str, value: tuple[float, str], origin: tuple[str, str, str, str]) -> Margin:
-    """Margin of the force with its unit; `origin` is clause, formula, inputs and purpose."""
-    n = given.devices.get(LOWEST, 0)
-    return Margin(given.set_name, "force", FACTORS, kind, side, *value, n, math.nan, *origin)
+        yield given.of_force(kind, side, value, unit, (clause, formula, inputs, purpose))
 
 
 CODE = Code("asce7", "ASCE/SEI 7", "clause text not read; given from knowledge of the standard", _rows, 3)

@@ -1,7 +1,5 @@
 """All design codes: every module of this package that holds a ``CODE``; adding a file is enough."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from shj_bayes._util.discover import discovered

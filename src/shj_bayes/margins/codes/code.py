@@ -1,15 +1,14 @@
 """What a design code is: a name, how far its text was read, and a function from what is known of a set to margins."""
 
-from __future__ import annotations
-
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from shj_bayes.margins.parts import Parts
 from shj_bayes.margins.request import Request
-from shj_bayes.margins.row import Margin
-from shj_bayes.margins.sample import Sample
-from shj_bayes.margins.spread import Spread
+from shj_bayes.margins.row import FACTORS, Margin
+from shj_bayes.margins.spread import Sample, Spread
+from shj_bayes.population.quantities import LOWEST
 
 
 @dataclass(frozen=True)
@@ -23,6 +22,11 @@ class Given:
     devices: Mapping[str, int]  # tested devices behind each quantity
     parts: Parts  # nominal and delivered forces, ageing
     request: Request  # choices of the user
+
+    def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
+        """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""
+        n = self.devices.get(LOWEST, 0)
+        return Margin(self.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
 
 
 @dataclass(frozen=True)

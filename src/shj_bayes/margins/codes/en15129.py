@@ -11,17 +11,13 @@ ageing (f1) the measured middle counts in full, and psi acts on what lies betwee
 known.
 """
 
-from __future__ import annotations
-
-import math
 from collections.abc import Iterator
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.pair import Bounds
+from shj_bayes.margins.delivered import Bounds
 from shj_bayes.margins.parts import Environment
-from shj_bayes.margins.row import FACTORS, HIGH, LOW, Margin
-from shj_bayes.population.quantities import LOWEST
+from shj_bayes.margins.row import HIGH, LOW, Margin
 
 COMBINATION = {"III": 0.90, "II": 0.70, "I": 0.60}
 """psi_fi by importance class of the structure."""
@@ -55,16 +51,7 @@ def _rows(given: Given) -> Iterator[Margin]:
         (HIGH, parts.force.high, factors.high, "UBDP"),
     ):
         what = "smallest plateau" if side == LOW else "largest force"
-        yield Margin(
-            given.set_name,
-            "force",
-            FACTORS,
-            kind_of(word, importance),
-            side,
-            supply * factor,
-            "kN",
-            given.devices.get(LOWEST, 0),
-            math.nan,
+        origin = (
             "EN 15129; EN 1998-2 Annex J",
             "X x lambda_f1; travel (f4) and speed are in X as measured, psi on what was not measured",
             f"X = {supply:.4g} kN, {'5' if side == LOW else '95'} % of the {what} of all runs ({parts.force.words}); "
@@ -72,6 +59,7 @@ def _rows(given: Given) -> Iterator[Margin]:
             f"{'lower' if side == LOW else 'upper'} bound design property, one of two analyses",
             "temperature and contamination were not tested and stand as 1",
         )
+        yield given.of_force(kind_of(word, importance), side, supply * factor, "kN", origin)
 
 
 CODE = Code(

@@ -10,8 +10,6 @@ your edition. "Known" means known from elsewhere than these tests, so it is stat
 (``--v-known``, ``--v-reason``) and never taken from a posterior of the same tests.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -46,15 +44,8 @@ def factor_known(n: float, fractile: float = CHARACTERISTIC) -> float:
 def factor_unknown(n: float, fractile: float = CHARACTERISTIC, degrees: float | None = None) -> float:
     """k_n, k_d,n with the coefficient of variation taken from tests: t(degrees) sqrt(1 + 1/n).
 
-    Parameters
-    ----------
-    n : float
-        Devices behind the mean.
-    fractile : float
-        0.05 for a characteristic value, 0.001 for a design value.
-    degrees : float, optional
-        Degrees of freedom of the spread; n - 1 from the same devices (Tables D1 and D2), more when it is pooled
-        over several sets.
+    The degrees of freedom of the spread are n - 1 from the same devices (Tables D1 and D2), more when it is pooled over
+    several sets.
     """
     nu = n - 1 if degrees is None else degrees
     _check(n, nu)
@@ -96,22 +87,11 @@ def _rows(given: Given) -> Iterator[Margin]:
                 for law in (LOGNORMAL, NORMAL):
                     for side in (LOW, HIGH):
                         value, formula, inputs = limit(sample, way, factor, law, side)
-                        yield Margin(
-                            given.set_name,
-                            quantity,
-                            TESTING,
-                            f"EN 1990 {word}, {law}, {way.name}",
-                            side,
-                            math.nan if few else value,
-                            described(quantity).unit,
-                            given.devices[quantity],
-                            way.degrees,
-                            f"EN 1990 {clause}",
-                            formula,
-                            f"{inputs}; spread: {way.origin}",
-                            f"{'upper' if side == HIGH else 'lower'} {purpose}",
-                            missing or remarks(way, value),
-                        )
+                        head = (given.set_name, quantity, TESTING, f"EN 1990 {word}, {law}, {way.name}", side)
+                        number = (math.nan if few else value, described(quantity).unit, given.devices[quantity])
+                        origin = (f"EN 1990 {clause}", formula, f"{inputs}; spread: {way.origin}")
+                        meant = f"{'upper' if side == HIGH else 'lower'} {purpose}"
+                        yield Margin(*head, *number, way.degrees, *origin, meant, missing or remarks(way, value))
 
 
 def _check(n: float, degrees: float) -> None:

@@ -6,8 +6,6 @@ Factors k are for limits mean -+ k s. A limit of a log-normal quantity is that o
 the standard's own tables come out to the last printed digit, because the factors are exact and not approximations.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -43,22 +41,10 @@ def _check(n: float, degrees: float, coverage: float, confidence: float) -> None
 
 @cache
 def one_sided(n: float, coverage: float, confidence: float, degrees: float | None = None) -> float:
-    """Factor of a one-sided limit, spread unknown: exact, from the noncentral t distribution.
+    """Factor of a one-sided limit from n devices, spread unknown: exact, from the noncentral t distribution.
 
-    Parameters
-    ----------
-    n : float
-        Devices behind the mean.
-    coverage, confidence : float
-        Share of devices beyond the limit on the safe side, and how surely.
-    degrees : float, optional
-        Degrees of freedom of the spread; n - 1 when it comes from the same devices, more when it is pooled over
-        several sets.
-
-    Returns
-    -------
-    float
-        k = t'(confidence; degrees, z sqrt(n)) / sqrt(n) with z the normal quantile of the coverage.
+    k = t'(confidence; degrees, z sqrt(n)) / sqrt(n) with z the normal quantile of the coverage. The degrees of freedom
+    of the spread are n - 1 when it comes from the same devices, more when it is pooled over several sets.
     """
     nu = n - 1 if degrees is None else degrees
     _check(n, nu, coverage, confidence)
@@ -69,20 +55,8 @@ def one_sided(n: float, coverage: float, confidence: float, degrees: float | Non
 def two_sided(n: float, coverage: float, confidence: float, degrees: float | None = None) -> float:
     """Factor of a two-sided limit mean +- k s, spread unknown: exact, by quadrature over the error of the mean.
 
-    Parameters
-    ----------
-    n : float
-        Devices behind the mean.
-    coverage, confidence : float
-        Share of devices between the limits, and how surely.
-    degrees : float, optional
-        Degrees of freedom of the spread; n - 1 when not given.
-
-    Returns
-    -------
-    float
-        The k that solves E[P(chi2 > degrees r(Z)^2 / k^2)] = confidence, Z the error of the mean in standard
-        deviations, r(Z) the half-width that covers the share from there (ISO 16269-6, exact form).
+    The k that solves E[P(chi2 > degrees r(Z)^2 / k^2)] = confidence, Z the error of the mean in standard deviations,
+    r(Z) the half-width that covers the share from there (ISO 16269-6, exact form). Arguments as for `one_sided`.
     """
     nu = n - 1 if degrees is None else degrees
     _check(n, nu, coverage, confidence)
@@ -117,29 +91,18 @@ def _rows(given: Given) -> Iterator[Margin]:
             for coverage, confidence in LIMITS:
                 for form, factor_of in forms:
                     factor = factor_of(way.n_mean, coverage, confidence, degrees=way.degrees)
+                    several = ", several samples with a common variance" if way.name == COMMON else ""
+                    clause, sure = f"{CLAUSE}, {form}{several}", (100 * coverage, 100 * confidence)
+                    covered = "beyond it" if form == "one-sided" else "between both limits"
+                    purpose = f"{sure[0]:.0f} % of devices lie {covered}, with a confidence of {sure[1]:.0f} %"
                     for law in laws:
                         for side in (LOW, HIGH):
                             value, formula, inputs = limit(sample, way, factor, law, side)
-                            share = f"{100 * coverage:.0f}/{100 * confidence:.0f}"
-                            covered = "beyond it" if form == "one-sided" else "between both limits"
-                            yield Margin(
-                                given.set_name,
-                                quantity,
-                                TOLERANCE,
-                                f"tolerance {share} {form}, {law}, {way.name}",
-                                side,
-                                value,
-                                described(quantity).unit,
-                                given.devices[quantity],
-                                way.degrees,
-                                f"{CLAUSE}, {form}"
-                                + (", several samples with a common variance" if way.name == COMMON else ""),
-                                formula,
-                                f"{inputs}; spread: {way.origin}",
-                                f"{100 * coverage:.0f} % of devices lie {covered}, with a confidence of "
-                                f"{100 * confidence:.0f} %",
-                                remarks(way, value),
-                            )
+                            kind = f"tolerance {sure[0]:.0f}/{sure[1]:.0f} {form}, {law}, {way.name}"
+                            head = (given.set_name, quantity, TOLERANCE, kind, side)
+                            number = (value, described(quantity).unit, given.devices[quantity], way.degrees)
+                            origin = (clause, formula, f"{inputs}; spread: {way.origin}", purpose)
+                            yield Margin(*head, *number, *origin, remarks(way, value))
 
 
 CODE = Code("iso16269_6", "ISO 16269-6", "scope read, factors checked against definitions and tables", _rows, 2)

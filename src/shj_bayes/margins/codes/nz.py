@@ -8,15 +8,11 @@ the nominal. Few devices say less than the practice that rests on many, so an eq
 carries a warning.
 """
 
-from __future__ import annotations
-
-import math
 from collections.abc import Iterator
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import FACTORS, HIGH, LOW, Margin
-from shj_bayes.population.quantities import LOWEST
+from shj_bayes.margins.row import HIGH, LOW, Margin
 
 PRACTICE_PHI, PRACTICE_PHI_O = 0.70, 1.40
 """Values in use for high-hardness shims (Bisalloy 400 and harder), recalled from the AFC literature of 2012-14."""
@@ -42,36 +38,16 @@ def _rows(given: Given) -> Iterator[Margin]:
     phi, phi_o = equivalent_factors(force.first_low, force.high, nominal)
     found = [("phi equivalent, first run", LOW, phi, force.first_low, "dependable sliding force phi V_ss")]
     if force.later_low is not None:
-        found.append(
-            (
-                "phi equivalent, after a first earthquake",
-                LOW,
-                force.later_low / nominal,
-                force.later_low,
-                "dependable sliding force in a second earthquake",
-            )
-        )
-    found.append(
-        ("phi_o equivalent", HIGH, phi_o, force.high, "overstrength: capacity design of beam, column and welds")
-    )
+        later, purpose = "phi equivalent, after a first earthquake", "dependable sliding force in a second earthquake"
+        found.append((later, LOW, force.later_low / nominal, force.later_low, purpose))
+    purpose = "overstrength: capacity design of beam, column and welds"
+    found.append(("phi_o equivalent", HIGH, phi_o, force.high, purpose))
     for kind, side, value, force_kN, purpose in found:
-        yield Margin(
-            given.set_name,
-            "force",
-            FACTORS,
-            kind,
-            side,
-            value,
-            "1",
-            given.devices.get(LOWEST, 0),
-            math.nan,
-            "NZ practice for sliding hinge joints",
-            f"{'5' if side == LOW else '95'} % of the delivered force / nominal",
-            f"{force_kN:.4g} kN, nominal {nominal:.4g} kN; {force.words}",
-            purpose,
-            f"practice for hardened shims: phi {PRACTICE_PHI:.2f}, phi_o {PRACTICE_PHI_O:.2f}",
-            warning=warning(value, side),
-        )
+        formula = f"{'5' if side == LOW else '95'} % of the delivered force / nominal"
+        inputs = f"{force_kN:.4g} kN, nominal {nominal:.4g} kN; {force.words}"
+        note = f"practice for hardened shims: phi {PRACTICE_PHI:.2f}, phi_o {PRACTICE_PHI_O:.2f}"
+        origin = ("NZ practice for sliding hinge joints", formula, inputs, purpose, note, warning(value, side))
+        yield given.of_force(kind, side, value, "1", origin)
 
 
 CODE = Code("nz", "NZ practice for sliding hinge joints", "values recalled from the literature", _rows, 5)

@@ -1,29 +1,29 @@
 """Force rises with travel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.effects.sliding import slid_m
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + b (1 - exp(-s/s1)); travel s goes on from run to run."""
-    return Contribution(clamping=1.0 + values["size"] * (1.0 - np.exp(-history.travel_m / values["travel"])))
+    """Clamping 1 + b (1 - exp(-s/s1)); the distance slid s goes on from run to run."""
+    return Contribution(clamping=1.0 + values["size"] * (1.0 - np.exp(-slid_m(history, base) / values["travel"])))
 
 
 def _hyperbolic(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + b s/(s + s1)."""
-    return Contribution(clamping=1.0 + values["size"] * history.travel_m / (history.travel_m + values["travel"]))
+    slid = slid_m(history, base)
+    return Contribution(clamping=1.0 + values["size"] * slid / (slid + values["travel"]))
 
 
 EFFECT = Effect(
     id="bedding_in",
     family="slow_change",
     title="Force rises with travel",
-    statement="Sliding force rises by {size:.0%} over the first {travel:.2f} m of travel: the surfaces bed in.",
+    statement="Sliding force rises by {size:.0%} over the first {travel:.2f} m of sliding: the surfaces bed in.",
     equation="Fy -> Fy (1 + b (1 - exp(-s/s1)))",
     cause="Surfaces bed in: mill scale, paint or grease is rubbed off, or the plates gall.",
     shows="The first cycles, which are also the smallest amplitudes; the plateaus level off later.",

@@ -1,7 +1,5 @@
 """A peak when sliding starts, decaying with slip, higher after a rest."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values

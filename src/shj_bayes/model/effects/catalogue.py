@@ -1,7 +1,5 @@
 """All effects: every module of this package that holds an ``EFFECT``; adding a file is enough."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from shj_bayes._util.discover import discovered

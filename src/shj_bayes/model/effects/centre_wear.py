@@ -1,7 +1,5 @@
 """Force lower around mid-stroke."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values

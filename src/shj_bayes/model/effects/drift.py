@@ -1,7 +1,5 @@
 """Force channel drifts with time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
@@ -25,7 +23,7 @@ EFFECT = Effect(
     id="drift",
     family="slow_change",
     title="Force channel drifts",
-    statement="The force reading drifts by {size:+.1%} of Fy in a run; zero the load cell and subtract the drift.",
+    statement="The force reading drifts by {size:+.1%} of Fy in a run; if it is the load cell's, subtract it.",
     equation="F -> F + c Fy1 (1 - exp(-n/w))/(1 - exp(-1/w)), n = n_run - 1 + t/T; a straight line for w -> inf",
     cause="Warming amplifier or load cell, a slipping grip, or weight that shifts.",
     shows="Push and pull plateaus that move the same way with time, so that the loop travels up or down.",

@@ -1,7 +1,5 @@
 """Stiffening as the bolt meets the end of the slot."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values

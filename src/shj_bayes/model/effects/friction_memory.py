@@ -1,7 +1,5 @@
 """Friction differs while speeding up and slowing down."""
 
-from __future__ import annotations
-
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.effects.sliding import remembered, slid_since_mm
 from shj_bayes.model.history import History

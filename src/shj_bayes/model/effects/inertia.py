@@ -1,7 +1,5 @@
 """Mass moving with the device."""
 
-from __future__ import annotations
-
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import Prior
@@ -18,7 +16,7 @@ EFFECT = Effect(
     id="inertia",
     family="odd_in_position",
     title="Mass moving with the device",
-    statement="A mass of {size:.0f} kg moves between device and load cell; subtract mass times acceleration.",
+    statement="A mass of {size:.0f} kg moves between device and load cell; subtract m a if it is known.",
     equation="F -> F + m a",
     cause="Fixtures or part of the actuator between the load cell and the sliding surface.",
     shows="Force against the displacement, most at reversals, growing with the square of the frequency.",

@@ -1,7 +1,5 @@
 """Compiled law with effects: Eq. (1) with a capacity that changes, slack, compliance and a reversal rule."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -1,7 +1,5 @@
 """The jump at reversals of Eq. (1) itself."""
 
-from __future__ import annotations
-
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import Prior

@@ -1,7 +1,5 @@
 """Free travel near zero force after a reversal."""
 
-from __future__ import annotations
-
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import Prior

@@ -1,7 +1,5 @@
 """Sawtooth on the plateau."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values

@@ -1,7 +1,5 @@
 """Sudden change of clamping at one moment."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

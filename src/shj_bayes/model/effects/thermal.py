@@ -1,7 +1,5 @@
 """Force falls with heating and recovers with cooling."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

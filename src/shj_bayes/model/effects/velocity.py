@@ -1,7 +1,5 @@
 """Linear speed dependence, for a base law that runs without it."""
 
-from __future__ import annotations
-
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import Prior

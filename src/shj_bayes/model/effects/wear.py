@@ -1,27 +1,26 @@
 """Force falls with travel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.effects.sliding import slid_m
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping exp(-w s); travel s goes on from run to run."""
-    return Contribution(clamping=np.exp(-values["size"] * history.travel_m))
+    """Clamping exp(-w s); the distance slid s goes on from run to run."""
+    return Contribution(clamping=np.exp(-values["size"] * slid_m(history, base)))
 
 
 def _saturating(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 - p (1 - exp(-s/s0))."""
-    return Contribution(clamping=1.0 + values["size"] * np.expm1(-history.travel_m / values["travel"]))
+    return Contribution(clamping=1.0 + values["size"] * np.expm1(-slid_m(history, base) / values["travel"]))
 
 
 def _power(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 - p (s/S)^n, S the travel of all tests."""
-    share = np.maximum(history.travel_m / history.tested_m, 1e-9)
+    """Clamping 1 - p (s/S)^n, S the travel in all tests."""
+    share = np.maximum(slid_m(history, base) / history.tested_m, 1e-9)
     return Contribution(clamping=1.0 - values["size"] * share ** values["power"])
 
 
@@ -48,7 +47,7 @@ EFFECT = (
     )
     .with_form(
         "saturating",
-        statement="Sliding force falls by {size:.1%} in all, most of it within {travel:.2f} m of travel.",
+        statement="Sliding force falls by {size:.1%} in all, most of it within {travel:.2f} m of sliding.",
         equation="Fy -> Fy (1 - p (1 - exp(-s/s0)))",
         parameters=(
             Prior("size", "1", "uniform", 0.0, 0.9, "A coating that is rubbed off takes its share of the friction."),
@@ -60,8 +59,8 @@ EFFECT = (
     )
     .with_form(
         "power",
-        statement="Sliding force falls by {size:.1%} over the tests, with the power {power:.2f} of the travel.",
-        equation="Fy -> Fy (1 - p (s/S)^n), S the travel of all tests",
+        statement="Sliding force falls by {size:.1%} over the tests, with the power {power:.2f} of the distance slid.",
+        equation="Fy -> Fy (1 - p (s/S)^n), S the travel in all tests",
         parameters=(
             Prior("size", "1", "uniform", 0.0, 0.9, "Losses of 8 to 80 % in Tables 3-7 of the paper."),
             Prior("power", "1", "loguniform", 0.2, 5.0, "Below 1 it wears off, above 1 a worn surface wears faster."),

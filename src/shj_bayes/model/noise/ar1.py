@@ -1,7 +1,5 @@
 """First-order autoregressive noise at the recorded rate, for comparison with the literature."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.noise.noise import Noise, Parts, Values, gaussian

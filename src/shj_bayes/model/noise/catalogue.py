@@ -1,7 +1,5 @@
 """All noise models: every module of this package that holds a ``NOISE``; adding a file is enough."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from shj_bayes._util.did_you_mean import did_you_mean

@@ -19,8 +19,6 @@ The zero of the load cell is known to some share of its range only: one unknown 
 closed form as well. Long rests at one end of the stroke would otherwise push it into the sliding force.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -102,19 +100,9 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
 def density_and_zero(
     noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Log density of averaged residuals, and what they say of the error of the load cell's zero.
+    """Log density as from `log_density`, and what the residuals say of the error of the load cell's zero.
 
-    Parameters
-    ----------
-    noise, values, residual, slope, timing
-        As for `log_density`.
-
-    Returns
-    -------
-    array, shape (m, n_half)
-        As from `log_density`.
-    mean, sd : array, shape (m,)
-        Mean and standard deviation of the error of the zero given the residuals, kN.
+    The latter as mean and standard deviation, kN, each of shape (m,).
     """
     found = _run(noise, values, residual, slope, timing)
     along, own = found[:, -2:].T
@@ -132,7 +120,7 @@ def _run(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, 
         slope,
         timing.kind,
         1.0 / timing.kinds[:, 0],
-        _table(noise, values, timing),
+        table_of(noise, values, timing),
         timing.half,
         np.stack([parts.white_kN**2, parts.slow_kN**2, parts.nu, _student_constant(parts.nu)], axis=1),
         np.array([timing.displacement_noise_mm**2, timing.zero_noise_kN**2]),
@@ -146,31 +134,14 @@ def whiten(
 ) -> tuple[FloatArray, float]:
     """Take from each column what the noise before predicts, in units of the standard deviation of what is new.
 
-    Columns that are treated so may be handled as if the noise were independent and of unit variance. An error of a
-    turning point counts as independent from block to block, the zero of the load cell as known, and heavy tails as
-    normal ones.
-
-    Parameters
-    ----------
-    noise : Noise
-        The model.
-    values : mapping of str to float
-        Its parameters.
-    columns : array, shape (n, p)
-        Functions of the blocks, one column each.
-    slope : array, shape (n,)
-        Derivative of the modelled force after the displacement in each block, kN/mm.
-    timing : Timing
-        When the blocks were taken.
-
-    Returns
-    -------
-    array, shape (n_evidence, p), and float
-        Whitened columns of the blocks that are evidence, and the logarithm of the determinant of the covariance.
+    Columns, shape (n, p), that are treated so may be handled as if the noise were independent and of unit variance. An
+    error of a turning point counts as independent from block to block, the zero of the load cell as known, and heavy
+    tails as normal ones. Gives the whitened columns of the blocks that are evidence, and the logarithm of the
+    determinant of the covariance; other arguments as for `log_density`, of one parameter set.
     """
     rows = {name: np.array([value]) for name, value in values.items()}
     parts = noise.parts(rows)
-    table = _table(noise, rows, timing)[0]
+    table = table_of(noise, rows, timing)[0]
     out = np.empty((int(np.count_nonzero(timing.kind >= 0)), columns.shape[1]))
     half_of = np.repeat(np.arange(timing.half.size - 1), np.diff(timing.half))
     white = (parts.white_kN[0] ** 2 + (timing.displacement_noise_mm * slope) ** 2) / np.maximum(
@@ -187,25 +158,9 @@ def simulate(
     restarts: NDArray[np.bool_],
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Draw one noise series, sample by sample.
+    """Draw one noise series, sample by sample, kN, for one set of parameters.
 
-    Parameters
-    ----------
-    noise : Noise
-        The model.
-    values : dict of str to float
-        Its parameters.
-    time_s : array, shape (n,)
-        Sampling times, s.
-    restarts : array of bool, shape (n,)
-        Samples at which the slow part begins anew.
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    array, shape (n,)
-        Noise, kN.
+    The slow part begins anew at the samples in `restarts`.
     """
     rows = {name: np.array([value]) for name, value in values.items()}
     parts = noise.parts(rows)
@@ -221,7 +176,7 @@ def simulate(
     return out
 
 
-def _table(noise: Noise, values: Values, timing: Timing) -> FloatArray:
+def table_of(noise: Noise, values: Values, timing: Timing) -> FloatArray:
     """Coefficients of each kind of block, as `_coefficients`."""
     seconds = np.concatenate([timing.kinds[:, 1], timing.kinds[:, 2]])
     within, before = np.split(noise.decay(values, seconds, timing.step_s), 2)

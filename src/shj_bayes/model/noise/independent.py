@@ -1,7 +1,5 @@
 """White noise alone, for comparison with least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from shj_bayes.model.noise.noise import Noise, Parts, Values, gaussian

@@ -1,7 +1,5 @@
 """What a noise model is: a white part, a slow part that forgets, and how heavy its tails are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """White noise and a slow part with a memory of seconds: means the same at any sampling rate."""
 
-from __future__ import annotations
-
 from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential, gaussian
 
 

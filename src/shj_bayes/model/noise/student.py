@@ -1,7 +1,5 @@
 """White and slow noise whose news has heavy tails: single readings that are far off count less."""
 
-from __future__ import annotations
-
 from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential
 
 

@@ -1,7 +1,5 @@
 """Sheets to draw on, one style for all, and pictures as data addresses that a page can hold."""
 
-from __future__ import annotations
-
 import base64
 from io import BytesIO
 

@@ -1,7 +1,5 @@
 """Before and after: loops, residual maps, parity, energy, errors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import matplotlib as mpl
@@ -69,7 +67,8 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
 def maps(parts: Sequence[tuple[str, Map]]) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
     figure, panels = _panels(2 * len(parts), 3.6)
-    reach = float(np.nanquantile(np.abs(np.concatenate([_flat(m) for _, m in parts])), 0.99)) or 1.0
+    sides = np.concatenate([side for _, m in parts for side in (m.push_kN, m.pull_kN)], axis=None)
+    reach = float(np.nanquantile(np.abs(sides), 0.99)) or 1.0
     scale, image = Normalize(-reach, reach), None
     for k, (title, m) in enumerate(parts):
         for j, (values, name) in enumerate(((m.push_kN, "push"), (m.pull_kN, "pull"))):
@@ -145,10 +144,6 @@ def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
 def _reach(*values: FloatArray) -> float:
     whole = np.abs(np.concatenate(values))
     return float(np.nanmax(whole)) if np.isfinite(whole).any() else 1.0
-
-
-def _flat(m: Map) -> FloatArray:
-    return np.concatenate([m.push_kN.ravel(), m.pull_kN.ravel()])
 
 
 def _plain(name: str) -> str:

@@ -1,15 +1,15 @@
-"""Loops, energy and degradation."""
-
-from __future__ import annotations
+"""Loops, what the model leaves over of them, and energy."""
 
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.ticker import MaxNLocator
 
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.binned import StrokeProfile
 from shj_bayes.report.data import IntArray
 from shj_bayes.report.figures.canvas import (
     BLUE,
@@ -91,8 +91,7 @@ def energy(energies: Sequence[CycleEnergy]) -> str:
         at += e.measured_J.size
     axes.plot([], [], "o", color=INK, markersize=4.5, markerfacecolor="none", label="measured")
     axes.set_ylim(bottom=0)
-    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-    label(axes, "cycle, in the order they were made", f"energy of the cycle ({unit})")
+    _cycles(axes, f"energy of the cycle ({unit})")
     legend(axes, 2)
     return svg(figure)
 
@@ -163,8 +162,7 @@ def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
     axes.plot([], [], "^", color=INK, markersize=4.5, label="push")
     axes.plot([], [], "v", color=INK, markersize=4.5, label="pull")
     axes.set_ylim(bottom=0)
-    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-    label(axes, "cycle, in the order they were made", FORCE, unit)
+    _cycles(axes, FORCE, unit)
     legend(axes, 4)
     return svg(figure)
 
@@ -194,8 +192,7 @@ def damping(shapes: Sequence[CycleShape]) -> str:
         at += shape.damping_percent.size
     axes.plot([], [], "o", color=INK, markersize=4.5, markerfacecolor="none", label="measured")
     axes.set_ylim(0, 70)
-    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-    label(axes, "cycle, in the order they were made", "equivalent damping (%)")
+    _cycles(axes, "equivalent damping (%)")
     legend(axes, 3)
     return svg(figure)
 
@@ -203,14 +200,9 @@ def damping(shapes: Sequence[CycleShape]) -> str:
 def prior(
     x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_kN: FloatArray, unit: ForceUnit = KN
 ) -> str:
-    """Loops that the priors allow, those of the published devices, and what is left after the test.
+    """Loops that the priors allow, those of the published devices (of which there may be none), and what is left.
 
-    Parameters
-    ----------
-    x : array, shape (n,)
-        Displacement of one closed cycle, mm.
-    prior_kN, paper_kN, posterior_kN : array, shape (m, n)
-        Forces; ``paper_kN`` may have no rows.
+    Displacement of one closed cycle has shape (n,), forces (m, n).
     """
     figure, axes = sheet(WIDE, 3.9, measured=False)
     for forces, colour, width in ((prior_kN, PALE, 0.6), (paper_kN, GREEN, 0.9), (posterior_kN, BLUE, 1.6)):
@@ -227,3 +219,26 @@ def prior(
     label(axes, STROKE, FORCE, unit)
     legend(axes, 3)
     return svg(figure)
+
+
+def over_stroke(profiles: Sequence[StrokeProfile], unit: ForceUnit = KN) -> str:
+    """Mean residual over stroke, push and pull of one run, with what noise alone would give."""
+    figure, axes = sheet(NARROW, 3.2, measured=False)
+    for profile, colour, marker, name in zip(
+        profiles, (BLUE, RED), ("o", "s"), ("displacement growing", "displacement falling"), strict=False
+    ):
+        axes.fill_between(profile.centre_mm, profile.low_kN, profile.high_kN, color=colour, alpha=0.16, linewidth=0)
+        axes.plot(
+            profile.centre_mm, profile.mean_kN, marker + "-", color=colour, markersize=4, linewidth=1.2, label=name
+        )
+    axes.fill_between([], [], [], color=GREY, alpha=0.3, label="noise alone (90 %)")
+    axes.axhline(0, color=INK, linewidth=0.8)
+    label(axes, "displacement (mm)", "mean residual (kN)", unit)
+    legend(axes, 2)
+    return svg(figure)
+
+
+def _cycles(axes: Axes, y: str, unit: ForceUnit = KN) -> None:
+    """Titles of a diagram over the cycles."""
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    label(axes, "cycle, in the order they were made", y, unit)

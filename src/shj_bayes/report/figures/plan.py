@@ -1,7 +1,5 @@
 """Pictures of a plan: displacement over time, and what the test would show if one or the other were true."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,31 +1,39 @@
-"""Sets of devices side by side."""
+"""Sets of devices side by side, and the curves of their devices."""
 
-from __future__ import annotations
-
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.loops import LoopBand
-from shj_bayes.report.figures.canvas import BLUE, GREY, INK, NARROW, SERIES, WIDE, label, legend, sheet, svg
+from shj_bayes.report.figures.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    NARROW,
+    ORANGE,
+    SERIES,
+    WIDE,
+    label,
+    legend,
+    sheet,
+    svg,
+    tidy,
+)
 from shj_bayes.report.sets import SetBand
 
 MAX_NAME = 34
+MAX_COLUMNS = 3  # panels side by side
 CROWD = 24  # devices of a set beyond which their dots would hide the band; they get a lane of their own below it
 
 
 def bands(rows: Sequence[SetBand], title: str) -> str:
-    """Draw tested devices, and the band of a new one, of every set below one another.
-
-    Parameters
-    ----------
-    rows : sequence of SetBand
-        All of one quantity.
-    title : str
-        Axis title with unit.
-    """
+    """Draw tested devices, and the band of a new one, in one quantity of every set, below one another."""
     crowded = max((len(row.devices) for row in rows), default=0) > CROWD
     figure, axes = sheet(WIDE, 0.9 + (0.56 if crowded else 0.36) * len(rows))
     left, right = span(rows)
@@ -98,4 +106,40 @@ def loop(parts: Sequence[LoopBand]) -> str:
         axes.plot([], [], color=colour, label=f"run {band.run}, median and 90 %")
     label(axes, "displacement (mm)", "force (kN)")
     legend(axes, 2)
+    return svg(figure)
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceCurve:
+    """Curve of a device with its 90 % band, arrays of shape (n,): change, per cent of Fy, over a coordinate."""
+
+    at: FloatArray
+    mean: FloatArray
+    low: FloatArray
+    high: FloatArray
+    alone: bool  # the device shows it alone; otherwise its set makes it certain
+
+
+def curves(parts: Sequence[tuple[str, Sequence[DeviceCurve]]], axis: str) -> str:
+    """Draw the curves of the devices of each set with 90 % bands, per cent of Fy; the same scale in all panels."""
+    columns = min(MAX_COLUMNS, len(parts))
+    rows = math.ceil(len(parts) / columns)
+    figure = Figure(figsize=(WIDE, 3.1 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes in panels[len(parts) :]:
+        axes.set_visible(False)
+    words = {True: (BLUE, "-", "shown alone"), False: (ORANGE, "--", "certain by the set")}
+    for axes, (name, bands) in zip(panels, parts, strict=False):
+        tidy(axes)
+        axes.axhline(0, color=INK, linewidth=0.8)
+        seen: set[bool] = set()
+        for band in bands:
+            colour, style, said = words[band.alone]
+            axes.fill_between(band.at, band.low, band.high, color=colour, alpha=0.12, linewidth=0)
+            once = "" if band.alone in seen else said
+            axes.plot(band.at, band.mean, style, color=colour, linewidth=1.4, label=once or None)
+            seen.add(band.alone)
+        axes.set_title(f"{name[:40]}", fontsize=10, loc="right", color=INK, parse_math=False)
+        label(axes, axis, "change (% of Fy)" if axes in panels[::columns] else "")
+        legend(axes, 1)
     return svg(figure)

@@ -1,7 +1,5 @@
 """Corner plot, traces and ranks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -20,15 +18,7 @@ CORNER = 1.0  # inches: room for the slanted numbers and titles left of and belo
 
 
 def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
-    """Every parameter against every other; under gamma stands dep = 1/gamma.
-
-    Parameters
-    ----------
-    draws : mapping of str to array, shape (n,)
-        Posterior draws.
-    units : mapping of str to str
-        Unit of each, ``"1"`` for none.
-    """
+    """Draws, shape (n,), of every parameter against every other; under gamma stands dep = 1/gamma."""
     names = list(draws)
     table = np.stack([draws[name] for name in names], axis=1)
     table = table[np.linspace(0, table.shape[0] - 1, min(MAX_DRAWS, table.shape[0])).astype(int)]
@@ -103,12 +93,7 @@ def densities(parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], un
 def traces(chains: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
     """Where the walkers were, step by step, one colour for each ensemble.
 
-    Parameters
-    ----------
-    chains : mapping of str to array, shape (n_ensembles, n_draws)
-        Draws in the order in which they were made, walkers after one another, in the unit that is shown.
-    units : mapping of str to str
-        Unit of each.
+    Draws in the order in which they were made, walkers after one another: shape (n_ensembles, n_draws).
     """
     figure = fixed(WIDE, 0.85 * len(chains) + 0.6, left=1.0)
     panels = figure.subplots(len(chains), 1, sharex=True, squeeze=False, gridspec_kw={"hspace": 0.2})[:, 0]

@@ -1,7 +1,5 @@
 """Bolt tension: the bolt is a spring, and whatever makes the clamped plates thinner relaxes it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -142,7 +140,7 @@ SIMULATORS = (
     ),
     Simulator(
         "local_wear",
-        None,
+        "local_wear",
         (("capacity", "passes"),),
         "share",
         (0.02, 0.4),

@@ -4,8 +4,6 @@ The saturation lowers the force behind a reversal at once, by up to the factor 2
 spring back at that jump, which is a reversal again: under this rule the frame is part of K; only free travel is apart.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

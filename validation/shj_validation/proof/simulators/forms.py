@@ -1,7 +1,5 @@
 """Further laws of physics that the catalogue holds in another form: same coordinate, another curve over it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

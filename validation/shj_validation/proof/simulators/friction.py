@@ -1,7 +1,5 @@
 """The friction coefficient as a state of the contact: ageing, memory, speed, coating, powder."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

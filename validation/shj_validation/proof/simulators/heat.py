@@ -1,7 +1,5 @@
 """Heat through the plates: the heat equation in the thickness of shim and plate, friction falling with temperature."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

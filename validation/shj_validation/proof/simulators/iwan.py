@@ -6,8 +6,6 @@ first quarter cycle and loops that do not slide fully follow Masing's rule inste
 measured in ``docs/decisions/0007-proof.md``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -1,7 +1,5 @@
 """Mechanisms around the contact: clearance, tilting bolts, slot ends, springs, levers, mass, load cell."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Physics that the catalogue does not hold; the right answer is that it is unknown, and where it shows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

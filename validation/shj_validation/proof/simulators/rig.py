@@ -1,7 +1,5 @@
 """The testing rig: two contacts, bolts, grip, mass and what is added, stepped through time on a fine grid."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from math import prod
 from typing import Any

@@ -1,7 +1,5 @@
 """What a simulator is, and the list of all: every module of this package that holds a ``SIMULATORS``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
