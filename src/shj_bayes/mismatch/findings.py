@@ -18,6 +18,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 T = TypeVar("T")
+MOTION = "motion"
 N_SIZES = 60  # draws from which the upper limit of a size is taken
 
 
@@ -147,7 +148,8 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
 
     What a form misses is a share of its size, half-normal and within 1 - `EXPLAINED` with 95 %; a class by itself has
     the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the densities at the size
-    that was found decide.
+    that was found decide. What a form of the capacity misses turns its sign with the motion, what one of an added force
+    misses does not: neither looks like the other.
 
     Parameters
     ----------
@@ -163,17 +165,18 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
     dict of frozenset to float
         Share of the probability for each set of classes; the largest class is in all of them.
     """
-    sizes = {m.of.id: size_of(out, h, i) for i, m in enumerate(h.members) if m.of.id in key}
-    first, *others = sorted(sizes, key=lambda name: -sizes[name]) or [""]
-    shares = {frozenset({first} & key): 1.0}
-    for name in others:
-        by_itself = float(lognorm.pdf(sizes[name], SPREAD, scale=TYPICAL))
-        missed = float(halfnorm.pdf(sizes[name], scale=0.5 * (1.0 - EXPLAINED) * sizes[first]))
+    found = sorted(
+        ((size_of(out, h, i), m.of.action, m.of.id) for i, m in enumerate(h.members) if m.of.id in key), reverse=True
+    )
+    shares = {frozenset[str](): 1.0}
+    for place, (size, action, name) in enumerate(found):
+        larger = [other for other, acts, _ in found[:place] if action == acts or MOTION in (action, acts)]
+        by_itself, missed = float(lognorm.pdf(size, SPREAD, scale=TYPICAL)), 0.0
+        if larger:
+            missed = float(halfnorm.pdf(size, scale=0.5 * (1.0 - EXPLAINED) * larger[0]))
         there = by_itself / (by_itself + missed)
-        shares = {
-            **{own: p * (1.0 - there) for own, p in shares.items()},
-            **{own | {name}: p * there for own, p in shares.items()},
-        }
+        split = {own | {name}: p * there for own, p in shares.items()}
+        shares = split if there == 1.0 else split | {own: p * (1.0 - there) for own, p in shares.items()}
     return shares
 
 
@@ -193,7 +196,7 @@ def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArr
     What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long.
     """
     state, scene, device = h.state, out.scene, out.scene.device
-    if h.members[place].of.action == "motion":
+    if h.members[place].of.action == MOTION:
         scene = scene.finer_at(state.model, state.z)
     effect = h.members[place].variant.effect
     rest = tuple(e for e in state.model.effects if e.id != effect.id)

@@ -212,6 +212,8 @@ class Metric:
     other : array, shape (n_evidence, p + 1 + n_runs)
         Whitened functions of the discrepancy, then Masing's rule, then the zeros of the load cell, each at its size
         before the test.
+    zero_kN : array, shape (n_runs,)
+        Standard deviation of the load cell's zero in each run before the test, kN.
     """
 
     def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
@@ -219,8 +221,8 @@ class Metric:
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         self.noise = {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, setting.z, strict=True)}
         self.rougher = 1.0 + math.expm1(setting.at_rest) * scene.slow
-        zero = [part.timing.zero_noise_kN for part in scene.posterior.averages]
-        sizes = np.concatenate([np.full(scene.discrepancy.shape[1], setting.model_error_kN), [1.0], zero])
+        self.zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
+        sizes = np.concatenate([np.full(scene.discrepancy.shape[1], setting.model_error_kN), [1.0], self.zero_kN])
         white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.memory, scene.zeros]))
         self.other = white * sizes
         inner = np.eye(white.shape[1]) + self.other.T @ self.other

@@ -1,17 +1,19 @@
 """Which classes a device holds: sets of them are compared by their evidence, grown and shrunk until none is better."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
+from scipy.stats import norm
 
 from shj_bayes.inference.squares import start_values
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant, candidates, size_weights
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible
+from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
 from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
@@ -32,7 +34,7 @@ WIDE = 2.0  # times the size of a curve, or of an effect where its search begins
 FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
-CONSTANT = ("added", "constant")
+CONSTANT = str(ClassId("added", "constant"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
 
@@ -82,6 +84,11 @@ class Search:
     def is_rough(self) -> bool:
         """Whether the force fluctuates by more than the noise of a load cell."""
         return self.metric.fluctuation * self.scene.scale_kN > NOISE_MOST * self.scene.largest_kN
+
+    @property
+    def constant(self) -> Candidate | None:
+        """A constant force; None where it is not looked for."""
+        return next((c for c in self.looked if c.of.id == CONSTANT), None)
 
     @property
     def best(self) -> Hypothesis:
@@ -149,10 +156,8 @@ class Search:
         """Fit the base law beside a constant force, from where the search begins: the law alone may lie far off."""
         residual = self.scene.residual(self.scene.device, self.scene.z[None])[0]
         size = float(residual @ self.scene.used / self.scene.used.sum()) / self.scene.scale_kN
-        constant = next((c for c in self.looked if (c.of.action, c.of.coordinate) == CONSTANT), None)
-        if constant is not None and abs(size) > MATTERS:
-            law = constant.variant.effect.parameters[0]
-            self.add((constant,), np.append(self.scene.z, law.to_free(np.asarray(size))))
+        if self.constant is not None and abs(size) > MATTERS:
+            self.add((self.constant,), np.append(self.scene.z, _free(self.constant, size)))
 
     def grow(self, h: Hypothesis) -> None:
         """Fit the promising larger hypotheses."""
@@ -302,9 +307,36 @@ class Search:
             new = self._with_own_noise(h, first.metric.setting) if rival else None
             if new is not None and new.log_weight > h.log_weight:
                 found[h.key] = new
+        for h in list(found.values()):
+            found |= self._zero_apart(h, found)
         self.found = found
         self.metric = self.best.metric or search_metric
         self.screened = {}
+
+    def _zero_apart(
+        self, h: Hypothesis, found: Mapping[frozenset[str], Hypothesis]
+    ) -> dict[frozenset[str], Hypothesis]:
+        """Split a hypothesis whose zero of the load cell may be off by a size that matters: that is a constant force.
+
+        The probability that it is goes to the hypothesis with the constant. Gives those that change.
+        """
+        assert h.metric is not None
+        if self.constant is None or CONSTANT in h.key:
+            return {}
+        mean, sd = zero_of(h.metric, h.state)
+        limit = MATTERS * self.scene.scale_kN
+        off = float(norm.sf(limit, mean, sd) + norm.cdf(-limit, mean, sd))
+        if off < DOUBT:
+            return {}
+        self.metric = h.metric
+        members, start = (*h.members, self.constant), _free(self.constant, mean / self.scene.scale_kN)
+        new = found.get(h.key | {CONSTANT}) or self.fitted(members, np.append(h.state.z, start))
+        if new is None:
+            return {}
+        known = new.log_weight if new.key in found else -math.inf
+        weight = float(np.logaddexp(known, h.log_weight + math.log(off)))
+        less = replace(h, log_weight=h.log_weight + math.log(max(1.0 - off, 1e-300)))
+        return {h.key: less, new.key: replace(new, log_weight=weight, metric=new.metric or h.metric)}
 
     def _with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
         """Fit a hypothesis under the noise that is most probable beside it."""
@@ -357,9 +389,9 @@ def search(
     base = out.add((), scene.z)
     assert base is not None
     out.try_constant()
-    for depth in range(len(out.best.members), DEPTH):
+    for depth in range(DEPTH):
         tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
-        if not out.deepen(depth):
+        if not out.deepen(depth) and len(out.best.members) <= depth:
             break
     out.exchange()
     out.finish()
@@ -385,6 +417,11 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
 def _joined(h: Hypothesis, c: Candidate) -> FloatArray:
     """Start of a hypothesis with one more class: the parameters of the smaller one, and where the class begins."""
     return np.concatenate([h.state.z, c.start[-len(c.variant.effect.parameters) :]])
+
+
+def _free(constant: Candidate, size: float) -> FloatArray:
+    """Size of a constant force, a share of Fy, in its unbounded space."""
+    return constant.variant.effect.parameters[0].to_free(np.asarray(size))
 
 
 def replaced(h: Hypothesis, place: int, member: Candidate) -> tuple[Candidate, ...]:

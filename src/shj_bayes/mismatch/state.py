@@ -135,6 +135,16 @@ def _largest(columns: FloatArray, count: FloatArray) -> FloatArray:
     return np.asarray(ordered[reached.argmax(axis=0), np.arange(sizes.shape[1])])
 
 
+def zero_of(metric: Metric, state: State) -> tuple[float, float]:
+    """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
+    white, _ = metric.whitened(state.beside())
+    columns = np.column_stack([white[:, 1:], metric.other])
+    zero = metric.zero_kN / metric.zero_kN.size
+    weights = np.append(np.zeros(columns.shape[1] - zero.size), zero)
+    solved = np.linalg.solve(np.eye(weights.size) + columns.T @ columns, weights)
+    return float(solved @ columns.T @ white[:, 0]), math.sqrt(float(solved @ weights))
+
+
 def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSetting | None = None) -> NoiseSetting:
     """Find the noise of a device beside everything that a set of columns can take up.
 

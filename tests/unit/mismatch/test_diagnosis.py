@@ -70,6 +70,19 @@ def test_nothing_is_found_where_nothing_is_missing(seed, trials, look):
     assert record["heldout"]["elpd_gain"] == 0.0
 
 
+def test_a_small_difference_of_push_and_pull_is_no_constant(trials, look):
+    """Either shifts the loop; the one that is fitted first, beside a load cell that is off, must not keep the place."""
+    record = look(trials.simulate({"asymmetry": {"size": 0.025}}, 51)).record
+    assert names(record) == {"asymmetry"}
+
+
+def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials, look):
+    """1.6 % of Fy in both runs is within three standard deviations of a zero before the test."""
+    recordings = [Recording(r.time_s, r.displacement_mm, r.force_kN + 1.1) for r in trials.simulate({}, 52)]
+    record = look(recordings).record
+    assert classes(record) == {("added", "constant")}
+
+
 def test_what_comes_again_is_found_with_its_period(trials, look):
     """An oil pump that cuts in and out by the clock: 3 % of Fy every 20 s, between cycles that have other periods."""
     recordings = []

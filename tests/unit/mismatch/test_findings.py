@@ -9,9 +9,11 @@ import pytest
 
 from shj_bayes.mismatch import findings
 
+ACTS = {"delay": "motion", "constant": "added"}
+
 
 def _hypothesis(*names):
-    members = tuple(SimpleNamespace(of=SimpleNamespace(id=name)) for name in names)
+    members = tuple(SimpleNamespace(of=SimpleNamespace(id=name, action=ACTS.get(name, "capacity"))) for name in names)
     return SimpleNamespace(members=members, key=frozenset(names))
 
 
@@ -67,3 +69,13 @@ def test_a_small_class_beside_a_large_one_may_be_what_the_form_of_that_one_misse
     assert all("delay" in key for key in shares)
     assert findings.truly_there(search, both, frozenset({"wear"})) == {frozenset({"wear"}): 1.0}
     assert findings.truly_there(search, both, frozenset()) == {frozenset(): 1.0}
+
+
+def test_an_added_force_is_nothing_that_a_form_of_the_capacity_misses(search, monkeypatch):
+    """It has one sign in push and pull, friction two."""
+    sizes = {"taper": 0.1, "constant": 0.012, "wear": 0.012}
+    monkeypatch.setattr(findings, "size_of", lambda out, h, place: sizes[h.members[place].of.id])
+    both = _hypothesis("taper", "constant", "wear")
+    shares = findings.truly_there(search, both, both.key)
+    assert all({"taper", "constant"} <= key for key in shares)
+    assert sum(p for key, p in shares.items() if "wear" in key) < 0.5

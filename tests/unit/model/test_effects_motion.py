@@ -286,6 +286,21 @@ def test_sliding_begins_where_the_force_of_the_reversal_lets_it():
     assert np.sum(slid_since_mm(h, BASE)) == pytest.approx(26.0 + 10.0, abs=0.1)
 
 
+def test_noise_of_the_displacement_at_rest_is_no_motion():
+    """After 30 mm the device rests for 200 s, its displacement off by 0.01 mm here and there."""
+    still = ramps([0.0, 30.0])
+    rng = np.random.default_rng(5)
+    where = np.append(still.position_mm, 30.0 + 0.01 * rng.standard_normal(4000))
+    time = np.append(still.time_s, still.time_s[-1] + 0.05 * np.arange(1, 4001))
+    speed = np.append(np.ones(still.time_s.size), np.zeros(4000))
+    motion = Motion(where, speed, np.array([0, where.size]), np.array([0.0]), np.array([1]))
+    (h,) = histories([time], [motion])
+    assert np.sum(slid_since_mm(h, BASE)) == pytest.approx(26.0, abs=0.1)
+    hot = run(h, thermal={"size": 0.3, "cooling": 20.0, "spread": 0.1})
+    rises = hot[still.time_s.size + 100 :].max() - hot[still.time_s.size - 1]
+    assert rises <= 0.05 * K  # the spring over the largest error, not the capacity of plates that have cooled
+
+
 def test_the_distance_slid_goes_on_from_run_to_run_without_what_was_elastic():
     runs = in_runs([0.0, 30.0, -30.0, 30.0], 2)
     first, second = (slid_m(h, BASE) for h in runs)

@@ -147,6 +147,14 @@ def test_amplitude_compares_with_the_largest_block():
     assert factor[-10] == pytest.approx(1.0, abs=1e-4)
 
 
+def test_what_a_contact_got_used_to_goes_on_from_run_to_run():
+    """The second run begins with the large block at the end of the first one, and comes down to the small one."""
+    first, second = (clamping("amplitude_gradual", history, size=0.1, length=50.0) for history in two_runs())
+    assert first[0] == pytest.approx(0.9, abs=1e-3)
+    assert second[0] == pytest.approx(first[-1], abs=1e-3) == pytest.approx(1.0, abs=0.01)
+    assert second.min() == pytest.approx(0.9, abs=0.005)
+
+
 def test_a_further_run_goes_on_from_the_tested_ones_whatever_its_duration():
     """A short third run: the channel has warmed for two tests and a bit, and the clamping is as it was at the end."""
     motion = exact_motion(BLOCKS, 10.0)[1]

@@ -42,7 +42,8 @@ class Truth:
     bare_share : float
         The same percentile for the rig without anything concealed: what the nuisances and the Iwan element leave.
     each : dict of str to (float, float)
-        By effect, ``visible_share`` and ``evidence`` of the force that it adds to that of the others.
+        By effect, ``visible_share`` and ``evidence`` of the force that it adds to that of the others; the share is at
+        most that of this force itself.
     """
 
     base: dict[str, float]
@@ -116,15 +117,16 @@ def truth_of(key: Key, made: list[Made] | None = None) -> Truth:
     whole = fit_perfect(key, made)
     capacity = key.device.Fy
 
-    def weigh(part_kN: FloatArray) -> tuple[float, float]:
-        return whole.share(part_kN, capacity), worth(part_kN, made)
+    def weigh(part_kN: FloatArray, of_kN: FloatArray) -> tuple[float, float]:
+        return min(whole.share(part_kN, capacity), whole.share(of_kN, capacity)), worth(part_kN, made)
 
-    share, evidence = weigh(whole.misfit_kN)
+    share, evidence = weigh(whole.misfit_kN, whole.misfit_kN)
     each = {}
     for one in key.effects:
         rest = make(key, effects=[other for other in key.effects if other is not one])
         lesser = np.concatenate([run.clean_kN for run in rest[:2]])
-        each[one.id] = weigh(whole.visible(whole.force_kN - lesser))
+        added = whole.force_kN - lesser
+        each[one.id] = weigh(whole.visible(added), added)
     return Truth(bare.base, share, evidence, bare.share(bare.misfit_kN, capacity), each)
 
 

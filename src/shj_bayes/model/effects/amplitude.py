@@ -11,19 +11,25 @@ from shj_bayes.model.priors import Prior
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + c log2(A/A_max)."""
-    return Contribution(clamping=1.0 + values["size"] * _doublings(history))
+    return Contribution(clamping=1.0 + values["size"] * _doublings(history, history.amplitude_mm))
 
 
 def _gradual(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + c m, m the doublings log2(A/A_max) that the contact has got used to over a distance slid."""
-    goal = _doublings(history)
-    late = goal[0] + remembered(goal - goal[0], slid_since_mm(history, base), values["length"])
+    """Clamping 1 + c m, m the doublings log2(A/A_max) that the contact has got used to over a distance slid.
+
+    A run begins with what the one before it ended with.
+    """
+    goal = _doublings(history, history.amplitude_mm)
+    begin = goal[0]
+    if history.earlier:
+        begin = _doublings(history, np.abs(np.diff(history.earlier[-1])[-2:]).max() / 2.0)
+    late = begin + remembered(goal - begin, slid_since_mm(history, base), values["length"])
     return Contribution(clamping=1.0 + values["size"] * late)
 
 
-def _doublings(history: History) -> FloatArray:
+def _doublings(history: History, amplitude_mm: FloatArray) -> FloatArray:
     """Binary logarithm of A/A_max; amplitudes below a hundredth of the largest count as that."""
-    return np.asarray(np.log2(np.maximum(history.amplitude_mm / history.half_stroke_mm, 0.01)))
+    return np.asarray(np.log2(np.maximum(amplitude_mm / history.half_stroke_mm, 0.01)))
 
 
 EFFECT = Effect(

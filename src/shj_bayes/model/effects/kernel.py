@@ -131,11 +131,15 @@ def limit_rise(clamping, travel, start, slope):  # type: ignore[no-untyped-def]
     A capacity that recovers makes no force without motion. Without this a pause in which the plates cool looked like a
     force that grows at rest, and friction that rises as the speed falls came back at full height within the last
     hundredth of a millimetre of a stroke, from where the next one then started. The other direction has a capacity of
-    its own, so each half-cycle begins anew.
+    its own, so each half-cycle begins anew. Only what goes beyond the furthest point of the stroke counts as motion:
+    the noise of a displacement at rest goes to and fro, and its ways forth add up to any distance.
     """
     for k in range(start.size - 1):
+        furthest = travel[start[k]]
         for i in range(start[k] + 1, start[k + 1]):
-            clamping[i] = min(clamping[i], clamping[i - 1] + slope * max(travel[i] - travel[i - 1], 0.0))
+            gone = max(travel[i] - furthest, 0.0)
+            furthest += gone
+            clamping[i] = min(clamping[i], clamping[i - 1] + slope * gone)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -34,12 +34,25 @@ def slid_mm(history: History, base: Base) -> FloatArray:
     return np.asarray(_slid(history.slip_mm, motion.start, motion.turning_mm, motion.direction, base.K, base.Fy))
 
 
+@njit(cache=True)
+def _gone(slid, start):  # type: ignore[no-untyped-def]
+    """Distance beyond the furthest point of each half-cycle so far."""
+    out = np.zeros(slid.size)
+    for k in range(start.size - 1):
+        furthest = 0.0
+        for i in range(start[k], start[k + 1]):
+            out[i] = max(slid[i] - furthest, 0.0)
+            furthest += out[i]
+    return out
+
+
 def slid_since_mm(history: History, base: Base) -> FloatArray:
     """Distance slid since the sample before, shape (n_samples,), mm: what heats, wears and changes a contact.
 
-    Motion of the elastic branches is not sliding; in small cycles it is most of the travel.
+    Motion of the elastic branches is not sliding; in small cycles it is most of the travel. Nor is the noise of a
+    displacement at rest, whose ways forth would add up to any distance.
     """
-    return np.asarray(np.maximum(np.diff(slid_mm(history, base), prepend=0.0), 0.0))
+    return np.asarray(_gone(slid_mm(history, base), history.motion.start))
 
 
 @njit(cache=True)

@@ -132,7 +132,10 @@ def _last_reach(x: FloatArray) -> FloatArray:
     places = np.concatenate([[0], turn, [x.size - 1]])
     values = x[places]
     legs = np.abs(np.diff(values)) / 2
-    legs[0] = max(legs[0], legs[1] if legs.size > 1 else 0.0)  # the first quarter belongs to the cycle after it
+    # The first quarter, and the rest before it, belong to the cycle after it, the last one to the cycle before it.
+    moving = np.flatnonzero(legs)
+    legs[: moving[0] + 1] = legs[moving[:2]].max()
+    legs[moving[-1] :] = legs[moving[-2:]].max()
     return np.repeat(legs, np.diff(np.concatenate([places[:-1], [x.size]])))
 
 
