@@ -43,7 +43,7 @@ def test_map_is_near_the_truth(make_small: Make, as_vector: Vector, name: str, v
 
 @pytest.mark.parametrize("ratio", [0.4, 1.0, 2.5])
 def test_noise_at_low_speed_is_found(make_small: Make, ratio: float) -> None:
-    """Within what chance allows in 1 of 10 000 recordings: 600 readings, of which a third are slow."""
+    """Over 20 seeds the error has a mean of up to 0.05 and a standard deviation of 0.08: 1 in 10 000 is beyond 0.35."""
     small = make_small(replace(DEVICES["weak"], sigma_slow=0.0), rate_Hz=12.0)
     rng, runs = np.random.default_rng(5), []
     for run, history in zip(small.runs, small.histories, strict=True):
