@@ -56,8 +56,8 @@ def main() -> None:
     options = parser.parse_args()
     for beta in options.beta:
         first = device(20.0, beta)
-        posterior, start = find_start(first)
-        whole = posterior.refined(posterior.natural(start.free[None])[0], longest_s=0.0)
+        _, start = find_start(first)
+        whole = first.refined(first.natural(start.free[None])[0], longest_s=0.0)
         start = polish(whole, [start.free])
         gap = NumpyPosterior(first)(start.free) - whole.log_posterior_free(start.free[None])[0]
         assert abs(gap) < 1e-6, gap

@@ -78,8 +78,14 @@ BREAKAGES = (
     Breakage(
         "noise: averages as noisy as single samples",
         "model/noise/filter.py",
-        "(work[WHITE + lane] + noise_x * square) * share",
-        "(work[WHITE + lane] + noise_x * square)",
+        "one = 1.0 / np.maximum(self.kinds[self.kind, 0], 1.0)",
+        "one = np.ones(self.kind.size)",
+    ),
+    Breakage(
+        "noise: as rough at low speed as at speed",
+        "model/noise/filter.py",
+        "np.stack([one * self.rough, one], axis=1)",
+        "np.stack([one, one], axis=1)",
     ),
     Breakage(
         "noise: error of the turning points left out",

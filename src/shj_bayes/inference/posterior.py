@@ -17,6 +17,7 @@ from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import LANES, log_density
+from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.parameters import FloatArray, base_of
 
 FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
@@ -29,6 +30,7 @@ class Posterior:
     runs: tuple[Run, ...]  # consecutive runs
     model: DeviceModel  # what is believed of the device
     averages: tuple[Averages, ...]  # the runs in blocks
+    at_rest: float = 0.0  # logarithm of the white noise at rest over that at speed; see `rougher`
 
     def __post_init__(self) -> None:
         """Check that the parts fit together and that the priors can hold the data."""
@@ -75,7 +77,19 @@ class Posterior:
         def force_at(history: History, start_force_kN: float) -> FloatArray:
             return np.asarray(self.model.force(still, history, start_force_kN)[0])
 
-        return replace(self, averages=reduce_runs(self.runs, force_at, longest_s=longest_s, coarser=coarser))
+        averages = reduce_runs(self.runs, force_at, longest_s=longest_s, coarser=coarser)
+        return replace(self, averages=averages).rougher(self.at_rest)
+
+    def rougher(self, at_rest: float) -> Posterior:
+        """Give the same posterior with white noise whose standard deviation is exp(at_rest) times larger at rest."""
+        to = replace(self, at_rest=at_rest)
+        rough = [part.mean(to.rough(part.history)) for part in self.averages]
+        pairs = zip(self.averages, rough, strict=True)
+        return replace(to, averages=tuple(replace(p, timing=replace(p.timing, rough=r)) for p, r in pairs))
+
+    def rough(self, history: History) -> FloatArray:
+        """Give the variance of the white noise over that at speed, at the points of a history, shape (n_points,)."""
+        return rougher(self.at_rest, slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
 
     def modelled_force(self, theta: FloatArray, run: int) -> FloatArray:
         """Force of run ``run`` (1 for the first) without noise, at all its samples, shape (m, n_samples), kN."""

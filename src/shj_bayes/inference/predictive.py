@@ -44,7 +44,8 @@ def force_at_points(
         gap = np.where(anew, np.inf, np.round(np.diff(recording.time_s[keep]) / step, 3) * step)
         gaps, kind = np.unique(np.append(np.inf, gap), return_inverse=True)
         kinds = np.stack([np.ones(gaps.size), np.full(gaps.size, step), gaps], axis=1)
-        timing = Timing(kind, kinds, place, step, 0.0, np.zeros(whole.n_half))
+        rough = posterior.rough(history)
+        timing = Timing(kind, kinds, place, step, 0.0, np.zeros(whole.n_half), rough=rough)
         drawn = draw_noise(model.noise, values, np.zeros((theta.shape[0], keep.size)), timing, rng)
         noise.append(drawn + rng.normal(*zero_of_run(posterior, theta, len(clean)))[:, None])
     law = np.concatenate(clean, axis=1)
@@ -109,7 +110,7 @@ def draw_noise(noise: Noise, values: Values, slope: FloatArray, timing: Timing, 
             out,
             slope,
             timing.kind,
-            1.0 / timing.kinds[:, 0],
+            timing.share,
             table,
             timing.half,
             parts.white_kN**2,
@@ -135,8 +136,8 @@ def _draw(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
                     out[j, i] = 0.0
                     continue
                 h, f, steep = table[j, c, 0], table[j, c, 1], slope[j, i]
-                variance = h * h * p + slow[j] * table[j, c, 2] + (white[j] + noise_x * steep * steep) * share[c]
-                variance += noise_turn[j, k] * steep * steep
+                variance = h * h * p + slow[j] * table[j, c, 2] + white[j] * share[i, 0]
+                variance += (noise_x * share[i, 1] + noise_turn[j, k]) * steep * steep
                 new = math.sqrt(variance) * out[j, i]
                 gain = (h * f * p + slow[j] * table[j, c, 4]) / variance
                 out[j, i] = h * s + new + of_turn[j, k] * steep

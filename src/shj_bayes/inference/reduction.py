@@ -53,6 +53,10 @@ class Averages:
         """Number of blocks."""
         return int(self.force_kN.size)
 
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Mean over each block, shape (n,), of values at the points, shape (n_points,)."""
+        return np.asarray(np.add.reduceat(values, self.first[:-1]) / np.diff(self.first))
+
     def residual_and_slope(self, force_kN: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured less modelled force of each block, kN (0 without samples), and its slope, kN/mm, shape (m, n).
 

@@ -13,6 +13,8 @@ from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.shared import Density, Shared, n_threads
 from shj_bayes.inference.squares import best_of, descend, extended, jacobian, promising
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.noise.filter import log_density
+from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
 N_DESCENTS = 3  # laws of the grid that are improved
@@ -68,7 +70,9 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
-        return refined, polish(Shared(refined, pool, n), full)
+        even = polish(Shared(refined, pool, n), full)
+        refined, z = _roughened(refined, even.free)
+        return refined, polish(Shared(refined, pool, n), [z])
 
 
 def law_starts(posterior: Posterior) -> list[FloatArray]:
@@ -150,6 +154,29 @@ def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
     rows = np.array(list(product(*([float(own[n].to_free(v)) for v in grids[n]] for n in own))))
     points = np.concatenate([np.tile(z, (rows.shape[0], 1)), np.clip(rows, -8.0, 8.0)], axis=1)
     return np.asarray(points[int(np.argmax(posterior.log_posterior_free(points)))])
+
+
+def _roughened(posterior: Posterior, z: FloatArray) -> tuple[Posterior, FloatArray]:
+    """Give the posterior its most probable `at_rest`, and `z`, shape (d,), the noise beside it; the law stays.
+
+    The widths of the law's parameters depend on it in the second order only, so it is not sampled (decision 0010).
+    """
+    model = posterior.model
+    law = model.natural(z[None])
+    held = [posterior.residual_and_slope(law, run) for run in range(1, model.n_runs + 1)]
+
+    def negative(u: FloatArray) -> float:
+        if np.any(np.abs(u) > 8.0):
+            return 1e12
+        noise = model.noise_values(model.natural(np.append(z[: model.n_law], u[:-1])[None]))
+        parts = zip(held, posterior.rougher(ROUGHER * float(u[-1])).averages, strict=True)
+        likely = [log_density(model.noise, noise, *pair, part.timing).sum() for pair, part in parts]
+        value = 0.5 * float(u @ u) - float(np.sum(likely))
+        return value if np.isfinite(value) else 1e12
+
+    first = np.append(z[model.n_law :], 0.0)
+    found = minimize(negative, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
+    return posterior.rougher(ROUGHER * float(found.x[-1])), np.append(z[: model.n_law], found.x[:-1])
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:

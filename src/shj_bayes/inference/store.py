@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -233,6 +234,7 @@ def fit_record(
             "scatter_over_posterior": dict(zip(floor.names, floor.scatter.tolist(), strict=True)),
             "widening": dict(zip(floor.names, floor.factor.tolist(), strict=True)),
         },
+        "noise_at_rest": math.exp(posterior.at_rest),
         "reduction": [{"n_blocks": part.n, "n_samples": run.recording.n_samples} for part, run in pairs],
         "parameters": json.loads(table.to_json(orient="records", double_precision=15)),
     }

@@ -26,14 +26,13 @@ from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.masing import masing_force
 from shj_bayes.model.measured import Measured
 from shj_bayes.model.noise.filter import Timing, whiten
+from shj_bayes.model.noise.low_speed import ROUGHER, rougher, slowness
 from shj_bayes.model.parameters import FloatArray
 
 COARSER = 2.5  # blocks than those of a fit: many models are compared
 STEP = 1e-4  # of the standardised parameters, for derivatives
 MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device
 AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the same at any sampling rate
-LOW_SPEED = 0.4  # of the peak speed, below which the noise may be another one
-ROUGHER = 0.7  # sd before the test of the logarithm of its ratio: a factor of two either way
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
 N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `Metric.other`: the same in every run
@@ -141,8 +140,7 @@ class Scene:
     def slow(self) -> FloatArray:
         """How far each block is one of low speed, 1 at rest to 0 at the peak, shape (n,)."""
         peak = self.peak_mm_s or self.posterior.averages[0].history.peak_speed_mm_s
-        share = self.channel("speed_mm_s") / (LOW_SPEED * peak)
-        return np.asarray(np.exp(-(share**2)))
+        return slowness(self.channel("speed_mm_s"), peak)
 
     @cached_property
     def discrepancy(self) -> FloatArray:
@@ -220,7 +218,7 @@ class Metric:
         self.scene, self.setting, self.slope = scene, setting, slope
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         self.noise = {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, setting.z, strict=True)}
-        self.rougher = 1.0 + math.expm1(setting.at_rest) * scene.slow
+        self.rougher = rougher(setting.at_rest, scene.slow)
         self.zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
         sizes = np.concatenate([np.full(scene.discrepancy.shape[1], setting.model_error_kN), [1.0], self.zero_kN])
         white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.memory, scene.zeros]))

@@ -13,6 +13,7 @@ from shj_bayes.inference.run import Run, histories_of, runs_of
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import force_of_laws
+from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Motion
@@ -109,6 +110,19 @@ def test_the_gaps_between_blocks_are_those_of_their_samples(averaged):
     begins = np.array([new[b[0]] > new[a[-1]] for a, b in pairwise(blocks)])
     np.testing.assert_allclose(told[1:, 2], np.where(begins, np.inf, gap), rtol=0.006)  # half of 1/64 of an octave
     assert told[0, 2] == np.inf
+
+
+def test_the_white_variance_of_a_block_is_the_mean_of_those_of_its_samples() -> None:
+    """Blocks that mix low and high speed; the two points of each have mean and variance of the displacement."""
+    runs = exact_runs(50.0)
+    posterior = make_posterior(runs, DeviceModel(len(runs), read_priors("afc"))).rougher(np.log(2.5))
+    posterior = replace(posterior, averages=reduce_runs(runs, law_force)).rougher(posterior.at_rest)
+    history, part = posterior.histories[0], posterior.averages[0]
+    samples = rougher(np.log(2.5), slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
+    means = np.array([samples[own].mean() for own in samples_of_blocks(runs[0], part)])
+    assert means.min() < 1.05
+    assert means.max() > 6.0
+    np.testing.assert_allclose(part.timing.rough[part.count > 0], means, rtol=0.05)
 
 
 def test_a_half_cycle_without_evidence_keeps_its_place() -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -120,6 +121,22 @@ def test_noise_of_the_displacement_adds_where_the_force_is_steep(case: str) -> N
     matrix = covariance(of_lag, white) + np.diag(slope**2 * 0.02**2 / np.array(COUNTS))
     got = total(word, values, residual, slope, timing(noise_mm=0.02))
     assert got == pytest.approx(normal(residual, matrix), rel=1e-8)
+
+
+@every_case
+def test_white_noise_that_is_rougher_in_some_blocks(case: str) -> None:
+    """Density and whitening: only the white part is, not what the displacement or the slow part adds."""
+    word, values, of_lag, white = CASES[case]
+    rng = np.random.default_rng(14)
+    residual, slope = rng.normal(0, 2, len(COUNTS)), rng.uniform(-15, 15, len(COUNTS))
+    rough, share = rng.uniform(0.2, 9.0, len(COUNTS)), 1.0 / np.array(COUNTS)
+    own = share * ((rough - 1.0) * white**2 + (0.02 * slope) ** 2)
+    matrix = covariance(of_lag, white) + np.diag(own)
+    when = replace(timing(noise_mm=0.02), rough=rough)
+    assert total(word, values, residual, slope, when) == pytest.approx(normal(residual, matrix), rel=1e-8)
+    got, log_det = whiten(noise_model(word), values, residual[:, None], slope, when)
+    np.testing.assert_allclose(got[:, 0], np.linalg.solve(np.linalg.cholesky(matrix), residual), rtol=1e-7, atol=1e-9)
+    assert log_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-8)
 
 
 TURNS = (0.0, 0.03, 0.01, 0.05)

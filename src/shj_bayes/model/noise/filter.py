@@ -8,7 +8,8 @@ block before as state,
     var e = V - h^2,  var w = 1 - f^2,  cov(e, w) = A - h f,
 
 where A = (1 - r^m) / (m (1 - r)) and V = (m (1 - r^2) - 2 r (1 - r^m)) / (m^2 (1 - r)^2) are the covariance of a
-block's mean with its last sample and the variance of its mean. The white part adds sigma_white^2 / m.
+block's mean with its last sample and the variance of its mean. The white part adds v sigma_white^2 / m, where v is the
+mean over the block's samples of its variance over that at speed (`low_speed`).
 
 The displacement is known to its noise only. To first order a block's force is then off by F'(x) times the mean error of
 its displacement (variance of one sample over m), and all blocks behind one reversal by F'(x) times the error of its
@@ -21,7 +22,8 @@ closed form as well. Long rests at one end of the stroke would otherwise push it
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -63,13 +65,22 @@ class Timing:
     # shape (n_half,): standard deviation of the error of each half-cycle's turning point, mm
     turning_noise_mm: FloatArray
     zero_noise_kN: float = 0.0  # standard deviation of the error of the load cell's zero in this run, kN
+    # shape (n,): variance of the white part in each block over that at speed; one number for all of them to begin with
+    rough: FloatArray = field(default_factory=lambda: np.ones(1))
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
         freeze(self, "kind", "half", kind=np.int64)
-        freeze(self, "kinds", "turning_noise_mm")
+        object.__setattr__(self, "rough", np.broadcast_to(self.rough, self.kind.shape))
+        freeze(self, "kinds", "turning_noise_mm", "rough")
         if self.half[-1] != self.kind.size or self.turning_noise_mm.size != self.half.size - 1:
             raise ModelError("the blocks, half-cycles and turning points of a run do not belong together")
+
+    @cached_property
+    def share(self) -> FloatArray:
+        """Shares of the variances of the white part and of the displacement that each block has, shape (n, 2)."""
+        one = 1.0 / np.maximum(self.kinds[self.kind, 0], 1.0)
+        return np.stack([one * self.rough, one], axis=1)
 
 
 def log_density(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing) -> FloatArray:
@@ -119,7 +130,7 @@ def _run(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, 
         residual,
         slope,
         timing.kind,
-        1.0 / timing.kinds[:, 0],
+        timing.share,
         table_of(noise, values, timing),
         timing.half,
         np.stack([parts.white_kN**2, parts.slow_kN**2, parts.nu, _student_constant(parts.nu)], axis=1),
@@ -144,9 +155,8 @@ def whiten(
     table = table_of(noise, rows, timing)[0]
     out = np.empty((int(np.count_nonzero(timing.kind >= 0)), columns.shape[1]))
     half_of = np.repeat(np.arange(timing.half.size - 1), np.diff(timing.half))
-    white = (parts.white_kN[0] ** 2 + (timing.displacement_noise_mm * slope) ** 2) / np.maximum(
-        timing.kinds[np.maximum(timing.kind, 0), 0], 1.0
-    ) + (timing.turning_noise_mm[half_of] * slope) ** 2
+    steepness = timing.displacement_noise_mm**2 * timing.share[:, 1] + timing.turning_noise_mm[half_of] ** 2
+    white = parts.white_kN[0] ** 2 * timing.share[:, 0] + steepness * slope**2
     log_det = _whiten(out, columns, timing.kind, table, white, float(parts.slow_kN[0] ** 2))
     return out, float(log_det)
 
@@ -251,7 +261,7 @@ def _filter(out, residual, slope, kind, share, table, half, scales, known, noise
                 c = kind[i]
                 if c < 0:
                     continue
-                _step(work, lines, factors, 2 * i * LANES, c * 5 * LANES, share[c], known[0], turn)
+                _step(work, lines, factors, 2 * i * LANES, c * 5 * LANES, share[i, 0], known[0] * share[i, 1] + turn)
                 count += 1
                 if heavy:
                     _add_tails(work, scales, first)
@@ -306,13 +316,16 @@ def _load(lines, factors, work, residual, slope, table, scales, first):  # type:
 
 
 @njit(error_model="numpy", fastmath={"contract", "nnan", "nsz"}, inline="always")
-def _step(work, lines, factors, at, of, share, noise_x, turn):  # type: ignore[no-untyped-def]
-    """Go on by one block, in all lanes."""
+def _step(work, lines, factors, at, of, share, steepness):  # type: ignore[no-untyped-def]
+    """Go on by one block, in all lanes.
+
+    `share` is the block's share of the white variance, `steepness` what the square of its slope adds to the variance.
+    """
     for lane in range(LANES):
         h, f, steep = factors[of + lane], factors[of + LANES + lane], lines[at + LANES + lane]
         before, slow = work[VARIANCE + lane], work[SLOW + lane]
         square = steep * steep
-        noise = (work[WHITE + lane] + noise_x * square) * share + turn * square
+        noise = work[WHITE + lane] * share + steepness * square
         variance = h * h * before + slow * factors[of + 2 * LANES + lane] + noise
         inverse = 1.0 / variance
         new = lines[at + lane] - h * work[STATE + lane]
