@@ -51,6 +51,20 @@ def test_margins_prints_a_table_and_writes_the_sheet(folder):
         assert (folder / name).stat().st_size > 1000
 
 
+def test_the_sheet_of_published_tables_has_no_empty_columns_and_no_exponents(folder):
+    """Tables know nothing of a model, so nothing is said of how well one follows; few devices give wide limits."""
+    done = run("margins", folder)
+    assert done.exit_code == 0, done.output
+    assert not re.search(r"\de[+-]\d", done.output)
+    page = (folder / "margins.html").read_text(encoding="utf-8")
+    assert "within a device" in page
+    assert "measured / predicted" not in page
+    widths = page.partition("standard deviation, %")[2].partition("</table>")[0]
+    assert '<td class="n">-</td>' not in widths
+    sets = len(re.findall(r"^.*: \d devices?$", done.output, flags=re.MULTILINE))
+    assert f'<tr><th>a set never tested</th><td class="n">{sets} sets</td>' in page
+
+
 def test_speeds_that_were_not_tested_are_refused(folder):
     done = run("margins", folder, "--speed", 300)
     assert done.exit_code == 1
