@@ -15,6 +15,7 @@ import click
 import shj_bayes
 from shj_bayes._util.child_processes import quiet_libraries
 from shj_bayes._util.files import make_writable, need_files, need_population
+from shj_bayes._util.interrupts import no_interrupt_lost
 from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, system_words
 
@@ -69,7 +70,8 @@ class _Group(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
-            return super().invoke(ctx)
+            with no_interrupt_lost():
+                return super().invoke(ctx)
         except ShjError as error:
             click.echo(f"shj-bayes: {error}", err=True)
         except OSError as error:

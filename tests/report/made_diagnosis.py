@@ -125,8 +125,28 @@ def record(verdict: str, name: str) -> dict[str, Any]:
     }
 
 
-def write(folder: Path, verdict: str, name: str) -> Path:
+def write(folder: Path, verdict: str, name: str, scale: float = 1.0) -> Path:
+    """Write a diagnosis whose forces are so many times those of a connection."""
     folder.mkdir(parents=True, exist_ok=True)
-    channels(found=verdict in ("named", "family")).to_netcdf(folder / "diagnosis.nc", engine="h5netcdf")
-    (folder / "diagnosis.json").write_text(json.dumps(record(verdict, name)), encoding="utf-8")
+    data = channels(found=verdict in ("named", "family"))
+    for force in ("force_kN", "before_kN", "after_kN"):
+        data[force] = scale * data[force]
+    data.to_netcdf(folder / "diagnosis.nc", engine="h5netcdf")
+    (folder / "diagnosis.json").write_text(json.dumps(_scaled(record(verdict, name), scale)), encoding="utf-8")
     return folder
+
+
+def _scaled(part: Any, scale: float) -> Any:
+    """Forces of a record (and the row of Fy) so many times as large."""
+    if isinstance(part, list):
+        return [_scaled(one, scale) for one in part]
+    if not isinstance(part, dict):
+        return part
+    return {
+        key: {stage: {k: scale * v for k, v in row.items()} for stage, row in value.items()}
+        if key == "Fy"
+        else scale * value
+        if key.endswith("_kN") and isinstance(value, float)
+        else _scaled(value, scale)
+        for key, value in part.items()
+    }

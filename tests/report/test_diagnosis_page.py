@@ -1,6 +1,7 @@
 """The diagnosis page says what the files say, in words, and shows hostile names as text."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -224,3 +225,13 @@ def test_what_is_not_determined_and_what_does_not_carry_over_is_said(tmp_path: P
     assert "does not carry over" in told
     assert all(words in page for words in ("not determined", "does not carry over", "predictions are worse"))
     assert "500000" not in page
+
+
+def test_forces_of_a_small_device_are_in_newtons(tmp_path: Path) -> None:
+    page = Page(render_diagnosis(write(tmp_path / "small", "named", "seal", scale=1e-4)))
+    shown = page.text.replace("The misfit reaches 4.3 kN", "")
+    assert not re.search(r"\d kN\b|e-\d\d N|\(kN\)", shown)
+    assert "The base law misses the force by 0.322 N in root mean square" in shown
+    assert "up to 1.19 N, 15 % of the sliding force" in shown
+    viewer = page.raw.partition('<script type="application/json" id="loops-data">')[2].partition("</script>")[0]
+    assert json.loads(viewer)["unit"] == "N"

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -292,6 +293,27 @@ def test_compare_without_a_population_says_what_to_run(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+def test_an_interrupt_that_python_drops_stops_the_command_all_the_same(monkeypatch):
+    """Python prints and ignores what is raised in a finalizer; Ctrl-C may come just there."""
+
+    class Finalized:
+        def __del__(self) -> None:
+            raise KeyboardInterrupt
+
+    def examine():
+        Finalized()
+        for _ in range(1000):
+            time.sleep(0.01)
+
+    monkeypatch.setattr("shj_bayes.commands.doctor.examine", examine)
+    begin = time.monotonic()
+    result = run("doctor")
+    assert result.exit_code == 1
+    assert "stopped; the same command again begins anew" in result.output
+    assert "Traceback" not in result.output
+    assert time.monotonic() - begin < 5.0  # of ten
+
+
 def test_interrupted_fit_says_how_to_go_on(recordings, tmp_path):
     command = "from shj_bayes.cli import main; main()"
     process = subprocess.Popen(

@@ -33,6 +33,7 @@ from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_numbers import tested_sets
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
+from shj_bayes.report.words import digits
 
 TABLES_NAME = "Published tables"
 MOST_DRAWN = 100  # devices whose loops are drawn and written
@@ -171,8 +172,8 @@ def margin_text(sheet: Sheet, request: Request) -> str:
                 for head in ("EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
             ]
             complete &= bool(np.isfinite(ends).all())
-            pairs = [f"{low:.3g} to {high:.3g}" if math.isfinite(low + high) else "-" for low, high in ends]
-            band = f"{line['middle']:.3g} ({line['new device, low']:.3g} to {line['new device, high']:.3g})"
+            pairs = [f"{digits(low)} to {digits(high)}" if math.isfinite(low + high) else "-" for low, high in ends]
+            band = "{} ({} to {})".format(*(digits(line[k]) for k in ("middle", "new device, low", "new device, high")))
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
             head = f"{line['quantity']}{unit}"
             lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}")

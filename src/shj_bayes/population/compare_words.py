@@ -23,8 +23,11 @@ def sentence(c: Contrast, sides: tuple[str, str], settled: Mapping[str, bool], r
     equivalence.
     """
     if c.kind == "quotient":
-        size = f"is {c.q50:.2f} times that of {sides[1]} (90 % interval {c.q05:.2f} to {c.q95:.2f})"
-        open_ = f"a factor of anything from {c.q05:.2f} to {c.q95:.2f}"
+        # As many digits, four at most, as tell the ends of a narrow interval apart.
+        digits = next((d for d in (2, 3) if round(c.q05, d) != round(c.q95, d)), 4)
+        between = f"{c.q05:.{digits}f} to {c.q95:.{digits}f}"
+        size = f"is {c.q50:.{digits}f} times that of {sides[1]} (90 % interval {between})"
+        open_ = f"a factor of anything from {between}"
         edge = f"{100 * rope:.0f} %"
     else:
         size = f"differs from {sides[1]} by {c.q50:+.3g} {c.unit} (90 % interval {c.q05:+.3g} to {c.q95:+.3g})"

@@ -103,8 +103,9 @@ def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int,
     allowed = f"allowed are {limits.BAD_TIME_SHARE:.0%}"
     if repeats >= back * 5:
         return (
-            f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few digits; "
-            f"export more digits, or give the sampling rate with --rate HZ"
+            f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few digits, "
+            "or rows are there twice; export more digits and each row once, or give the sampling rate of the rows with "
+            "--rate HZ"
         )
     row = int(np.flatnonzero(steps < 0)[0])
     return (

@@ -43,9 +43,10 @@ class Channels:
     columns: dict[str, str]
     units: dict[str, str]
     findings: tuple[Finding, ...]  # what was assumed
-    # named, assumed: roles whose column the user named, and roles whose unit nobody stated
+    # named, assumed, told: roles whose column the user named, whose unit nobody states, whose unit the file alone does
     named: frozenset[str] = frozenset()
     assumed: frozenset[str] = frozenset()
+    told: frozenset[str] = frozenset()
     run_rows: tuple[int, ...] = ()  # rows at which a run column says that a further run begins
     extras: tuple[Extra, ...] = ()  # further channels that were asked for, at all rows
 
@@ -97,6 +98,7 @@ def choose(
         tuple(findings),
         frozenset(asked),
         assumed,
+        frozenset(roles) - assumed - frozenset(given),
         run_rows,
         extras,
     )

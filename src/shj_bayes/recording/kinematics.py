@@ -61,12 +61,16 @@ def _motion(recording: Recording) -> Motion:
     # Speed against the half-cycle is noise at rest; cut at zero it biases |v| half as much as the absolute value.
     speed = np.maximum(along * curve.velocity, 0.0)
     half_s, band = curve.half_width_s, curve.bandwidth_Hz
+    corners = curve.kinks_s.size
+    across = f", not across {corners} corner{'s' if corners > 1 else ''}" if corners else ""
     method = (
-        f"local quintic over {2 * half_s[0]:.3g} s (fastest half-cycle) to {2 * half_s[1]:.3g} s (slowest), not across "
-        f"{curve.kinks_s.size} corners; speed -3 dB at {band[1]:.3g} to {band[0]:.3g} Hz; "
+        f"local quintic over {2 * half_s[0]:.3g} s (fastest half-cycle) to {2 * half_s[1]:.3g} s (slowest){across}; "
+        f"speed -3 dB at {band[1]:.3g} to {band[0]:.3g} Hz; "
         f"reversals by {threshold:.3g} mm hysteresis, placed by a quartic"
     )
     unsure = _unsure(time, turn_s, start, curve.velocity_sd, along * curve.velocity)
+    for first, last in blind_stretches(recording, start, along * speed, noise):
+        unsure[first:last] = True
     return Motion(displacement, speed, start, turning, direction, unsure=unsure, method=method, noise_mm=noise)
 
 
@@ -93,6 +97,31 @@ def _unsure(
         limit = max(reach * step, step)
         out |= np.abs(time - moment) <= min(max(spread, step), limit)
     return out
+
+
+def blind_stretches(
+    recording: Recording, start: IntArray, velocity_mm_s: FloatArray, noise_mm: float
+) -> list[tuple[int, int]]:
+    """Find the samples, from one up to another, before which the device may have turned unseen in a gap in time.
+
+    The law goes on from the last reversal, and where that lies in a gap its force is wrong until the device has slid a
+    whole half-cycle: up to the second reversal that was seen, such samples would tell of the gap, not of the device.
+    A device that did not move in a gap rested. One that moved as far as it can have, at the largest speed of the
+    recording, or as far as its velocities before and after the gap say, went straight on. The rest may have turned.
+    """
+    time, x = recording.time_s, recording.displacement_mm
+    gaps = np.flatnonzero(recording.restarts[1:])
+    least = max(limits.REVERSAL_NOISE * noise_mm, limits.REVERSAL_RANGE * float(np.ptp(x)))
+    moved, lasted = x[gaps + 1] - x[gaps], time[gaps + 1] - time[gaps]
+    spare = float(np.max(np.abs(velocity_mm_s))) * lasted - np.abs(moved)
+    straight = 0.5 * (velocity_mm_s[gaps] + velocity_mm_s[gaps + 1]) * lasted
+    stretches = []
+    for before in gaps[(np.abs(moved) > least) & (spare > 2 * least) & (np.abs(moved - straight) > least)].tolist():
+        later = start[1:-1][start[1:-1] > before + 1]
+        # A turn at the edge itself is what the gap looks like, not a reversal that was seen.
+        later = later[np.cumsum(np.abs(x[later] - x[before + 1]) > least) > 0]
+        stretches.append((before + 1, int(later[1]) if later.size > 1 else time.size))
+    return stretches
 
 
 def _boundaries(time: FloatArray, turn_s: FloatArray) -> IntArray:

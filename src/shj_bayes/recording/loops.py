@@ -3,6 +3,7 @@
 import numpy as np
 
 from shj_bayes.recording import limits
+from shj_bayes.recording.kinematics import blind_stretches
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.recording import Finding, FloatArray, Recording
@@ -126,6 +127,17 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
             f"{limits.FEW_HALF_CYCLES} to see a change from cycle to cycle; record more cycles"
         )
         findings.append(Finding("few-cycles", "unusable" if severe else "warning", message))
+    blind = blind_stretches(
+        recording, motion.start, motion.direction[motion.half_cycle] * motion.speed_mm_s, motion.noise_mm
+    )
+    if blind:
+        count = len({sample for first, last in blind for sample in range(first, last)})
+        message = (
+            f"the device may have turned unseen in {len(blind)} gap{'s' if len(blind) > 1 else ''} in time, first "
+            f"before {recording.time_s[blind[0][0]]:.6g} s; {count} samples, up to the second reversal after each, are "
+            "not used as evidence; export the test without the gap, or the parts as files of their own"
+        )
+        findings.append(Finding("gap-turns", "warning", message, count))
     per_half = recording.n_samples / motion.n_half
     if per_half < limits.MIN_SAMPLES_PER_HALF_CYCLE:
         message = (

@@ -1,7 +1,7 @@
 """Is it plausible: units that nobody stated, and which of two columns is the displacement.
 
-No check can find a wrong unit that gives a usual size, so these refuse only where nobody said what the file holds, and
-saying it settles the matter.
+No check can find a wrong unit that gives a usual size, so these refuse only where nobody said what the file holds, warn
+where the file alone says it, and an option that says it settles the matter.
 """
 
 import shlex
@@ -40,9 +40,17 @@ def plausibility_findings(
             message = (
                 f"nobody stated the unit of the {role}, and {words.format(value)} is unusual in {TARGET[role]} (usual "
                 f"is {low:g} to {high:g} {unit}); state it: --units {role}={TARGET[role]} if it is right, else the "
-                f"unit that is{_usual(role, value, low, high)}"
+                f"unit that is{_usual(role, value, low, high, TARGET[role])}"
             )
             findings.append(Finding("unit-unlikely", "unusable", message))
+        elif role in channels.told and (value > high or (role != "time" and value < low)):
+            told = channels.units[role]
+            message = (
+                f"the file says {told} for the {role}, and {words.format(value)} is unusual (usual is {low:g} to "
+                f"{high:g} {unit}); state it: --units {role}={told} if it is right, else the unit that is"
+                f"{_usual(role, value, low, high, told)}"
+            )
+            findings.append(Finding("unit-unusual", "warning", message))
     if "time" not in channels.assumed and speed < limits.ASSUMED_SPEED_MM_S[0] and duration > limits.LONG_TEST_S:
         message = (
             f"the test lasts {duration / 3600:.3g} h at a mean speed of {speed:.2g} mm/s; if the times are "
@@ -52,10 +60,11 @@ def plausibility_findings(
     return findings + _swapped(channels, displacement_mm, force_kN)
 
 
-def _usual(role: Role, value: float, low: float, high: float) -> str:
-    """Name the other units in which a size would be usual; a speed is the smaller, the longer the unit of time."""
+def _usual(role: Role, value: float, low: float, high: float, read: str) -> str:
+    """Name the units in which a size `read` in one would be usual; a speed is the smaller, the longer that of time."""
     power = -1 if role == "time" else 1
-    fit = [name for name in _OTHERS[role] if low <= value * factor(name, role) ** power <= high]
+    own = value / factor(read, role) ** power
+    fit = [name for name in (TARGET[role], *_OTHERS[role]) if low <= own * factor(name, role) ** power <= high]
     return f" (it would be usual in {' or '.join(fit)})" if fit else ""
 
 

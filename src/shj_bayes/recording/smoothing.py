@@ -255,11 +255,13 @@ def find_kinks(grid: Grid, half: int, allowed: float, count: float = 0.0) -> np.
     least = max(allowed / 0.1875, 0.5 * count * float(np.sum(np.abs(kernel))))
     z = np.where(np.abs(inside) > least, np.abs(inside) / scale, 0.0)
     found: list[int] = []
+    near = np.zeros(z.size, dtype=np.bool_)  # within half a window of a corner that stands out more
     for index in np.argsort(-z)[: max(1, 40 * z.size // half)]:
         if z[index] < KINK_Z:
             break
-        if all(abs(index - other) > half for other in found):
+        if not near[index]:
             found.append(int(index))
+            near[max(0, index - half) : index + half + 1] = True
     return np.array(sorted(found), dtype=np.int64) + half
 
 

@@ -25,6 +25,7 @@ def render_diagnosis(folder: Path) -> Path:
         content = {
             "name": str(data.record.get("device") or "Device"),
             "data": data,
+            "force": data.force,
             "record": data.record,
             "say": say,
             "changed": data.channels.changed,

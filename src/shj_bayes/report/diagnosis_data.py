@@ -14,6 +14,7 @@ from shj_bayes.errors import ReportError, shown
 from shj_bayes.mismatch.schema import READ, Verdict
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.data import BoolArray, IntArray
+from shj_bayes.report.force_unit import ForceUnit, unit_for
 
 KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
@@ -67,6 +68,11 @@ class DiagnosisData:
         """Sliding force of the base law, kN; from the measured force where the record does not say."""
         stated = number(self.record.get("fy_kN"))
         return stated if stated > 0 else float(np.quantile(np.abs(self.channels.force_kN), 0.9)) or 1.0
+
+    @property
+    def force(self) -> ForceUnit:
+        """Unit in which the page shows forces."""
+        return unit_for(self.capacity_kN)
 
 
 def number(value: Any) -> float:

@@ -58,7 +58,7 @@ def _loops(data: DiagnosisData) -> list[dict[str, Any]]:
         at = shown_cycle(c, int(run))
         after = c.after_kN[at] if c.changed else None
         errors = [float(np.sqrt(np.mean(np.square(r[at])))) for r in c.residuals]
-        address = draw_.loop(c.position_mm[at], c.force_kN[at], c.before_kN[at], after)
+        address = draw_.loop(c.position_mm[at], c.force_kN[at], c.before_kN[at], after, data.force)
         out.append({"address": address, "run": run, "errors": errors})
     return out
 
@@ -70,14 +70,14 @@ def _profile(data: DiagnosisData, name: str, title: str, axis: str) -> dict[str,
     sides = [profile(values, r, c.direction, c.used, bins) for r in c.residuals]
     parts = [("before", sides[0]), ("after", sides[1])] if c.changed else [("", sides[0])]
     largest = [float(np.nanmax(np.abs([p.push_kN, p.pull_kN]), initial=0.0)) for p in sides]
-    address = draw_.profiles(parts, axis, data.capacity_kN)
+    address = draw_.profiles(parts, axis, data.capacity_kN, data.force)
     return {"address": address, "title": title, "axis": axis.partition(" (")[0], "largest": largest}
 
 
 def _map(data: DiagnosisData) -> str:
     c = data.channels
     before, after = (position_travel(c, r) for r in c.residuals)
-    return draw_.maps([("before", before), ("after", after)] if c.changed else [("", before)])
+    return draw_.maps([("before", before), ("after", after)] if c.changed else [("", before)], data.force)
 
 
 def _energy(data: DiagnosisData) -> dict[str, Any] | None:
@@ -102,4 +102,4 @@ def _shape(data: DiagnosisData) -> dict[str, str] | None:
     # Along the motion, as everywhere on the page: the record keeps the sign of the force. The axis carries the unit.
     named = [(name.removesuffix("_kN"), values) for name, values in rest]
     along = [(name, -values if name == "pull" else values) for name, values in named]
-    return {"address": draw_.shape(at, along, coordinate), "coordinate": coordinate}
+    return {"address": draw_.shape(at, along, coordinate, data.force), "coordinate": coordinate}

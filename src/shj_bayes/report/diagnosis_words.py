@@ -17,7 +17,7 @@ from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
-from shj_bayes.report.force_unit import unit_for
+from shj_bayes.report.force_unit import ForceUnit, unit_for
 from shj_bayes.report.residual_file import FEWEST_CYCLES
 
 # Word and sign first; the colour only repeats them.
@@ -233,12 +233,12 @@ def size_words(data: DiagnosisData) -> str:
     before, after = data.record["before"], data.record["after"]
     capacity = data.capacity_kN
     text = (
-        f"The base law misses the force by {words.short(number(before.get('rmse_kN')))} kN in root mean square "
+        f"The base law misses the force by {data.force.shown(number(before.get('rmse_kN')))} in root mean square "
         f"({per_cent(number(before.get('rmse_kN')) / capacity)} % of the sliding force)"
     )
     if not data.channels.changed:
         return f"{text}."
-    return f"{text}; with what was found, by {words.short(number(after.get('rmse_kN')))} kN."
+    return f"{text}; with what was found, by {data.force.shown(number(after.get('rmse_kN')))}."
 
 
 def p_words(p: Any) -> str:
@@ -259,7 +259,7 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     """Give the numbers of the first screen: parameters before and after, held-out error, chance."""
     out = []
     for name in ("gamma", "Fy"):
-        row = data.record["shift"].get(name)
+        row = shift_rows(data).get(name)
         if row is None:
             continue
         note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
@@ -267,14 +267,16 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
             said = dep(row["after"])
             note = f"{said[:1].upper()}{said[1:]}." if name == "gamma" else f"Spread {spread(row['after'])}."
         title = f"{name}: {meaning_of(name).meaning}"
-        out.append(_card(title, value(row["before"]), value(row["after"]), unit(name), note))
-    before, after = (number(data.record[k].get("heldout_rmse_kN")) for k in ("before", "after"))
-    floor = words.short(number(data.record["after"].get("noise_kN")))
+        out.append(_card(title, value(row["before"]), value(row["after"]), row["unit"], note))
+    before, after = (
+        words.short(number(data.record[k].get("heldout_rmse_kN")) * data.force.factor) for k in ("before", "after")
+    )
+    floor = data.force.shown(number(data.record["after"].get("noise_kN")))
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
     misfit = data.record["verdict"] == Verdict.UNKNOWN
-    noise = "This holds what no effect explains, beside the noise." if misfit else f"Noise: {floor} kN."
+    noise = "This holds what no effect explains, beside the noise." if misfit else f"Noise: {floor}."
     noise += worse_words(data.record)
-    out.append(_card("Error on cycles that were held out", words.short(before), words.short(after), "kN", noise))
+    out.append(_card("Error on cycles that were held out", before, after, data.force.name, noise))
     if not data.channels.changed:
         out = [card | {"before": ""} for card in out]
     if chance := chance_words(data.record):
@@ -288,12 +290,27 @@ def effect_size(data: DiagnosisData, effect: Mapping[str, Any]) -> str:
     whole = number((data.record["shift"].get("Fy") or {}).get("after", {}).get("mean"))
     whole = whole if data.channels.changed and whole > 0 else data.capacity_kN
     known = math.isfinite(number(effect.get("size_kN")))
-    return f"up to {of_sliding(effect['size_kN'], whole)}" if known else "not known"
+    return f"up to {of_sliding(effect['size_kN'], whole, data.force)}" if known else "not known"
 
 
-def of_sliding(kN: Any, whole: float) -> str:
+def of_sliding(kN: Any, whole: float, force: ForceUnit) -> str:
     """Return a force, and its part of the sliding force."""
-    return f"{words.short(number(kN))} kN, {per_cent(number(kN) / whole)} % of the sliding force"
+    return f"{force.shown(number(kN))}, {per_cent(number(kN) / whole)} % of the sliding force"
+
+
+def shift_rows(data: DiagnosisData) -> dict[str, dict[str, Any]]:
+    """Give unit, before and after of each parameter, in the units that are shown."""
+    return {
+        name: {"unit": data.force.of(unit(name))[0]}
+        | {stage: data.force.row({"unit": unit(name), **row[stage]}) for stage in ("before", "after")}
+        for name, row in data.record["shift"].items()
+    }
+
+
+def parameter_rows(data: DiagnosisData, effect: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Give the parameters of an effect in the units that are shown; an empty unit where it has none."""
+    units = {name: "" if row.get("unit") in (None, "1") else row["unit"] for name, row in effect["parameters"].items()}
+    return {name: data.force.row({**row, "unit": units[name]}) for name, row in effect["parameters"].items()}
 
 
 def span_words(where: Mapping[str, Any]) -> str:

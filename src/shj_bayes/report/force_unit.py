@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from shj_bayes.report.words import short
+
 SMALL_KN = 1.0
 
 
@@ -19,6 +21,10 @@ class ForceUnit:
         if unit.split("/", maxsplit=1)[0] != "kN":
             return unit, 1.0
         return self.name + unit[2:], self.factor
+
+    def shown(self, kN: float) -> str:
+        """Write a force of so many kN, with its unit."""
+        return f"{short(kN * self.factor)} {self.name}"
 
     def row(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Row of a parameter table in the unit that is shown."""

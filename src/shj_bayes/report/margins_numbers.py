@@ -5,7 +5,7 @@ from typing import Any
 
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.files import shown
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import sets_suffice
@@ -43,7 +43,12 @@ FACTORS = (
 )
 EQUIVALENTS = ("phi equivalent, first run", "phi equivalent, after a first earthquake", "phi_o equivalent")
 ENDS = ((5, LOW), (50, MIDDLE), (95, HIGH))
-SPREADS = ("device to device", "within a device", "model, V_delta")
+SPREADS = {  # kind of a margin: heading, factor
+    "device to device": ("device to device", 100.0),
+    "within a device": ("within a device", 100.0),
+    "model, V_delta": ("model", 100.0),
+    "model, b": ("measured / predicted", 1.0),
+}
 
 
 def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
@@ -63,7 +68,7 @@ def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": name_of(name),
-                "n": typical.n_devices if typical else 0,
+                "n": counted(sheet, name, typical),
                 "drift": own[DRIFT].value,
                 "capacity": own[CAPACITY].value,
                 "phi_o": own[EQUIVALENTS[-1]].value,
@@ -74,19 +79,26 @@ def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
     return rows
 
 
-def spread_table(sheet: Sheet) -> list[dict[str, Any]]:
-    """One row per tested set: per cent of the smallest plateau and of the largest force by where the width is from."""
-    rows = []
-    for name in tested_sets(sheet)[:MAX_SETS]:
-        cells = []
-        for quantity in ("least", "most"):
-            own = {
-                r.kind: r.value for r in sheet.rows if (r.set_name, r.quantity, r.method) == (name, quantity, SPREAD)
-            }
-            cells += [digits(100.0 * own[kind]) if kind in own else "-" for kind in SPREADS]
-            cells.append(digits(own["model, b"]) if "model, b" in own else "-")
-        rows.append({"name": name_of(name), "cells": cells})
-    return rows
+def spread_table(sheet: Sheet) -> dict[str, Any]:
+    """Per cent of the smallest plateau and of the largest force by where the width is from.
+
+    ``heads`` are those that a set has (published tables know nothing of the model), twice in the cells of each of the
+    ``rows``, one for each tested set.
+    """
+    own = {(r.set_name, r.quantity, r.kind): r.value for r in sheet.rows if r.method == SPREAD}
+    kinds = [kind for kind in SPREADS if any(kind == key[2] for key in own)]
+    rows = [
+        {
+            "name": name_of(name),
+            "cells": [
+                digits(SPREADS[kind][1] * own.get((name, quantity, kind), math.nan))
+                for quantity in ("least", "most")
+                for kind in kinds
+            ],
+        }
+        for name in tested_sets(sheet)[:MAX_SETS]
+    ]
+    return {"heads": [SPREADS[kind][0] for kind in kinds], "rows": rows}
 
 
 def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
@@ -94,15 +106,22 @@ def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     index = {row.key: row for row in sheet.rows}
     rows = []
     for name in shown_sets(sheet):
-        cells, degrees, n = [], math.nan, 0
+        cells, degrees, n = [], math.nan, counted(sheet, name, None)
         for kind, _, _ in TESTED:
             pair = [shown(index, name, quantity, kind, side) for side in (LOW, HIGH)]
             cells.append(tuple(digits(m.value) if m else "-" for m in pair))
             if pair[0]:
-                degrees, n = pair[0].degrees, pair[0].n_devices
+                degrees, n = pair[0].degrees, counted(sheet, name, pair[0])
         nu = f"{degrees:.0f}" if math.isfinite(degrees) else "-"
         rows.append({"name": name_of(name), "n": n, "nu": nu, "cells": cells})
     return rows
+
+
+def counted(sheet: Sheet, name: str, row: Margin | None) -> str:
+    """How many devices a margin of a set rests on; of a set never tested, how many sets."""
+    if name == ANY_SET:
+        return f"{len(tested_sets(sheet))} sets"
+    return str(row.n_devices if row else 0)
 
 
 def shown_sets(sheet: Sheet) -> list[str]:

@@ -55,13 +55,14 @@ def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
         channels = {
             "t": c.time_s[mine],
             "x": c.position_mm[mine],
-            "measured": c.force_kN[mine],
-            "before": c.before_kN[mine],
+            "measured": data.force.factor * c.force_kN[mine],
+            "before": data.force.factor * c.before_kN[mine],
         }
         if c.changed:
-            channels["after"] = c.after_kN[mine]
+            channels["after"] = data.force.factor * c.after_kN[mine]
         runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
-    return _whole(runs, {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}, "base")
+    names = {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}
+    return _whole(runs, names, "base") | {"unit": data.force.name}
 
 
 def thinning_words(viewer: Mapping[str, Any]) -> str:

@@ -14,11 +14,12 @@ from click.testing import CliRunner
 from shj_bayes.cli import main
 from shj_bayes.commands.design import margin_text
 from shj_bayes.margins.request import Request
-from shj_bayes.margins.row import LOW
+from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sheet import margins
+from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.results import write_population
 from shj_bayes.population.selectors import is_bare
-from shj_bayes.report.margins_numbers import set_table
+from shj_bayes.report.margins_numbers import counted, set_table
 
 LABEL = "=cmd|'<b>"
 
@@ -49,6 +50,25 @@ def test_margins_prints_a_table_and_writes_the_sheet(folder):
     assert "cmd|&#39;<b>" not in page
     for name in ("margins.csv", "margins.xlsx", "margins.json", "loops.csv"):
         assert (folder / name).stat().st_size > 1000
+
+
+def test_the_sheet_of_published_tables_has_no_empty_columns(folder):
+    """Tables know nothing of a model, so nothing is said of how well one follows."""
+    done = run("margins", folder)
+    assert done.exit_code == 0, done.output
+    page = (folder / "margins.html").read_text(encoding="utf-8")
+    assert "within a device" in page
+    assert "measured / predicted" not in page
+    widths = page.partition("standard deviation, %")[2].partition("</table>")[0]
+    assert '<td class="n">-</td>' not in widths
+
+
+def test_wide_limits_are_printed_without_exponents_and_sets_are_counted_as_sets(design, trials):
+    asked = Request(sets=("Zinc 70",))
+    sheet = margins(design, trials, asked)
+    wide = [replace(r, value=1e3 + r.value) if r.method == "EN 1990" and r.side == HIGH else r for r in sheet.rows]
+    assert not re.search(r"\de[+-]\d", margin_text(replace(sheet, rows=tuple(wide)), asked))
+    assert counted(sheet, ANY_SET, None) == f"{len(design.sets)} sets"
 
 
 def test_speeds_that_were_not_tested_are_refused(folder):

@@ -96,6 +96,17 @@ def test_a_small_sample_is_told_what_would_decide():
     assert "devices a side (if sets spread nearly alike)" in sentence
 
 
+def test_a_narrow_interval_is_given_with_the_digits_that_tell_its_ends_apart():
+    """Not a factor of anything from 1.00 to 1.00."""
+    points = ((80.0, 80.01, 80.02), (80.01, 80.02, 80.0))
+    narrow = known_population((80.0, 80.0), (1e-4, 1e-4), (BARE, ZINC), points)
+    fit = narrow.posteriors["Fy"]
+    level = np.log(80.0)
+    fits = {"Fy": replace(fit, mu=level + 0.02 * (fit.mu - level))}
+    narrow = replace(narrow, posteriors=fits, other_priors={"alike": fits})
+    assert "a factor of anything from 0.999 to 1.001" in compare(narrow, "s0", "s1").contrasts[0].sentence
+
+
 def test_table_holds_every_test(made):
     table = compare(made, "s0", "s1").to_table()
     wanted = {"welch_p", "behrens_fisher_p", "variance_p", "permutation_p", "arrangements", "holm_p", "power_edge"}

@@ -12,7 +12,7 @@ from shj_bayes.recording.noise import noise_of, resolution_of
 from shj_bayes.recording.protocol import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.reversals import hysteresis
-from shj_bayes.recording.smoothing import bandwidth, local_polynomial
+from shj_bayes.recording.smoothing import Grid, bandwidth, find_kinks, local_polynomial
 
 COUNT = 200.0 / 1024
 
@@ -66,7 +66,7 @@ def test_counts_that_lie_evenly_about_a_top_are_no_corner():
     for place in np.linspace(0.0, count, 8, endpoint=False):
         x = np.round((exact.displacement_mm + place) / count) * count - place
         motion = motion_of(Recording(t, x, np.zeros(t.size)))
-        assert "across 0 corners" in motion.method
+        assert "corner" not in motion.method
         assert np.abs(motion.turning_mm - exact.turning_mm)[1:].max() < 0.5 * count
 
 
@@ -261,3 +261,20 @@ def test_turning_times_are_right_to_a_sample(rate_Hz: float) -> None:
     found = motion_of(Recording(time_s, exact.displacement_mm, np.sign(exact.displacement_mm)))
     assert np.abs(found.start - exact.start).max() <= 1
     assert np.abs(found.turning_mm - exact.turning_mm).max() < 2e-4
+
+
+def test_corners_in_a_long_recording_cost_no_more_than_its_length():
+    """A zigzag of 25 000 corners, as of a recording resampled along straight lines: a second, not minutes.
+
+    The least of two runs, in processor time, so that a busy machine does not count.
+    """
+    n, half = 1_000_000, 10
+    grid = Grid(np.arange(n) * 1e-3, np.interp(np.arange(n) % 80, [0, 40, 80], [0.0, 1.0, 0.0]), 1e-3, 1e-4)
+    spent = []
+    for _ in range(2):
+        begin = time.process_time()
+        corners = find_kinks(grid, half, 1e-3)
+        spent.append(time.process_time() - begin)
+    np.testing.assert_array_equal(np.unique(np.diff(corners)), 40)
+    assert corners.size > 24_000
+    assert min(spent) < 5.0

@@ -252,6 +252,40 @@ def test_an_unlikely_unit_comes_with_those_that_would_be_usual(clean, tmp_path):
     assert said.endswith("(it would be usual in ms)")
 
 
+def test_an_unusual_size_in_a_unit_of_the_header_is_a_warning_until_an_option_states_it(clean, tmp_path):
+    t, x, f = arrays(clean)
+    path = tmp_path / "run.csv"
+    rows = np.column_stack([t, x, f])
+    for head, role, usual in (("time_ms,x_mm,F_kN", "time", "s or min"), ("time_s,x_mm,F_N", "force", "kN")):
+        np.savetxt(path, rows, header=head, delimiter=",", comments="")
+        read_as = {"columns": "displacement=2,force=3"}
+        (said,) = [g for g in read(path, **read_as).findings if g.code == "unit-unusual"]
+        assert said.severity == "warning"
+        assert said.message.endswith(f"(it would be usual in {usual})")
+        option = said.message.partition("--units ")[2].split()[0]
+        assert option.startswith(role)
+        assert "unit-unusual" not in {g.code for g in read(path, units=option, **read_as).findings}
+
+
+def test_after_a_gap_in_which_the_device_may_have_turned_samples_are_no_evidence(clean):
+    t, x, f = arrays(clean)
+    turns = t[clean.motion.start[1:-1]]
+    # From within one half-cycle to within the next but one: two reversals are gone.
+    lost = (t > 0.5 * (turns[30] + turns[31])) & (t < 0.5 * (turns[32] + turns[33]) - 1.0)
+    found, recording = run(t[~lost], x[~lost], f[~lost])
+    assert found["gap-turns"].severity == "warning"
+    motion = motion_of(recording)
+    first = int(np.flatnonzero(recording.restarts)[1])
+    last = first + found["gap-turns"].count
+    assert recording.time_s[last] == pytest.approx(turns[34], abs=0.2)
+    assert motion.unsure[first:last].all()
+    # Half a second on the way, and a pause of the logger while the device rests, hide no reversal.
+    on_the_way = (t > turns[30] + 2.0) & (t < turns[30] + 2.5)
+    assert "gap-turns" not in run(t[~on_the_way], x[~on_the_way], f[~on_the_way])[0]
+    later = t + 60.0 * (np.arange(t.size) >= clean.motion.start[31])
+    assert "gap-turns" not in run(later, x, f)[0]
+
+
 def test_offsets(clean):
     t, x, f = arrays(clean)
     assert {c: g.severity for c, g in run(t, x + 10, f + 15)[0].items()} == {

@@ -24,13 +24,16 @@ from shj_bayes.report.figures.canvas import (
     svg,
     tidy,
 )  # fmt: skip
+from shj_bayes.report.force_unit import KN, ForceUnit
 
 BASE, MORE = RED, BLUE  # the base law, the law with what was found
 # White in the middle; red and blue stay apart with every common form of colour blindness. Grey: not visited.
 MAP = mpl.colormaps["RdBu_r"].with_extremes(bad="#D9D9D9")
 
 
-def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None) -> str:
+def loop(
+    x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None, unit: ForceUnit = KN
+) -> str:
     """One cycle: measured points, base law, and the law with what was found (None where nothing was)."""
     figure, axes = sheet(NARROW, 3.9)
     axes.plot(x, measured, ".", color=INK, markersize=2.6, alpha=0.75, markeredgewidth=0, rasterized=True)
@@ -38,12 +41,12 @@ def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatAr
     axes.plot(x, before, color=BASE, linewidth=1.4, linestyle="--" if after is not None else "-", label="base law")
     if after is not None:
         axes.plot(x, after, color=MORE, linewidth=1.5, label="with what was found")
-    label(axes, "distance from mid-stroke (mm)", "force (kN)")
+    label(axes, "distance from mid-stroke (mm)", "force (kN)", unit)
     legend(axes, 3)
     return svg(figure)
 
 
-def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float) -> str:
+def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit = KN) -> str:
     """Mean direction-signed residual over one coordinate, panels side by side on the same axes."""
     figure, panels = _panels(len(parts), 2.9)
     reach = 1.12 * max(_reach(p.push_kN, p.pull_kN) for _, p in parts)
@@ -54,7 +57,7 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
             axes.plot(p.centre[seen], mean[seen], marker + "-", color=colour, markersize=3.8, linewidth=1.2, label=name)
         axes.set_ylim(-reach, reach)
         axes.set_title(title, fontsize=10, loc="right", color=INK)
-        label(axes, axis, "left over (kN)" if axes is panels[0] else "")
+        label(axes, axis, "left over (kN)" if axes is panels[0] else "", unit)
         legend(axes, 2)
     share = panels[-1].twinx()
     share.set_ylim(-100 * reach / capacity_kN, 100 * reach / capacity_kN)
@@ -64,24 +67,24 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
     return svg(figure)
 
 
-def maps(parts: Sequence[tuple[str, Map]]) -> str:
+def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit = KN) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
     figure, panels = _panels(2 * len(parts), 3.6)
     sides = np.concatenate([side for _, m in parts for side in (m.push_kN, m.pull_kN)], axis=None)
-    reach = float(np.nanquantile(np.abs(sides), 0.99)) or 1.0
+    reach = unit.factor * float(np.nanquantile(np.abs(sides), 0.99)) or 1.0
     scale, image = Normalize(-reach, reach), None
     for k, (title, m) in enumerate(parts):
         for j, (values, name) in enumerate(((m.push_kN, "push"), (m.pull_kN, "pull"))):
             axes = panels[2 * k + j]
             axes.grid(visible=False)
-            shown = np.ma.masked_invalid(values)
+            shown = np.ma.masked_invalid(unit.factor * values)
             image = axes.pcolormesh(m.position_mm, m.travel_m, shown, cmap=MAP, norm=scale, rasterized=True)
             axes.set_title(f"{title}, {name}" if title else name, fontsize=10, color=INK)
             axes.set_xlabel("position (mm)", fontsize=10, color=INK)
     panels[0].set_ylabel("travel (m)", fontsize=10.5, color=INK)
     if image is not None:
         bar = figure.colorbar(image, ax=panels, aspect=28, pad=0.01, extend="both")
-        bar.set_label("left over (kN)", fontsize=10, color=INK)
+        bar.set_label(f"left over ({unit.name})", fontsize=10, color=INK)
         bar.ax.tick_params(labelsize=9)
     return svg(figure)
 
@@ -124,13 +127,13 @@ def curve(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, a
     return svg(figure)
 
 
-def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str) -> str:
+def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, unit: ForceUnit = KN) -> str:
     """Shape of what no effect explains."""
     figure, axes = sheet(WIDE, 2.9)
     axes.axhline(0, color=INK, linewidth=0.8)
     for (name, values), colour, marker in zip(columns, (BLUE, RED, ORANGE, GREY), "os^D", strict=False):
         axes.plot(x, values, marker + "-", color=colour, markersize=4, linewidth=1.2, label=_plain(name))
-    label(axes, _plain(axis), "left over (kN)")
+    label(axes, _plain(axis), "left over (kN)", unit)
     legend(axes, 4)
     return svg(figure)
 
