@@ -146,10 +146,10 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
 def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:
     """Split the probability of a hypothesis: a class far smaller than the largest may be what that one's form misses.
 
-    What a form misses is a share of its size, half-normal and within 1 - `EXPLAINED` with 95 %; a class by itself has
-    the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the densities at the size
-    that was found decide. What a form of the capacity misses turns its sign with the motion, what one of an added force
-    misses does not: neither looks like the other.
+    What a form misses is a share of its size, half-normal with standard deviation 1 - `EXPLAINED`; a class by itself
+    has the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the densities at the
+    size that was found decide. What a form of the capacity misses turns its sign with the motion, what one of an added
+    force misses does not: neither looks like the other.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
         larger = [other for other, acts, _ in found[:place] if action == acts or MOTION in (action, acts)]
         by_itself, missed = float(lognorm.pdf(size, SPREAD, scale=TYPICAL)), 0.0
         if larger:
-            missed = float(halfnorm.pdf(size, scale=0.5 * (1.0 - EXPLAINED) * larger[0]))
+            missed = float(halfnorm.pdf(size, scale=(1.0 - EXPLAINED) * larger[0]))
         there = by_itself / (by_itself + missed)
         split = {own | {name}: p * there for own, p in shares.items()}
         shares = split if there == 1.0 else split | {own: p * (1.0 - there) for own, p in shares.items()}

@@ -57,7 +57,7 @@ def test_a_class_matters_when_the_upper_limit_of_its_size_does(search):
 
 
 def test_a_small_class_beside_a_large_one_may_be_what_the_form_of_that_one_misses(search, monkeypatch):
-    sizes = {"delay": 0.1, "wear": 0.012, "taper": 0.04}
+    sizes = {"delay": 0.1, "wear": 0.012, "taper": 0.08}
     monkeypatch.setattr(findings, "size_of", lambda out, h, place: sizes[h.members[place].of.id])
     both = _hypothesis("delay", "wear", "taper")
     shares = findings.truly_there(search, both, both.key)
@@ -65,7 +65,7 @@ def test_a_small_class_beside_a_large_one_may_be_what_the_form_of_that_one_misse
     with_wear = sum(p for key, p in shares.items() if "wear" in key)
     with_taper = sum(p for key, p in shares.items() if "taper" in key)
     assert with_wear < 0.5  # an eighth of the delay: within what a formula of it may miss
-    assert with_taper > 0.99
+    assert with_taper > 0.95
     assert all("delay" in key for key in shares)
     assert findings.truly_there(search, both, frozenset({"wear"})) == {frozenset({"wear"}): 1.0}
     assert findings.truly_there(search, both, frozenset()) == {frozenset(): 1.0}
