@@ -208,7 +208,7 @@ def _behind(sheet: Sheet, name: str) -> str:
 def first_words(sheet: Sheet, name: str) -> str:
     """Give the one number for drift and the one for capacity design of a set."""
     own = {row.kind: row.value for row in sheet.rows if row.set_name == name}
-    return f"{DRIFT}: {own[DRIFT]:.3g} kN; {CAPACITY}: {own[CAPACITY]:.3g} kN"
+    return f"{DRIFT}: {digits(own[DRIFT])} kN; {CAPACITY}: {digits(own[CAPACITY])} kN"
 
 
 def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
@@ -217,7 +217,7 @@ def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
     def value(kind: str) -> str:
         if kind not in own:
             return "-"
-        return f"{own[kind].value:.3g}" + (f" ({own[kind].warning})" if own[kind].warning else "")
+        return digits(own[kind].value) + (f" ({own[kind].warning})" if own[kind].warning else "")
 
     return [
         f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "

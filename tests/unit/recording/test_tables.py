@@ -4,6 +4,7 @@ import json
 import os
 import re
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -15,7 +16,7 @@ from nptdms import ChannelObject, TdmsWriter
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import records, text
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.tables import read_table
+from shj_bayes.recording.tables import FORMATS, read_table
 
 HEAD = "time_s,displacement_mm,force_kN"
 
@@ -369,3 +370,9 @@ def test_mat_objects_are_never_loaded(tmp_path):
     scipy.io.savemat(path, {"cells": np.array([[1, "a"]], dtype=object), "s": {"t": np.arange(5.0)}})
     with pytest.raises(RecordingError, match="no column of numbers"):
         read_table(path)
+
+
+def test_the_documents_list_every_ending():
+    page = (Path(__file__).resolve().parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")
+    table = page.partition("## Formats")[2].partition("\n## ")[0]
+    assert [ending for ending in FORMATS if f"`{ending}`" not in table] == []
