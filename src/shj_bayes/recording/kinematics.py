@@ -1,6 +1,7 @@
 """From measured displacement to what the law needs: half-cycles, turning points and speed."""
 
 import weakref
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,9 +70,10 @@ def _motion(recording: Recording) -> Motion:
         f"reversals by {threshold:.3g} mm hysteresis, placed by a quartic"
     )
     unsure = _unsure(time, turn_s, start, curve.velocity_sd, along * curve.velocity)
-    for first, last in blind_stretches(recording, start, along * speed, noise):
+    motion = Motion(displacement, speed, start, turning, direction, unsure=unsure, method=method, noise_mm=noise)
+    for first, last in blind_stretches(recording, motion):
         unsure[first:last] = True
-    return Motion(displacement, speed, start, turning, direction, unsure=unsure, method=method, noise_mm=noise)
+    return replace(motion, unsure=unsure)
 
 
 def _unsure(
@@ -99,24 +101,28 @@ def _unsure(
     return out
 
 
-def blind_stretches(
-    recording: Recording, start: IntArray, velocity_mm_s: FloatArray, noise_mm: float
-) -> list[tuple[int, int]]:
+def blind_stretches(recording: Recording, motion: Motion) -> list[tuple[int, int]]:
     """Find the samples, from one up to another, before which the device may have turned unseen in a gap in time.
 
     The law goes on from the last reversal, and where that lies in a gap its force is wrong until the device has slid a
     whole half-cycle: up to the second reversal that was seen, such samples would tell of the gap, not of the device.
-    A device that did not move in a gap rested. One that moved as far as it can have, at the largest speed of the
-    recording, or as far as its velocities before and after the gap say, went straight on. The rest may have turned.
+    A device that did not move in a gap rested. It went straight on where the largest speed of the recording took it no
+    farther, or where it moved the same way before, in and after the gap and either that is too short for a half-cycle
+    (to turn unseen and be on the same way again takes a whole one) or it moved as far as its speeds before and after
+    say, to `GAP_WAY`.
     """
-    time, x = recording.time_s, recording.displacement_mm
+    time, x, start = recording.time_s, recording.displacement_mm, motion.start
     gaps = np.flatnonzero(recording.restarts[1:])
-    least = max(limits.REVERSAL_NOISE * noise_mm, limits.REVERSAL_RANGE * float(np.ptp(x)))
+    least = max(limits.REVERSAL_NOISE * motion.noise_mm, limits.REVERSAL_RANGE * float(np.ptp(x)))
     moved, lasted = x[gaps + 1] - x[gaps], time[gaps + 1] - time[gaps]
-    spare = float(np.max(np.abs(velocity_mm_s))) * lasted - np.abs(moved)
-    straight = 0.5 * (velocity_mm_s[gaps] + velocity_mm_s[gaps + 1]) * lasted
+    spare = float(np.max(motion.speed_mm_s)) * lasted - np.abs(moved)
+    way = motion.direction[motion.half_cycle]
+    same = (way[gaps] == way[gaps + 1]) & (way[gaps] == np.sign(moved))
+    short = lasted < float(np.min(np.diff(time[start[1:-1]]), initial=recording.duration_s))
+    even = 0.5 * lasted * (motion.speed_mm_s[gaps] + motion.speed_mm_s[gaps + 1])
+    on = same & (short | (np.abs(np.abs(moved) - even) < limits.GAP_WAY * np.abs(moved) + least))
     stretches = []
-    for before in gaps[(np.abs(moved) > least) & (spare > 2 * least) & (np.abs(moved - straight) > least)].tolist():
+    for before in gaps[(np.abs(moved) > least) & (spare > 2 * least) & ~on].tolist():
         later = start[1:-1][start[1:-1] > before + 1]
         # A turn at the edge itself is what the gap looks like, not a reversal that was seen.
         later = later[np.cumsum(np.abs(x[later] - x[before + 1]) > least) > 0]

@@ -127,9 +127,7 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
             f"{limits.FEW_HALF_CYCLES} to see a change from cycle to cycle; record more cycles"
         )
         findings.append(Finding("few-cycles", "unusable" if severe else "warning", message))
-    blind = blind_stretches(
-        recording, motion.start, motion.direction[motion.half_cycle] * motion.speed_mm_s, motion.noise_mm
-    )
+    blind = blind_stretches(recording, motion)
     if blind:
         count = len({sample for first, last in blind for sample in range(first, last)})
         message = (
