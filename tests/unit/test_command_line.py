@@ -51,6 +51,11 @@ def test_help_answers_at_once_and_names_the_commands():
     assert "numba" not in set(sys.modules) - before
 
 
+def test_the_command_runs_as_a_module():
+    out = subprocess.run([sys.executable, "-m", "shj_bayes", "--version"], capture_output=True, text=True, check=True)
+    assert out.stdout.startswith("shj-bayes, version")
+
+
 def test_help_imports_nothing_heavy():
     code = "import sys, shj_bayes.cli; print([m for m in ('numba', 'scipy', 'pandas', 'arviz') if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -188,8 +188,8 @@ def _advance(density: Density, proposal: Proposal, stop: Event, state: EnsembleS
 
     def evaluate(z: FloatArray) -> FloatArray:
         nonlocal failed
-        if stop.is_set():
-            raise InferenceError("sampling was stopped")
+        if stop.is_set():  # nothing is accepted any more; emcee would print what is raised here
+            return np.full(len(z), -np.inf)
         value = density.log_posterior_free(z)
         failed += int(np.count_nonzero(~np.isfinite(value)))
         return value
@@ -198,6 +198,8 @@ def _advance(density: Density, proposal: Proposal, stop: Event, state: EnsembleS
     sampler = emcee.EnsembleSampler(n_walkers, d, evaluate, moves=moves(proposal), vectorize=True)
     begin = emcee.State(state.chain[-1], log_prob=state.log_posterior[-1], random_state=state.random_state)
     end = sampler.run_mcmc(begin, n_steps, skip_initial_state_check=True)
+    if stop.is_set():
+        raise InferenceError("sampling was stopped")
     return EnsembleState(
         np.concatenate([state.chain, sampler.get_chain()]),
         np.concatenate([state.log_posterior, sampler.get_log_prob()]),
