@@ -26,7 +26,7 @@ ROOMS = (
     "report",
     "commands",
 )
-FACE = ("api", "cli")
+FACE = ("__main__", "api", "cli")
 EXPLAINED = ("_util", "recording", "model", "inference")
 DOOR = PACKAGE / "commands" / "validation.py"  # alone leads to what validates
 

@@ -257,7 +257,7 @@ def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_pat
         assert "--force" in refused.output
     assert (tmp_path / "fit.json").read_bytes() == before
     assert run("fit", first, "-o", tmp_path, "--name", "renamed", "--max-steps", 200, "--quiet").exit_code == 0
-    assert run("fit", second, "-o", tmp_path, "--force", "--max-steps", 200, "--quiet").exit_code == 0
+    assert run("fit", second, "-o", tmp_path, "--force", "--max-steps", 400, "--quiet").exit_code == 0
     assert json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))["device"] == "run2"
 
 

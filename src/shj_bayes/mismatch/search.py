@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from shj_bayes.inference.squares import start_values
 from shj_bayes.mismatch.class_id import ClassId
@@ -325,7 +325,7 @@ class Search:
             return {}
         mean, sd = zero_of(h.metric, h.state)
         limit = MATTERS * self.scene.scale_kN
-        off = float(norm.sf(limit, mean, sd) + norm.cdf(-limit, mean, sd))
+        off = float(ndtr((mean - limit) / sd) + ndtr((-limit - mean) / sd))
         if off < DOUBT:
             return {}
         self.metric = h.metric
