@@ -234,6 +234,8 @@ def test_targets_are_met_and_missed_as_counted():
     rows += [quiet | {"outcome": "false alarm", "coverage": covered, "verdict": "named"} for _ in range(6)]
     wrong = named | {"outcome": "wrong", "coverage": covered, "found": ["drift"], "coordinate_right": False}
     rows += [wrong | {"stated": [{"of": "coordinate", "probability": 0.94, "true": False}]} for _ in range(25)]
+    by_rate = summarise(rows)["false_alarms"]["by_rate"]
+    assert {word: (one["hits"], one["n"]) for word, one in by_rate.items()} == {"20 Hz": (6, 86)}
     bad = {t["words"]: t["verdict"] for t in summarise(rows)["targets"]}
     assert bad["false alarms, of devices with nothing concealed"] == "NOT MET"
     assert bad["upper 95 % limit of that rate"] == "NOT MET"

@@ -95,8 +95,11 @@ def _word(row: Row) -> str:
 
 
 def _by(rows: Sequence[Row], name: str, hit: Callable[[Row], bool]) -> dict[str, dict[str, float]]:
-    groups = sorted({str(row[name]) for row in rows})
-    return {g: rate(sum(hit(r) for r in rows if r[name] == g), sum(r[name] == g for r in rows)) for g in groups}
+    groups: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda r: r[name]):
+        value = row[name]
+        groups.setdefault(f"{value:g} Hz" if isinstance(value, float) else str(value), []).append(row)
+    return {word: rate(sum(map(hit, own)), len(own)) for word, own in groups.items()}
 
 
 def _right_of_detected(rows: Sequence[Row]) -> dict[str, float]:
@@ -260,7 +263,7 @@ def _calibrated(bins: Sequence[dict[str, Any]], of: str) -> tuple[str, str, str,
     """Largest difference between stated and observed, over the bins that hold enough."""
     full = [one for one in bins if one["true"]["n"] >= IN_BIN]
     off = max((abs(one["stated"] - one["true"]["share"]) for one in full), default=None)
-    value = "none" if off is None else f"off by {100 * off:.1f} points in {len(full)} bins"
+    value = "none" if off is None else f"off by {100 * off:.1f} points at most ({len(full)} of {len(bins)} bins)"
     words = f"stated probability of a {of}, bins with {IN_BIN} or more"
     return words, value, f"<= {100 * CALIBRATION:.0f} points", off is not None and off <= CALIBRATION
 
