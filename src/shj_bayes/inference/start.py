@@ -1,6 +1,6 @@
 """Where the walkers start: the most probable parameters (MAP) and the curvature there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -17,6 +17,7 @@ from shj_bayes.model.noise.filter import log_density
 from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
+FAR = 1e12  # in the place of a negative log density that is none
 N_DESCENTS = 3  # laws of the grid that are improved
 CHUNK = 16  # parameter sets evaluated in one call
 
@@ -166,17 +167,26 @@ def _roughened(posterior: Posterior, z: FloatArray) -> tuple[Posterior, FloatArr
     held = [posterior.residual_and_slope(law, run) for run in range(1, model.n_runs + 1)]
 
     def negative(u: FloatArray) -> float:
-        if np.any(np.abs(u) > 8.0):
-            return 1e12
         noise = model.noise_values(model.natural(np.append(z[: model.n_law], u[:-1])[None]))
         parts = zip(held, posterior.rougher(ROUGHER * float(u[-1])).averages, strict=True)
         likely = [log_density(model.noise, noise, *pair, part.timing).sum() for pair, part in parts]
-        value = 0.5 * float(u @ u) - float(np.sum(likely))
-        return value if np.isfinite(value) else 1e12
+        return 0.5 * float(u @ u) - float(np.sum(likely))
 
-    first = np.append(z[model.n_law :], 0.0)
-    found = minimize(negative, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
-    return posterior.rougher(ROUGHER * float(found.x[-1])), np.append(z[: model.n_law], found.x[:-1])
+    found = most_probable_noise(negative, [np.append(z[model.n_law :], 0.0)], 8.0)
+    return posterior.rougher(ROUGHER * float(found[-1])), np.append(z[: model.n_law], found[:-1])
+
+
+def most_probable_noise(
+    negative: Callable[[FloatArray], float], firsts: Sequence[FloatArray], limit: FloatArray | float
+) -> FloatArray:
+    """Where a negative log density of the noise is least within +-`limit`, from the best of some points, shape (p,)."""
+
+    def within(u: FloatArray) -> float:
+        value = negative(u) if np.all(np.abs(u) <= limit) else np.inf
+        return value if np.isfinite(value) else FAR
+
+    first = min(firsts, key=within) if len(firsts) > 1 else firsts[0]
+    return np.asarray(minimize(within, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3}).x)
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.optimize import minimize
 
 from shj_bayes.inference.squares import orthogonal_to
+from shj_bayes.inference.start import most_probable_noise
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
@@ -166,21 +166,16 @@ def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSett
         return NoiseSetting(tuple(u[:-2].tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
 
     def negative(u: FloatArray) -> float:
-        if np.any(np.abs(u[:-2]) > 8.0) or abs(u[-2]) > 6.0 or abs(u[-1]) > 4.0:
-            return 1e12
         metric = Metric(scene, setting(u), state.slope)
-        value = log_evidence(metric, metric.products(wide))
-        return -value if math.isfinite(value) else 1e12
+        return -log_evidence(metric, metric.products(wide))
 
     if start is None:
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law.name, scene)] for law in laws]
-        points = [np.array([*point, 0.0, 0.0]) for point in product(*grids)]
-        first = min(points, key=negative)
+        firsts = [np.array([*point, 0.0, 0.0]) for point in product(*grids)]
     else:
-        first = np.array([*start.z, math.log(start.model_error_kN / unit), start.at_rest])
-    found = minimize(negative, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
-    return setting(found.x)
+        firsts = [np.array([*start.z, math.log(start.model_error_kN / unit), start.at_rest])]
+    return setting(most_probable_noise(negative, firsts, np.append(np.full(firsts[0].size - 2, 8.0), [6.0, 4.0])))
 
 
 def _grid(name: str, scene: Scene) -> tuple[float, ...]:

@@ -125,21 +125,34 @@ def _fill_in_series(out, x, origin, reset, sense, law, caps, knee, parts, work):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def gone_further(distance, start):  # type: ignore[no-untyped-def]
+    """Distance beyond the furthest point of each half-cycle so far, at each of its samples.
+
+    Nothing else counts as motion: the noise of a displacement at rest goes to and fro, and its ways forth would add up
+    to any distance.
+    """
+    out = np.zeros(distance.size)
+    for k in range(start.size - 1):
+        furthest = 0.0
+        for i in range(start[k], start[k + 1]):
+            out[i] = max(distance[i] - furthest, 0.0)
+            furthest += out[i]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def limit_rise(clamping, travel, start, slope):  # type: ignore[no-untyped-def]
     """Keep the capacity from rising faster than the elastic stiffness can follow: `slope` per unit of travel.
 
     A capacity that recovers makes no force without motion. Without this a pause in which the plates cool looked like a
     force that grows at rest, and friction that rises as the speed falls came back at full height within the last
     hundredth of a millimetre of a stroke, from where the next one then started. The other direction has a capacity of
-    its own, so each half-cycle begins anew. Only what goes beyond the furthest point of the stroke counts as motion:
-    the noise of a displacement at rest goes to and fro, and its ways forth add up to any distance.
+    its own, so each half-cycle begins anew.
     """
+    gone = gone_further(travel, start)
     for k in range(start.size - 1):
-        furthest = travel[start[k]]
         for i in range(start[k] + 1, start[k + 1]):
-            gone = max(travel[i] - furthest, 0.0)
-            furthest += gone
-            clamping[i] = min(clamping[i], clamping[i - 1] + slope * gone)
+            clamping[i] = min(clamping[i], clamping[i - 1] + slope * gone[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.effects.kernel import gone_further
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 
@@ -34,25 +35,12 @@ def slid_mm(history: History, base: Base) -> FloatArray:
     return np.asarray(_slid(history.slip_mm, motion.start, motion.turning_mm, motion.direction, base.K, base.Fy))
 
 
-@njit(cache=True)
-def _gone(slid, start):  # type: ignore[no-untyped-def]
-    """Distance beyond the furthest point of each half-cycle so far."""
-    out = np.zeros(slid.size)
-    for k in range(start.size - 1):
-        furthest = 0.0
-        for i in range(start[k], start[k + 1]):
-            out[i] = max(slid[i] - furthest, 0.0)
-            furthest += out[i]
-    return out
-
-
 def slid_since_mm(history: History, base: Base) -> FloatArray:
     """Distance slid since the sample before, shape (n_samples,), mm: what heats, wears and changes a contact.
 
-    Motion of the elastic branches is not sliding; in small cycles it is most of the travel. Nor is the noise of a
-    displacement at rest, whose ways forth would add up to any distance.
+    Motion of the elastic branches is not sliding; in small cycles it is most of the travel.
     """
-    return np.asarray(_gone(slid_mm(history, base), history.motion.start))
+    return np.asarray(gone_further(slid_mm(history, base), history.motion.start))
 
 
 @njit(cache=True)
