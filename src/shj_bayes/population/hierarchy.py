@@ -41,7 +41,7 @@ class Sweeps(NamedTuple):
 
 
 _FULL = Sweeps()
-_BRIEF = Sweeps(200, 500)
+_BRIEF = Sweeps(400, 500, 5)  # with fewer, most populations of 15 sets had to be drawn again
 _SHORT = Sweeps(600, 500, 6)  # under the other priors only a few quantiles are shown
 LONGER = 4
 """Times as many sweeps, for as many draws, where chains have not met."""
