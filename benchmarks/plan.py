@@ -28,6 +28,7 @@ from scipy.stats import binomtest
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.foresight import quantity_of
@@ -170,7 +171,8 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
             "right_foreseen": seen.right,
         }
         if whole:
-            record = diagnose(runs_of([first[0].recording, recording]), replace(device, n_runs=2), quick=True).record
+            both = runs_of([first[0].recording, recording])
+            record = diagnose(both, replace(device, n_runs=2), Look(quick=True)).record
             sets = [(set(s["classes"]), s["probability"]) for s in record["sets"]]
             one |= {"verdict": record["verdict"], "truth": sum(p for c, p in sets if c & truth)}
             one["right"] = bool(sets and sets[0][0] & truth)

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
+from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.reader import read
@@ -94,7 +95,7 @@ def damper(folder: Path) -> str:
     """Diagnose the measured band-brake damper, with the free travel in the catalogue and without it."""
     recording = read(folder / DAMPER)
     device = DeviceModel(1, read_priors("general"))
-    full, blind = (diagnose(runs_of([recording]), device, without=hidden, quick=True) for hidden in ((), ("slack",)))
+    full, blind = (diagnose(runs_of([recording]), device, Look(hidden, quick=True)) for hidden in ((), ("slack",)))
     draw(full, HERE / "damper.png", "slip_mm", "slip since the last reversal (mm)", recorded=False)
     found, hidden = full.record, blind.record
     size = next((e["parameters"]["size"] for e in found["effects"] if e["id"] == "slack"), None)
@@ -117,7 +118,7 @@ def diagnosed(key: Key, without: tuple[str, ...] = ()) -> Diagnosis:
     with tempfile.TemporaryDirectory() as folder:
         recordings = [read(path) for path in write_recordings(key, Path(folder))]
     device = DeviceModel(len(recordings), read_priors("afc"), variant="continuous")
-    return diagnose(runs_of(recordings), device, without=without, quick=True)
+    return diagnose(runs_of(recordings), device, Look(tuple(without), quick=True))
 
 
 def column(key: Key, record: dict[str, Any]) -> dict[str, str]:

@@ -7,7 +7,7 @@ in a temporary one that lives as long as the value.
 import shutil
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from html import escape
 from pathlib import Path
@@ -27,6 +27,7 @@ from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, PlanError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.record import check_files, read_record
+from shj_bayes.mismatch.look import Look
 from shj_bayes.planning.files import read_plan
 from shj_bayes.planning.rig import LIMITS, read_rig
 from shj_bayes.population.results import population_record
@@ -277,9 +278,6 @@ def fit(
     out: str | Path | None = None,
     *,
     name: str | None = None,
-    progress: bool = False,
-    threads: int = 0,
-    force: bool = False,
     **options: Any,
 ) -> FitResult:
     """Sample the posterior of one device.
@@ -292,15 +290,9 @@ def fit(
         Folder for the results; an unchanged finished fit there is kept, an unfinished one gone on with.
     name : str, optional
         Name of the device; that of the first file by default.
-    progress : bool
-        Show a progress bar on standard error.
-    threads : int
-        Ensembles at the same time, 0 for one per processor.
-    force : bool
-        Replace the result of another device in `out`.
     **options
-        Fields of `shj_bayes.commands.options.Options`: columns, units, rate_Hz, priors, model, noise, free, seed,
-        max_steps, runs.
+        Fields of `shj_bayes.commands.options.Options` (columns, units, rate_Hz, priors, priors_from, model, noise,
+        effects, free, seed, max_steps, runs) and of `shj_bayes.commands.pipeline.Work` (progress, threads, force).
 
     Returns
     -------
@@ -312,8 +304,9 @@ def fit(
         If a recording cannot be used or an option is not known.
     """
     folder, held = _place(out)
-    shared = _options(options)
-    work = Work(progress, threads, force, step_told if progress else Work.tell)
+    shared, work = _sorted(options, Options, Work)
+    if work.progress:
+        work = replace(work, tell=step_told)
     result = fit_device(_listed(recordings, shared), folder, shared, name=name, work=work)
     return FitResult(folder, result.record, held)
 
@@ -322,24 +315,15 @@ def diagnose(
     recordings: Recordings,
     out: str | Path | None = None,
     *,
-    without: Sequence[str] = (),
     name: str | None = None,
-    quick: bool = False,
-    progress: bool = False,
-    threads: int = 0,
-    force: bool = False,
     **options: Any,
 ) -> Diagnosis:
     """Find what the law leaves out of one device.
 
     Parameters
     ----------
-    recordings, out, name, progress, threads, force, **options
-        As for `fit`.
-    without : sequence of str
-        ``velocity`` runs the law without speed dependence; other ids are not tried.
-    quick : bool
-        A first look with approximate intervals.
+    recordings, out, name, **options
+        As for `fit`; further options are the fields of `shj_bayes.mismatch.look.Look` (without, quick).
 
     Returns
     -------
@@ -351,9 +335,8 @@ def diagnose(
         If a recording cannot be used or an effect is not known.
     """
     folder, held = _place(out)
-    shared = _options(options)
-    given, work = _listed(recordings, shared), Work(progress, threads, force)
-    result = diagnose_device(given, folder, shared, without=without, name=name, quick=quick, work=work)
+    shared, work, look = _sorted(options, Options, Work, Look)
+    result = diagnose_device(_listed(recordings, shared), folder, shared, look, name=name, work=work)
     return Diagnosis(folder, result.record, held)
 
 
@@ -470,13 +453,14 @@ def _listed(recordings: Recordings, options: Options) -> list[Path | Recording]:
     ]
 
 
-def _options(given: dict[str, Any]) -> Options:
-    """Options of a fit by name; one that there is not is told with the nearest that there is."""
-    known = [field.name for field in fields(Options)]
+def _sorted(given: dict[str, Any], *kinds: Any) -> Any:
+    """One value of each kind from options by name; one that there is not is told with the nearest that there is."""
+    names = [[field.name for field in fields(kind) if field.name != "tell"] for kind in kinds]
+    known = [name for own in names for name in own]
     for name in given:
         if name not in known:
             raise OptionError(f"'{name}' is not an option; known are {', '.join(known)}{did_you_mean(name, known)}")
-    return Options(**given)
+    return [kind(**{n: given[n] for n in own if n in given}) for kind, own in zip(kinds, names, strict=True)]
 
 
 def _place(out: str | Path | None) -> tuple[Path, _Held | None]:

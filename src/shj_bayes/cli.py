@@ -289,10 +289,11 @@ def diagnose(
     need_files(recordings, RecordingError)
     from shj_bayes.commands.options import Options
     from shj_bayes.commands.pipeline import Work, diagnose_device
+    from shj_bayes.mismatch.look import Look
 
-    how: dict[str, Any] = {key: options.pop(key) for key in ("without", "name", "quick")}
+    look, name = Look(options.pop("without"), options.pop("quick")), options.pop("name")
     work = Work(output.speaks, workers or 0, force, output.tell)
-    result = diagnose_device(recordings, out, Options(**_listed(options)), work=work, **how)
+    result = diagnose_device(recordings, out, Options(**_listed(options)), look, name=name, work=work)
     output.show(result.record, result.text)
 
 

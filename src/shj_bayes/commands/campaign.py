@@ -40,6 +40,7 @@ from shj_bayes.commands.mistaken import repeated
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown, system_words
 from shj_bayes.inference.record import is_simulated
+from shj_bayes.mismatch.look import Look
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.report.campaign_file import WITH_SET, WORDS
@@ -394,9 +395,8 @@ def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outco
     known = _kept_diagnosis(device, place, key)
     if known is not None:
         return replace(outcome, diagnosis=known)
-    quick = device.diagnose == "quick"
-    given = device.recordings, place / DIAGNOSIS, device.options
-    found = _tried(lambda: diagnose_device(*given, name=device.name, quick=quick, work=Work(threads=1)))
+    given = device.recordings, place / DIAGNOSIS, device.options, Look(quick=device.diagnose == "quick")
+    found = _tried(lambda: diagnose_device(*given, name=device.name, work=Work(threads=1)))
     if isinstance(found, str):
         return replace(outcome, status="done", diagnosis=FAILED, diagnosis_reason=found)
     return replace(outcome, status="done", diagnosis=str(found.record["verdict"]))

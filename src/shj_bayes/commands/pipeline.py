@@ -18,6 +18,7 @@ from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
+from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.reader import read
@@ -121,10 +122,9 @@ def diagnose_device(
     paths: Sequence[Path | Recording],
     folder: Path,
     options: Options,
+    look: Look,
     *,
-    without: Sequence[str] = (),
     name: str | None = None,
-    quick: bool = False,
     work: Work | None = None,
 ) -> Done:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
@@ -149,8 +149,7 @@ def diagnose_device(
         return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 
     given = options.device_model(len(runs), priors)
-    how: dict[str, Any] = {"name": name, "without": without, "seed": options.seed, "quick": quick, "tell": work.tell}
-    diagnosis = diagnose(runs, given, sample=None if quick else sample, **how)
+    diagnosis = diagnose(runs, given, replace(look, name=name), seed=options.seed, sample=sample, tell=work.tell)
     findings = [finding.code for recording in recordings for finding in recording.findings]
     key = _key(paths, recordings, options, given, name)  # of the fit that it looks beyond
     diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings, "key": key})

@@ -20,6 +20,7 @@ from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.findings import Answer, answer_of
 from shj_bayes.mismatch.heldout import held_out
+from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.scene import Metric, Scene, scene_of
 from shj_bayes.mismatch.schema import SCHEMA
@@ -51,11 +52,9 @@ class Diagnosis:
 def diagnose(
     runs: Sequence[Run],
     device: DeviceModel,
+    look: Look | None = None,
     *,
-    name: str = "device",
-    without: Sequence[str] = (),
     seed: int = 1,
-    quick: bool = False,
     sample: Sampling | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
@@ -67,14 +66,10 @@ def diagnose(
         Consecutive runs.
     device : DeviceModel
         Where the search begins: the base law, with the effects that are known to be there, if any.
-    name : str
-        Name of the device.
-    without : sequence of str
-        ``velocity`` runs the base law without speed dependence; any other effect id is taken out of the catalogue.
+    look : Look, optional
+        What is not to be looked for, and how thoroughly; by default everything, in full.
     seed : int
         Same seed and recordings, same numbers.
-    quick : bool
-        A first look: no sampling of the posterior, approximate intervals.
     sample : callable, optional
         ``sample(model, top)`` fits the model that was found, from the most probable law parameters, and gives the draws
         by parameter and the verdict on them; without it, and in a first look, a Gaussian stands for the posterior.
@@ -82,17 +77,16 @@ def diagnose(
         Gets one line for each step.
     """
     begin = time.perf_counter()
-    device = replace(device, speed="velocity" not in without)
-    effects_named(without)
-    hidden = frozenset({*(n for n in without if n != "velocity"), *(e.mechanism for e in device.effects)})
-    if "velocity" not in without:
-        hidden |= {"velocity"}
+    look = look or Look()
+    device = replace(device, speed="velocity" not in look.without)
+    effects_named(look.without)
+    hidden = look.hidden(device)
     scene = scene_of(runs, device)
     out = search(scene, classes(hidden, scene.measured), hidden, tell)
     tell("weighing what was found")
     answer = answer_of(out)
     models = _models(out, answer, seed)
-    if sample is None or quick:
+    if sample is None or look.quick:
         draws: content.Draws = content.draws_of(models.after, seed) if answer.findings else models.draws_before
         how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": "tentative"}
     else:
@@ -100,19 +94,19 @@ def diagnose(
         draws, how = sample(answer.shown.state.model, answer.shown.state.z)
     record: dict[str, Any] = {
         "schema": SCHEMA,
-        "device": name,
+        "device": look.name,
         **_said(out, answer, models, draws),
         "channels": content.further(runs),
-        "next_test": content.next_test(out, answer, quick=quick),
+        "next_test": content.next_test(out, answer, quick=look.quick),
         "seed": seed,
-        "quick": quick,
+        "quick": look.quick,
         "sampling": how,
         "model": {
             "variant": device.variant,
             "priors": device.priors.family,
             "noise": device.noise.id,
             "given": [effect.id for effect in device.effects],
-            "without": list(without),
+            "without": list(look.without),
         },
         "inputs": [{"name": r.recording.source.name, "sha256": r.recording.source.sha256} for r in runs],
         "versions": versions(),

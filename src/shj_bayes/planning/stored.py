@@ -12,6 +12,7 @@ from shj_bayes.errors import PlanError
 from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.inference.run import Run
 from shj_bayes.margins.specimen import model_of, read_specimen
+from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.priors import Prior, Priors
@@ -68,8 +69,6 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
     without = tuple(said.get("without", ()))
     speed = model.speed and "velocity" not in without
     device = replace(model, priors=_priors(record), effects=effects, speed=speed)
-    hidden = {*(w for w in without if w != "velocity"), *(e.mechanism for e in device.effects)}
-    hidden |= {"velocity"} if device.speed else set()
     sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)
     if diagnosis is not None:
         rows = diagnosis.get("sets") or ()
@@ -78,7 +77,7 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
-    return Stored(str(record["device"]), tuple(runs), device, sets, frozenset(hidden), spread)
+    return Stored(str(record["device"]), tuple(runs), device, sets, Look(without).hidden(device), spread)
 
 
 def _priors(record: Mapping[str, Any]) -> Priors:

@@ -12,6 +12,7 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes as all_classes
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import scene_of
 from shj_bayes.mismatch.search import Search, search
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -281,7 +282,7 @@ def test_what_is_given_is_not_looked_for(trials):
 
     runs = runs_of(trials.simulate({"asymmetry": {"size": 0.08}}, 4))
     device = DeviceModel(2, read_priors("afc"), effects=effects_named(["asymmetry"]))
-    record = diagnose(runs, device, quick=True).record
+    record = diagnose(runs, device, Look(quick=True)).record
     assert record["verdict"] == "adequate", record["reason"]
     assert record["model"]["given"] == ["asymmetry"]
     assert not {"asymmetry", "velocity"} & {row["id"] for row in record["candidates"]}

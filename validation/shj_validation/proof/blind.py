@@ -8,6 +8,7 @@ from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
@@ -60,4 +61,4 @@ def diagnose_blind(
         return draws, {"how": f"emcee; {'; '.join(result.verdict.reasons)}", "verdict": result.verdict.word}
 
     device = DeviceModel(len(runs), read_priors(priors), variant=model)
-    return diagnose(runs, device, without=without, quick=quick, sample=sample if intervals else None).record
+    return diagnose(runs, device, Look(tuple(without), quick), sample=sample if intervals else None).record
