@@ -35,8 +35,8 @@ def main() -> None:
     for size in (1, 2):
         rows = []
         for chosen in combinations(catalogue().values(), size):
-            own = {effect.id: values(effect) for effect in chosen}
-            seconds = best(lambda c=chosen, v=own: force_with_effects(history, BASE, c, v), 4)  # type: ignore[misc]
+            acting = [(effect, values(effect)) for effect in chosen]
+            seconds = best(lambda a=acting: force_with_effects(history, BASE, a), 4)  # type: ignore[misc]
             rows.append((seconds / base, " + ".join(effect.id for effect in chosen)))
         rows.sort(reverse=True)
         for ratio, name in rows[:6]:

@@ -466,7 +466,14 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -
 @click.option("--phi", type=float, default=0.8, show_default=True, help="Lag-one correlation of the force noise.")
 @click.option("--sigma-slow", type=float, default=0.0, show_default=True, help="Slow noise on top of it, kN.")
 @click.option("--tau-slow", type=float, default=3.0, show_default=True, help="Its correlation time, s.")
-@click.option("--displacement-noise", type=float, default=0.02, show_default=True, help="Displacement noise, mm.")
+@click.option(
+    "--displacement-noise",
+    "displacement_noise_mm",
+    type=float,
+    default=0.02,
+    show_default=True,
+    help="Displacement noise, mm.",
+)
 @click.option("--rate", "rate_Hz", type=float, default=20.0, show_default=True, help="Sampling rate, Hz.")
 @click.option("--last-cycles", type=int, default=5, show_default=True, help="Cycles in the last block of Table 1.")
 @MODEL
@@ -477,9 +484,11 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
 
     Two runs of Table 1, with the truth beside them.
     """
-    from shj_bayes.commands.simulated import write_simulated
+    from shj_bayes.commands.simulated import gamma_of, write_simulated
+    from shj_bayes.model.simulate import Truth
 
-    for path in write_simulated(stem, dep_mm_s=dep, **options):
+    how = {key: options.pop(key) for key in ("seed", "rate_Hz", "last_cycles", "model")}
+    for path in write_simulated(stem, Truth(gamma=gamma_of(dep), **options), **how):
         if not quiet:
             click.echo(path)
 

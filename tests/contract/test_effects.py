@@ -75,7 +75,8 @@ def typical(effect: Effect) -> dict[str, float]:
 
 def forces(effects: list[Effect], values: dict[str, dict[str, float]], variant: str = "published") -> np.ndarray:
     pairs = zip(runs(), BASES, strict=True)
-    return np.concatenate([force_with_effects(h, b, effects, values, variant=variant) for h, b in pairs])
+    acting = [(effect, values[effect.id]) for effect in effects]
+    return np.concatenate([force_with_effects(h, b, acting, variant=variant) for h, b in pairs])
 
 
 def change(effect: Effect, values: dict[str, float]) -> np.ndarray:

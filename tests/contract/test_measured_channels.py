@@ -49,8 +49,8 @@ def write_device(folder: Path, *, follows: bool, seed: int) -> list[Path]:
             act=lambda h, v, b, w=wander: Contribution(clamping=1.0 + 0.1 * np.interp(h.time_s, TIME, w)),
         )
         base = Base(15.0, 70.0 if history.run == 1 else 60.0, 20.0, 0.01, 70.0)
-        effects = [coulomb] if follows else []
-        force = force_with_effects(history, base, effects, {e.id: dict.fromkeys(e.names, 0.0) for e in effects})
+        acting = [(coulomb, dict.fromkeys(coulomb.names, 0.0))] if follows else []
+        force = force_with_effects(history, base, acting)
         force = force + rng.standard_normal(TIME.size)
         columns = {
             "time (s)": TIME,

@@ -12,18 +12,17 @@ import shj_bayes
 from shj_bayes.cli import main
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.errors import PlanError
+from shj_bayes.model.simulate import Truth
 from shj_bayes.planning.rig import Rig, read_rig
 from shj_bayes.recording.reader import read
 
-TRUTH = {
-    "K": 18.0, "Fy": 80.0, "beta": 10.0, "dep_mm_s": 60.0, "ratio": 0.875, "sigma": 1.0, "phi": 0.0, "rate_Hz": 3.0,
-}  # fmt: skip
+TRUTH = Truth(gamma=1 / 60, phi=0.0)
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("device")
-    runs = [p for p in write_simulated(folder / "a", seed=3, **TRUTH) if p.suffix == ".csv"]
+    runs = [p for p in write_simulated(folder / "a", TRUTH, seed=3, rate_Hz=3.0) if p.suffix == ".csv"]
     shj_bayes.fit(runs[:1], folder / "results", max_steps=200, threads=1)
     return folder / "results"
 

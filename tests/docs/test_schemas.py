@@ -8,13 +8,12 @@ import pytest
 
 import shj_bayes
 from shj_bayes.commands.simulated import write_simulated
+from shj_bayes.model.simulate import Truth
 from shj_bayes.report.residual_file import read_residual
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
-TRUTH = {
-    "K": 18.0, "Fy": 80.0, "beta": 10.0, "dep_mm_s": 60.0, "ratio": 0.875, "sigma": 1.0, "phi": 0.8, "rate_Hz": 3.0,
-}  # fmt: skip
+TRUTH = Truth(gamma=1 / 60)
 
 
 def schema(name: str) -> dict[str, Any]:
@@ -28,7 +27,7 @@ def check(file: Path) -> None:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    runs = [p.name for p in write_simulated(folder / "a", seed=3, **TRUTH) if p.suffix == ".csv"]
+    runs = [p.name for p in write_simulated(folder / "a", TRUTH, seed=3, rate_Hz=3.0) if p.suffix == ".csv"]
     text = 'schema = "shj-bayes/campaign/1"\nname = "c"\n[defaults]\nmax_steps = 200\n[[set]]\nname = "s"\n'
     text += f'[[set.device]]\nname = "d"\nrecordings = {json.dumps(runs)}\n'
     text += '[[set.device]]\nname = "gone"\nrecordings = ["gone.csv"]\n'

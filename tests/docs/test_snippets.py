@@ -21,6 +21,7 @@ from shj_bayes.cli import main
 from shj_bayes.commands import campaign
 from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.commands.simulated import write_simulated
+from shj_bayes.model.simulate import Truth
 from shj_bayes.population import hierarchy
 from shj_bayes.report.browse import find_browser
 
@@ -39,9 +40,7 @@ PAGES = [
 # Run elsewhere: the proof has tests of its own, the demo is `make demo`.
 ELSEWHERE = ("prove", "demo")
 RUN_FIRST = ("simulate", "check", "fit", "diagnose", "tables", "campaign")
-TRUTH = {
-    "K": 18.0, "Fy": 80.0, "beta": 10.0, "dep_mm_s": 60.0, "ratio": 0.875, "sigma": 1.0, "phi": 0.8, "rate_Hz": 3.0,
-}  # fmt: skip
+TRUTH = Truth(gamma=1 / 60)
 MANIFEST = """
 schema = "shj-bayes/campaign/1"
 name = "Spring"
@@ -86,7 +85,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder with the files that the documents speak of, and the sampler cut short."""
     folder = tmp_path_factory.mktemp("desk")
     for number, stem in enumerate(("run", "plain-run"), start=3):
-        made = [p for p in write_simulated(folder / "x", seed=number, **TRUTH) if p.suffix == ".csv"]
+        made = [p for p in write_simulated(folder / "x", TRUTH, seed=number, rate_Hz=3.0) if p.suffix == ".csv"]
         for run, path in enumerate(made, start=1):
             path.rename(folder / f"{stem}{run}.csv")
     rows = [line.split(",") for line in (folder / "run1.csv").read_text(encoding="utf-8").splitlines()[2:]]

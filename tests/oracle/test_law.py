@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from shj_bayes.model.law import force
+from shj_bayes.model.law import force, force_of_laws
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import exact_motion, table_1
 
@@ -83,11 +83,11 @@ def motion() -> Motion:
 def test_law_is_the_printed_equation(
     motion: Motion, variant: str, beta: float, gamma: float, start_force: float
 ) -> None:
-    law = {"K": 18.0, "Fy": 80.0, "beta": beta, "gamma": gamma, "variant": variant}
-    x, expected = transcription(**law, start_force=start_force)
+    x, expected = transcription(K=18.0, Fy=80.0, beta=beta, gamma=gamma, variant=variant, start_force=start_force)
     assert len(x) == motion.displacement_mm.size
     assert np.abs(np.array(x) - motion.displacement_mm).max() < 1e-10
-    got = force(motion, **law, start_force_kN=start_force)
+    law = np.array([[18.0, 80.0, beta, gamma]])
+    got = force_of_laws(motion, law, variant=variant, start_force_kN=start_force)[0]
     assert np.all(np.isfinite(got))
     assert np.abs(got - np.array(expected)).max() < TOLERANCE * 80.0
 
@@ -111,11 +111,13 @@ def unloading(n: int = 201) -> Motion:
 
 @pytest.mark.parametrize(("beta", "share"), [(2.0, 0.707), (10.0, 0.933), (100.0, 0.993)])
 def test_jump_at_a_reversal_from_the_sliding_force(beta: float, share: float) -> None:
-    law = {"K": 18.0, "Fy": 80.0, "beta": beta, "start_force_kN": 80.0}
-    published = force(unloading(), **law)[0] / 80.0
-    assert published == pytest.approx(2.0 ** (-1.0 / beta), rel=1e-12)
-    assert published == pytest.approx(share, abs=5e-4)
-    assert force(unloading(), **law, variant="continuous")[0] == 80.0
+    law = np.array([[18.0, 80.0, beta, 0.0]])
+    published, continuous = (
+        force_of_laws(unloading(), law, variant=variant, start_force_kN=80.0)[0, 0] for variant in VARIANTS
+    )
+    assert published / 80.0 == pytest.approx(2.0 ** (-1.0 / beta), rel=1e-12)
+    assert published / 80.0 == pytest.approx(share, abs=5e-4)
+    assert continuous == 80.0
 
 
 @pytest.mark.parametrize("beta", [2.0, 10.0, 100.0])

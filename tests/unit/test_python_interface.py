@@ -10,18 +10,15 @@ import pytest
 import shj_bayes
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.errors import ModelError, RecordingError, ReportError
+from shj_bayes.model.simulate import Truth
 
-SIMULATED = {
-    "K": 18.0, "Fy": 80.0, "beta": 10.0, "dep_mm_s": 60.0, "ratio": 0.875, "sigma": 1.0, "phi": 0.8,
-    "displacement_noise": 0.02, "rate_Hz": 3.0, "last_cycles": 5, "model": "published", "seed": 3,
-}  # fmt: skip
 SHORT = {"max_steps": 200, "threads": 1}
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("runs")
-    return [p for p in write_simulated(folder / "a", **SIMULATED) if p.suffix == ".csv"]
+    return [p for p in write_simulated(folder / "a", Truth(gamma=1 / 60), seed=3, rate_Hz=3.0) if p.suffix == ".csv"]
 
 
 @pytest.fixture(scope="module")

@@ -89,15 +89,15 @@ def simulate(
     drawn = float(rng.choice([-1.0, 0.0, 1.0])) / rng.uniform(30, 150)
     gamma = drawn if gamma is None else gamma
     time, motion = exact_motion(table_1(), RATE_HZ)
-    known = dict(catalogue())
-    values = {name: _whole(known[name], given) for name, given in values.items()}
+    known = catalogue()
+    acting = [(known[name], _whole(known[name], given)) for name, given in values.items()]
     if clamping is not None:
-        known["clamping"] = replace(known["wear"], id="clamping", act=lambda h, v, b: Contribution(clamping(h)))
-        values["clamping"] = {}
+        own = replace(known["wear"], id="clamping", act=lambda h, v, b: Contribution(clamping(h)))
+        acting.append((own, {}))
     out = []
     for history in histories([time, time], [motion, motion]):
         base = Base(stiffness, capacity * (ratio if history.run == 2 else 1.0), beta, gamma, capacity)
-        force = force_with_effects(history, base, [known[name] for name in values], values)
+        force = force_with_effects(history, base, acting)
         if shape is not None:
             force = force + capacity * shape(history)
         force = force + _noise(noise, motion.speed_mm_s, rng)

@@ -12,32 +12,26 @@ from shj_bayes.recording.protocol import table_1
 from shj_bayes.recording.writer import write_csv
 
 
+def gamma_of(dep_mm_s: float | None) -> float:
+    """Speed coefficient, s/mm, of a dep, mm/s; None is no speed dependence."""
+    if dep_mm_s == 0:
+        raise ModelError("dep = 0 mm/s: allowed is any other number; leave --dep out for no speed dependence")
+    return 0.0 if dep_mm_s is None else 1 / dep_mm_s
+
+
 def write_simulated(
-    stem: Path,
-    *,
-    dep_mm_s: float | None,
-    seed: int,
-    rate_Hz: float,
-    last_cycles: int = 5,
-    model: str = "published",
-    displacement_noise: float = 0.02,
-    digits: int = 7,
-    **truth: float,
+    stem: Path, truth: Truth, *, seed: int, rate_Hz: float, last_cycles: int = 5, model: str = "published"
 ) -> list[Path]:
     """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
 
-    ``dep`` is in mm/s, None for no speed dependence; the displacement noise is a standard deviation, mm; `truth` holds
-    further fields of `shj_bayes.model.simulate.Truth`. The same seed gives the same files.
+    The same seed gives the same files.
     """
-    if dep_mm_s is not None and dep_mm_s == 0:
-        raise ModelError("dep = 0 mm/s: allowed is any other number; leave --dep out for no speed dependence")
-    device = Truth(gamma=0.0 if dep_mm_s is None else 1 / dep_mm_s, displacement_noise_mm=displacement_noise, **truth)
     blocks = table_1(last_cycles)
-    recordings = simulate_device(device, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model, name=stem.name)
+    recordings = simulate_device(truth, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model)
     stem.parent.mkdir(parents=True, exist_ok=True)
     words = f"SIMULATED by shj-bayes, seed {seed}; not a measurement. Truth: {stem.name}.json"
     paths = [
-        write_csv(stem.with_name(f"{stem.name}-run{run}.csv"), recording, comment=words, digits=digits)
+        write_csv(stem.with_name(f"{stem.name}-run{run}.csv"), recording, comment=words)
         for run, recording in enumerate(recordings, start=1)
     ]
     content = {
@@ -47,8 +41,8 @@ def write_simulated(
         "model": model,
         "rate_Hz": rate_Hz,
         "blocks": [asdict(block) for block in blocks],
-        "truth": asdict(device),
-        "units": {name: describe(name).unit for name in asdict(device) if name in BASE},
+        "truth": asdict(truth),
+        "units": {name: describe(name).unit for name in asdict(truth) if name in BASE},
     }
     path = stem.with_name(f"{stem.name}.json")
     write_text(path, json.dumps(content, indent=1))

@@ -15,8 +15,7 @@ LEAST = 1e-3  # of the clamping: effects that take more than all of it leave thi
 def force_with_effects(
     history: History,
     base: Base,
-    effects: Sequence[Effect],
-    values: Mapping[str, Mapping[str, float]],
+    acting: Sequence[tuple[Effect, Mapping[str, float]]],
     *,
     variant: str = "published",
     start_force_kN: float = 0.0,
@@ -24,20 +23,20 @@ def force_with_effects(
 ) -> FloatArray:
     """Force of one run with effects, shape (n_samples,), kN; without any that of `shj_bayes.model.law`.
 
-    `values` are those of the parameters of each effect by its id and their names, in their units. The rate-free force
-    at the first sample is given. `acted` holds contributions to this run that are known, to take from and to add to:
+    Each effect is `acting` with the values of its parameters by name, in their units. The rate-free force at the first
+    sample is given. `acted` holds contributions to this run that are known, to take from and to add to:
     parameter sets often share most values.
     """
-    lag_s = sum(values[effect.id][effect.delay] for effect in effects if effect.delay)
+    lag_s = sum(values[effect.delay] for effect, values in acting if effect.delay)
     late = delayed(history, lag_s) if lag_s else None
     # The law on the motion of a moment ago: the force itself has corners that thinning would cut.
     moved, own = late or history.turned
     acted = {} if acted is None else acted
     parts = []
-    for effect in effects:
-        key = (effect.id, lag_s, base, *values[effect.id].values())
+    for effect, values in acting:
+        key = (effect.id, lag_s, base, *values.values())
         if key not in acted:
-            acted[key] = effect.act(moved, values[effect.id], base)
+            acted[key] = effect.act(moved, values, base)
         parts.append(acted[key])
     total = combine(parts)
     clamping = np.maximum(np.broadcast_to(total.clamping, moved.time_s.shape), LEAST)

@@ -142,14 +142,14 @@ class DeviceModel:
             return force_of_laws(history.motion, laws, variant=self.variant, start_force_kN=start_force_kN)
         out = np.empty((theta.shape[0], history.time_s.size))
         first = theta[:, self.index("Fy")]
-        places = {e.id: [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters] for e in self.effects}
+        places = [(e, [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in self.effects]
         acted: dict[Hashable, Contribution] = {}
         for j in range(theta.shape[0]):
-            own = {name: {p: float(theta[j, i]) for p, i in of_effect} for name, of_effect in places.items()}
+            acting = [(effect, {name: float(theta[j, i]) for name, i in own}) for effect, own in places]
             stiffness, capacity, beta, gamma = laws[j].tolist()
             base = Base(stiffness, capacity, beta, gamma, float(first[j]))
             out[j] = force_with_effects(
-                history, base, self.effects, own, variant=self.variant, start_force_kN=start_force_kN, acted=acted
+                history, base, acting, variant=self.variant, start_force_kN=start_force_kN, acted=acted
             )
         return out
 

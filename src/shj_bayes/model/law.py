@@ -64,11 +64,9 @@ def force(
     beta: float,
     gamma: float = 0.0,
     variant: str = "published",
-    start_force_kN: float = 0.0,
 ) -> FloatArray:
-    """Force for one parameter set, kN; see `force_of_laws`."""
-    laws = np.array([[K, Fy, beta, gamma]])
-    return np.asarray(force_of_laws(motion, laws, variant=variant, start_force_kN=start_force_kN)[0])
+    """Force of a run from rest for one parameter set, kN; see `force_of_laws`."""
+    return np.asarray(force_of_laws(motion, np.array([[K, Fy, beta, gamma]]), variant=variant)[0])
 
 
 def _check(name: str, unit: str, values: FloatArray, low: float, high: float) -> None:

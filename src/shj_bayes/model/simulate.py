@@ -52,7 +52,6 @@ def simulate_device(
     n_runs: int = 2,
     blocks: tuple[Block, ...] | None = None,
     variant: str = "published",
-    name: str = "simulated",
 ) -> tuple[Recording, ...]:
     """Simulate the consecutive runs of one device.
 
@@ -70,8 +69,6 @@ def simulate_device(
         Displacement regime; Table 1 by default.
     variant : {"published", "continuous"}
         Reversal rule.
-    name : str
-        Stem for the recordings' names.
     """
     if not 1 <= n_runs <= 9:
         raise ModelError(f"{n_runs} runs asked for; simulate makes 1 to 9")
@@ -97,7 +94,7 @@ def simulate_device(
                 time,
                 motion.displacement_mm + wobble,
                 force_kN,
-                source=Source(f"{name}-run{run}", units={"time": "s", "displacement": "mm", "force": "kN"}),
+                source=Source(f"simulated-run{run}", units={"time": "s", "displacement": "mm", "force": "kN"}),
                 findings=(finding,),
             )
         )

@@ -89,7 +89,7 @@ def test_the_published_law_is_the_one_without_effects(variant: str) -> None:
     law = force_of_laws(motion, np.array([[18.0, 64.0, 10.0, 0.01]]), variant=variant, start_force_kN=5.0)
     np.testing.assert_array_equal(device.force(theta, second, 5.0), law)
     base = Base(18.0, 64.0, 10.0, 0.01, 80.0)
-    plain = force_with_effects(second, base, (), {}, variant=variant, start_force_kN=5.0)
+    plain = force_with_effects(second, base, (), variant=variant, start_force_kN=5.0)
     np.testing.assert_allclose(plain, law[0], rtol=1e-11, atol=1e-9)
     uneven = model(2, effects=("asymmetry",), variant=variant)
     own = dict(zip(device.names, theta[0], strict=True))

@@ -40,8 +40,8 @@ def in_runs(turning: list[float], n: int, step: float = 0.01) -> tuple[History, 
 
 
 def run(history: History, variant: str = "continuous", base: Base = BASE, **values: dict[str, float]) -> np.ndarray:
-    effects = [catalogue()[name] for name in values]
-    return force_with_effects(history, base, effects, values, variant=variant)
+    acting = [(catalogue()[name], own) for name, own in values.items()]
+    return force_with_effects(history, base, acting, variant=variant)
 
 
 @pytest.mark.parametrize("variant", ["published", "continuous"])

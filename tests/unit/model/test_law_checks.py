@@ -27,12 +27,16 @@ GOOD = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.01}
         ({"beta": 501.0}, "beta = 501: allowed is 1 to 500"),
         ({"gamma": math.nan}, "gamma = nan s/mm"),
         ({"variant": "smooth"}, "model 'smooth' is not known; choose one of published, continuous"),
-        ({"start_force_kN": math.nan}, "start force = nan kN: it must be a finite number"),
     ],
 )
 def test_parameters_outside_their_range(change: dict[str, object], message: str) -> None:
     with pytest.raises(ModelError, match=re.escape(message)):
         force(MOTION, **(GOOD | change))
+
+
+def test_a_start_force_must_be_a_number() -> None:
+    with pytest.raises(ModelError, match="start force = nan kN: it must be a finite number"):
+        force_of_laws(MOTION, np.array([list(GOOD.values())]), start_force_kN=math.nan)
 
 
 def test_shapes_are_checked() -> None:

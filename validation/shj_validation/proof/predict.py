@@ -45,5 +45,5 @@ def predict(
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
     base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])
     own = record["modelled"] if when == "after" else {}
-    effects = [effect_named(name) for name in own]
-    return np.asarray(force_with_effects(history, base, effects, own, variant=record["model"]["variant"]))
+    acting = [(effect_named(name), values) for name, values in own.items()]
+    return np.asarray(force_with_effects(history, base, acting, variant=record["model"]["variant"]))
