@@ -41,11 +41,16 @@ class Sweeps(NamedTuple):
 
 
 _FULL = Sweeps()
-_BRIEF = Sweeps(400, 500, 5)  # with fewer, most populations of 15 sets had to be drawn again
 _SHORT = Sweeps(600, 500, 6)  # under the other priors only a few quantiles are shown
 LONGER = 4
 """Times as many sweeps, for as many draws, where chains have not met."""
 MAIN_PRIOR = "default"
+
+
+def _brief(n_sets: int) -> Sweeps:
+    """Sweeps for a few quantiles: the more sets, the more slowly chains meet (two sets need a third of 15)."""
+    thin = 2 + n_sets // 5
+    return Sweeps(100 * thin, 500, thin)
 
 
 def _pack(sets: Sequence[Sequence[Likelihood]]) -> tuple[FloatArray, ...]:
@@ -171,7 +176,7 @@ def fit_population(
             draws_behind[q] = min(x.effective_draws for group in sets for x in group)
             chosen[q] = population_prior(q)
             for label, prior in {MAIN_PRIOR: chosen[q], **other_priors(chosen[q])}.items():
-                sweeps = _BRIEF if brief else _FULL if label == MAIN_PRIOR else _SHORT
+                sweeps = _brief(len(grouped)) if brief else _FULL if label == MAIN_PRIOR else _SHORT
                 fits.setdefault(label, {})[q] = _until_met(q, sets, prior, (seed, q, label), sweeps, threads)
                 bar.update()
     return PopulationResult(
