@@ -110,8 +110,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "made" / "campaign.toml").write_text(MANIFEST.replace('"run', '"../run').replace('"plain', '"../plain'))
     short = hierarchy.Sweeps(75, 150, 1)  # of populations: a tenth of the time, and bands all the same
     with pytest.MonkeyPatch.context() as patch:
-        for sweeps in ("_FULL", "_SHORT", "_BRIEF"):
+        for sweeps in ("_FULL", "_SHORT"):
             patch.setattr(hierarchy, sweeps, short)
+        patch.setattr(hierarchy, "_brief", lambda n_sets: short)
         patch.setattr(hierarchy, "LONGER", 1)
         # In this process, where pictures are left empty; tests/unit/test_campaign.py runs the workers.
         patch.setattr(campaign, "_in_processes", lambda job, devices, out, _: (job(d, out) for d in devices))

@@ -46,6 +46,6 @@ def design(trials, population):
 def _fewer_draws():
     """Sheets are made many times here; what is asked of them does not hang on the number of draws."""
     patch = pytest.MonkeyPatch()
-    patch.setattr("shj_bayes.population.hierarchy._BRIEF", Sweeps(60, 150, 1))
+    patch.setattr("shj_bayes.population.hierarchy._brief", lambda n_sets: Sweeps(60, 150, 1))
     yield
     patch.undo()
