@@ -31,10 +31,11 @@ from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.planning.candidates import proposals
 from shj_bayes.planning.foresight import quantity_of
 from shj_bayes.planning.known import Key as Set
-from shj_bayes.planning.known import Known, class_of, common_scales, know
-from shj_bayes.planning.plan import make_plan, proposals
+from shj_bayes.planning.known import Known, Subject, class_of, common_scales, know
+from shj_bayes.planning.plan import Question, make_plan
 from shj_bayes.planning.proposals import within
 from shj_bayes.planning.protocol import Block, Protocol, Waveform
 from shj_bayes.planning.questions import quantity_named
@@ -146,21 +147,20 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
     force = 1.3 * float(np.abs(first[0].recording.force_kN).max())
     rig = Rig(95.0, SPEED_MM_S, force, minutes + 0.1, RATE_HZ)
     device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-    rivals: list[tuple[Set, float]] = [(frozenset({c}), 1.0) for c in GROUPS[group][1]] + [(frozenset(), 1.0)]
+    rivals: tuple[tuple[Set, float], ...] = (*((frozenset({c}), 1.0) for c in GROUPS[group][1]), (frozenset(), 1.0))
     truth = {f"{a} over {c}" for a, c in _classes(key)}
-    protocols = proposals(rig, seed)
     expert = Protocol("expert", within([Block(a, v, n, Waveform.SINE, r) for a, v, n, r in IMPROVED], rig))
-    scales = common_scales(runs, rig, [*protocols, expert])
-    known = know(runs, device, rivals, scales, hidden=frozenset({"velocity"}), even=True)
+    candidates = proposals(rig, seed, (expert,))
+    scales = common_scales(runs, candidates)
+    tested = Subject("device", runs, device, rivals, frozenset({"velocity"}), untold=True)
+    known = know(tested, scales)
     now = known.probabilities
     before = {"before": max(now.values()), "truth_before": sum(p for k, p in now.items() if k & truth)}
     if question == "which" and max(now.values()) >= 0.95:
         return before | {"outcome": "decided"}
     quantity = None if question == "which" else quantity_named(known, question)
     quantities = () if quantity is None else (quantity,)
-    plan = make_plan(
-        [known], rig, protocols, given=[expert], question=question, quantities=quantities, seed=number, rehearsals=0
-    )
+    plan = make_plan([known], candidates, Question(question, quantities), seed=number, rehearsals=0)
     out: dict[str, Any] = before | {"outcome": "counted", "tests": {}}
     for name, r in zip(TESTS, (plan.best[0], *plan.compared), strict=True):
         recording, seen = _second(key, r.protocol), r.foreseen[0]
@@ -177,7 +177,7 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
             one |= {"verdict": record["verdict"], "truth": sum(p for c, p in sets if c & truth)}
             one["right"] = bool(sets and sets[0][0] & truth)
         else:
-            then = _weighed([first[0].recording, recording], device, rivals, scales)
+            then = _weighed(tested, [first[0].recording, recording], scales)
             p = then.probabilities
             one["truth"] = sum(v for k, v in p.items() if k & truth)
             one["right"] = bool(max(p, key=lambda k: p[k]) & truth)
@@ -198,18 +198,19 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
         recording = make(key)[0].recording
         runs = runs_of([recording])
         rig = Rig(95.0, SPEED_MM_S, 1.3 * float(np.abs(recording.force_kN).max()), minutes, RATE_HZ)
-        protocols = proposals(rig, 1)
-        rivals = [(class_of("velocity"), 0.5), (class_of("prying"), 0.5)]
-        scales = common_scales(runs, rig, protocols)
+        candidates = proposals(rig, 1)
+        rivals = ((class_of("velocity"), 0.5), (class_of("prying"), 0.5))
+        scales = common_scales(runs, candidates)
         device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-        known = know(runs, device, rivals, scales, hidden=frozenset({"velocity"}), even=True)
+        tested = Subject("device", runs, device, rivals, frozenset({"velocity"}), untold=True)
+        known = know(tested, scales)
         gamma = quantity_named(known, "gamma")
         mean, sd = gamma.now(known.beliefs)
         prying = 100 * known.probabilities.get(class_of("prying"), 0.0)
         print(f"prying of {100 * size:.1f} %: after Table 1 {prying:.1f} %, gamma {mean:.5f} +- {sd:.5f} s/mm")
-        plan = make_plan([known], rig, protocols, question="gamma", quantities=(gamma,), rehearsals=0)
+        plan = make_plan([known], candidates, Question("gamma", (gamma,)), rehearsals=0)
         for r in (*plan.best[:1], *plan.compared):
-            then = _weighed([recording, _second(key, r.protocol)], device, rivals, scales)
+            then = _weighed(tested, [recording, _second(key, r.protocol)], scales)
             named, seen = 100 * then.probabilities.get(class_of("prying"), 0.0), r.foreseen[0].sd
             after = quantity_of(then, "gamma", gamma.unit, gamma.value).now(then.beliefs)[1]
             print(
@@ -222,12 +223,10 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
             )
 
 
-def _weighed(
-    recordings: Sequence[Recording], device: DeviceModel, rivals: Sequence[tuple[Set, float]], scales: Mapping[str, Any]
-) -> Known:
+def _weighed(tested: Subject, recordings: Sequence[Recording], scales: Mapping[str, Any]) -> Known:
     """Fit the rivals to both tests, in the ways that fit them both."""
-    device = replace(device, n_runs=len(recordings))
-    return know(runs_of(recordings), device, rivals, scales, hidden=frozenset({"velocity"}), even=True)
+    device = replace(tested.device, n_runs=len(recordings))
+    return know(replace(tested, runs=runs_of(recordings), device=device), scales)
 
 
 def _classes(key: Key) -> tuple[tuple[str, str], ...]:

@@ -24,12 +24,13 @@ from shj_bayes.commands.options import Options
 from shj_bayes.commands.pipeline import Work, diagnose_device, fit_device, step_told
 from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
-from shj_bayes.errors import OptionError, PlanError, ReportError
+from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.record import check_files, read_record
 from shj_bayes.mismatch.look import Look
+from shj_bayes.planning.asked import Asked
 from shj_bayes.planning.files import read_plan
-from shj_bayes.planning.rig import LIMITS, read_rig
+from shj_bayes.planning.rig import stated_limits
 from shj_bayes.population.results import population_record
 from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
@@ -50,6 +51,7 @@ class _Held:
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
 
 
+ASKED = [one.name for one in fields(Asked) if one.name != "limits"]
 OneRecording = str | Path | Recording | pd.DataFrame
 Recordings = OneRecording | Sequence[OneRecording]
 
@@ -344,13 +346,8 @@ def plan(
     devices: str | Path | Sequence[str | Path] = (),
     out: str | Path | None = None,
     *,
-    question: str | None = None,
-    among: Sequence[str] = (),
     rig: str | Path | None = None,
-    priors: str = "afc",
-    histories: Sequence[str | Path] = (),
-    seed: int = 1,
-    **limits: float,
+    **options: Any,
 ) -> NextTest:
     """Plan the next test.
 
@@ -360,20 +357,11 @@ def plan(
         Folders that `diagnose` or `fit` wrote; none for a plan from priors alone.
     out : str or Path, optional
         Folder for the plan.
-    question : str, optional
-        ``which``, ``force`` or a quantity (``gamma``, ``ratio``, ``K``, ``Fy``, ``beta``, ``least``).
-    among : sequence of str
-        Mechanisms to tell apart; ``velocity`` is the base law.
     rig : str or Path, optional
         ``rig.toml``.
-    priors : str
-        Family, where there are no devices.
-    histories : sequence of path
-        Further candidates: displacement (mm) over time (s).
-    seed : int
-        Same seed and inputs, same plan.
-    **limits
-        max_stroke_mm, max_speed_mm_s, max_force_kN, max_minutes, rate_Hz; they go before those of `rig`.
+    **options
+        Fields of `shj_bayes.planning.asked.Asked` (question, among, priors, histories, seed), and limits, which go
+        before those of `rig`: max_stroke_mm, max_speed_mm_s, max_force_kN, max_minutes, rate_Hz.
 
     Returns
     -------
@@ -384,17 +372,11 @@ def plan(
     ShjError
         If a folder, a limit or a question cannot be used.
     """
-    unknown = [name for name in limits if name not in LIMITS]
-    if unknown:
-        raise PlanError(f"'{unknown[0]}' is no limit; known are {', '.join(LIMITS)}{did_you_mean(unknown[0], LIMITS)}")
+    asked = {name: options.pop(name) for name in ASKED if name in options}
+    limits = stated_limits(Path(rig) if rig is not None else None, options)
     folder, held = _place(out)
     folders = [Path(devices)] if isinstance(devices, str | Path) else [Path(one) for one in devices]
-    stated = (read_rig(Path(rig)) if rig is not None else {}) | limits
-    paths = [Path(one) for one in histories]
-    done = plan_next(
-        folders, folder, limits=stated, question=question, among=among, priors=priors, histories=paths, seed=seed
-    )
-    return NextTest(folder, done.record, held)
+    return NextTest(folder, plan_next(folders, folder, Asked(**asked, limits=limits)).record, held)
 
 
 def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:

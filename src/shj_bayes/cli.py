@@ -145,6 +145,13 @@ MODEL = click.option(
     show_default=True,
     help="Eq. 1 as published, or without its jump at reversals.",
 )
+
+
+def _words(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, ...]:
+    """Words between commas."""
+    return tuple(part.strip() for part in value.split(",") if part.strip())
+
+
 MODELLING = _options(
     click.option("--priors", default="afc", show_default=True, help="Family that ships (afc, general) or TOML file."),
     click.option(
@@ -158,8 +165,20 @@ MODELLING = _options(
         show_default=True,
         help="White and slow noise; for comparison ar1 (at the recorded rate), independent; student has heavy tails.",
     ),
-    click.option("--effects", default="", metavar="slack,wear", help="Physical effects that are known to be there."),
-    click.option("--free", default="", metavar="K,beta,gamma", help="Parameters that each run has for itself."),
+    click.option(
+        "--effects",
+        default="",
+        callback=_words,
+        metavar="slack,wear",
+        help="Physical effects that are known to be there.",
+    ),
+    click.option(
+        "--free",
+        default="",
+        callback=_words,
+        metavar="K,beta,gamma",
+        help="Parameters that each run has for itself.",
+    ),
     click.option(
         "--max-steps",
         type=click.IntRange(200, 1_000_000),
@@ -168,13 +187,6 @@ MODELLING = _options(
         help="Steps after which sampling stops even if it has not converged.",
     ),
 )
-
-
-def _listed(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of a fit, with lists where the command line has words between commas."""
-    for name in ("free", "effects"):
-        options[name] = tuple(part.strip() for part in options[name].split(",") if part.strip())
-    return _reading(**options)
 
 
 def _reading(n_runs: int | None, split: bool, one_run: bool, **options: Any) -> dict[str, Any]:
@@ -253,7 +265,7 @@ def fit(
     need_files(recordings, RecordingError)
     from shj_bayes.commands.finished import kept_result
 
-    options = _listed(options)
+    options = _reading(**options)
     result = kept_result(recordings, out, options, name)
     if result is None:
         from shj_bayes.commands.options import Options
@@ -293,7 +305,7 @@ def diagnose(
 
     look, name = Look(options.pop("without"), options.pop("quick")), options.pop("name")
     work = Work(output.speaks, workers or 0, force, output.tell)
-    result = diagnose_device(recordings, out, Options(**_listed(options)), look, name=name, work=work)
+    result = diagnose_device(recordings, out, Options(**_reading(**options)), look, name=name, work=work)
     output.show(result.record, result.text)
 
 
@@ -497,7 +509,13 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
 @click.argument("folders", nargs=-1, type=PATH, metavar="[DIR]...")
 @click.option("-o", "--out", type=FOLDER, help="Folder for the plan.")
 @click.option("--question", metavar="Q", help="which, gamma, ratio, K, Fy, beta, least or force; which by default.")
-@click.option("--among", default="", metavar="velocity,prying", help="Mechanisms to tell apart; velocity: base law.")
+@click.option(
+    "--among",
+    default="",
+    callback=_words,
+    metavar="velocity,prying",
+    help="Mechanisms to tell apart; velocity: base law.",
+)
 @click.option("--rig", type=PATH, metavar="FILE", help="Limits of the rig, TOML.")
 @click.option("--max-stroke", "max_stroke_mm", type=float, metavar="MM", help="Largest displacement to either side.")
 @click.option("--max-speed", "max_speed_mm_s", type=float, metavar="MM/S", help="Largest speed.")
@@ -520,11 +538,9 @@ def plan(
     folders: tuple[Path, ...],
     out: Path | None,
     rig: Path | None,
-    among: str,
-    priors: str | None,
-    example_rig: Path | None,
     output: Output,
-    **options: Any,
+    example_rig: Path | None,
+    **asked: Any,
 ) -> None:
     """Plan the next test of devices, or of a new one.
 
@@ -538,22 +554,16 @@ def plan(
         return
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
-    if bool(folders) == (priors is not None):
+    if bool(folders) == (asked["priors"] is not None):
         raise click.UsageError("Give the folder of a diagnosed device, or --priors for a plan before any test.")
     need_files([*folders, *([rig] if rig else [])], PlanError)
     from shj_bayes.commands.next_test import plan_next
-    from shj_bayes.planning.rig import LIMITS, read_rig
+    from shj_bayes.planning.asked import Asked
+    from shj_bayes.planning.rig import LIMITS, stated_limits
 
-    stated = {name: value for name in LIMITS if (value := options.pop(name)) is not None}
-    planned = plan_next(
-        folders,
-        out,
-        limits=(read_rig(rig) if rig else {}) | stated,
-        among=[part.strip() for part in among.split(",") if part.strip()],
-        priors=priors or "afc",
-        tell=output.tell,
-        **options,
-    )
+    limits = stated_limits(rig, {name: asked.pop(name) for name in LIMITS})
+    given = {name: value for name, value in asked.items() if value is not None}
+    planned = plan_next(folders, out, Asked(**given, limits=limits), tell=output.tell)
     output.show(planned.record, planned.text)
 
 

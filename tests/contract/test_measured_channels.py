@@ -17,6 +17,7 @@ from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import Base, Contribution
 from shj_bayes.model.history import histories
+from shj_bayes.planning.candidates import Candidates
 from shj_bayes.planning.known import common_scales, know
 from shj_bayes.planning.protocol import table_1_protocol
 from shj_bayes.planning.rig import Rig
@@ -137,14 +138,14 @@ def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) 
 
 
 def test_a_plan_goes_on_from_such_a_fit(fitted: tuple[list[Path], Path]) -> None:
-    device = read_device(fitted[1], None)
+    device = read_device(fitted[1], None).tested
     assert [e.name for e in device.runs[0].recording.extras] == ["tension"]
     key = frozenset({"capacity over measured_tension"})
     rig = Rig(max_stroke_mm=100.0, max_speed_mm_s=20.0, max_force_kN=200.0, max_minutes=10.0, rate_Hz=5.0)
     protocol = table_1_protocol()
-    scales = common_scales(device.runs, rig, [protocol])
+    scales = common_scales(device.runs, Candidates(rig, (protocol,)))
     base = replace(device.device, effects=())
-    known = know(device.runs, base, [(frozenset(), 0.1), (key, 0.9)], scales)
+    known = know(replace(device, device=base, sets=((frozenset(), 0.1), (key, 0.9)), hidden=frozenset()), scales)
     assert known.keys[0] == key
     time, motion = protocol.sampled(5.0)
     planned = known.placed(histories([time], [motion])[0])

@@ -13,10 +13,12 @@ from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.planning.asked import Asked
+from shj_bayes.planning.candidates import Candidates, proposals
 from shj_bayes.planning.devices import further_devices
 from shj_bayes.planning.files import force_record, plan_record, write_plan
-from shj_bayes.planning.known import Key, before_any_test, class_of, common_scales, know
-from shj_bayes.planning.plan import FORCE, WHICH, Plan, make_plan, proposals
+from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know
+from shj_bayes.planning.plan import FORCE, WHICH, Plan, Question, make_plan
 from shj_bayes.planning.protocol import Protocol, table_1_protocol
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rig import Rig
@@ -30,47 +32,47 @@ DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 
 def plan_next(
-    folders: Sequence[Path],
-    out: Path,
-    *,
-    limits: Mapping[str, float] | None = None,
-    question: str | None = None,
-    among: Sequence[str] = (),
-    priors: str = "afc",
-    histories: Sequence[Path] = (),
-    seed: int = 1,
-    tell: Callable[[str], None] = lambda _: None,
+    folders: Sequence[Path], out: Path, asked: Asked, *, tell: Callable[[str], None] = lambda _: None
 ) -> Done:
     """Plan the next test and write ``plan.json``, ``next-1.csv`` to ``next-3.csv`` and ``plan.html``.
 
-    Arguments are those of `shj_bayes.api.plan`; where `limits` say nothing, those that the tests so far reached hold.
-    `tell` gets one line for each step. `PlanError` if a folder, a limit or a question cannot be used.
+    The devices are those of the `folders` that `shj_bayes.api.plan` takes. `tell` gets one line for each step.
+    `PlanError` if a folder, a limit or a question cannot be used.
     """
     make_writable(out)
     stored = [_read(folder) for folder in folders]
-    if question == FORCE:
+    if asked.question == FORCE:
         further = further_devices([s.Fy[0] for s in stored], [s.Fy[1] for s in stored])
-        record = force_record(further, tuple(s.name for s in stored), None, seed)
+        record = force_record(further, tuple(s.tested.name for s in stored), None, asked.seed)
         return _written(out, record, None)
-    base = DeviceModel(1, read_priors(priors))
-    rig = _rig(stored, base, dict(limits or {}))
-    first = proposals(rig, seed)
-    given = [_protocol(path) for path in histories]
-    rivals = [(class_of(word), 1.0 / len(among)) for word in among]
-    known = []
-    for s in stored:
-        scales = common_scales(s.runs, rig, [*first, *given])
-        sets: Sequence[tuple[Key, float]] = rivals or s.sets
-        known.append(know(s.runs, s.device, sets, scales, name=s.name, hidden=s.hidden, even=bool(rivals), tell=tell))
-    if not stored:
+    tested = [s.tested for s in stored]
+    base = DeviceModel(1, read_priors(asked.priors))
+    rig = _rig(tested, base, asked.limits)
+    candidates = proposals(rig, asked.seed, tuple(_protocol(Path(path)) for path in asked.histories))
+    known = _known(tested, base, candidates, asked.among, tell)
+    undecided = any(len(k.keys) > 1 for k in known)
+    word = asked.question or (WHICH if undecided else DEFAULT_QUESTION)
+    question = Question(word, () if word == WHICH else tuple(quantity_named(k, word) for k in known))
+    plan = make_plan(known, candidates, question, seed=asked.seed, tell=tell)
+    return _written(out, plan_record(plan), plan)
+
+
+def _known(
+    tested: Sequence[Subject],
+    base: DeviceModel,
+    candidates: Candidates,
+    among: Sequence[str],
+    tell: Callable[[str], None],
+) -> list[Known]:
+    """Give what is known of each device, or of a new one where none was tested."""
+    if not tested:
         if among:
             raise PlanError("--among needs the folder of a device; from priors alone all mechanisms are compared")
-        known.append(before_any_test(base, common_scales((), rig, [*first, *given])))
-    undecided = any(len(k.keys) > 1 for k in known)
-    asked = question or (WHICH if undecided else DEFAULT_QUESTION)
-    quantities = () if asked == WHICH else tuple(quantity_named(k, asked) for k in known)
-    plan = make_plan(known, rig, first, given=given, question=asked, quantities=quantities, seed=seed, tell=tell)
-    return _written(out, plan_record(plan), plan)
+        return [before_any_test(base, common_scales((), candidates))]
+    if among:
+        rivals = tuple((class_of(word), 1.0 / len(among)) for word in among)
+        tested = [replace(one, sets=rivals, untold=True) for one in tested]
+    return [know(one, common_scales(one.runs, candidates), tell) for one in tested]
 
 
 def _written(out: Path, record: dict[str, Any], plan: Plan | None) -> Done:
@@ -86,13 +88,15 @@ def _read(folder: Path) -> Stored:
     return read_device(folder, diagnosis_record(folder) if diagnosed else None)
 
 
-def _rig(stored: Sequence[Stored], base: DeviceModel, limits: dict[str, float]) -> Rig:
+def _rig(tested: Sequence[Subject], base: DeviceModel, limits: Mapping[str, float]) -> Rig:
     """Limits as they are given, else what every test so far reached; from priors alone, what Table 1 needs."""
-    runs = [run for s in stored for run in s.runs]
+    runs = [run for one in tested for run in one.runs]
     if runs:
         reached = {
-            "max_stroke_mm": min(max(float(np.ptp(r.motion.turning_mm)) for r in s.runs) / 2.0 for s in stored),
-            "max_speed_mm_s": min(max(float(np.percentile(r.motion.speed_mm_s, 99)) for r in s.runs) for s in stored),
+            "max_stroke_mm": min(max(float(np.ptp(r.motion.turning_mm)) for r in one.runs) / 2.0 for one in tested),
+            "max_speed_mm_s": min(
+                max(float(np.percentile(r.motion.speed_mm_s, 99)) for r in one.runs) for one in tested
+            ),
             "max_force_kN": HEADROOM * max(float(np.abs(r.recording.force_kN).max()) for r in runs),
             "max_minutes": max(r.recording.duration_s for r in runs) / 60.0,
             "rate_Hz": min(r.recording.rate_Hz for r in runs),
@@ -107,7 +111,7 @@ def _rig(stored: Sequence[Stored], base: DeviceModel, limits: dict[str, float]) 
             "rate_Hz": FIRST_RATE_HZ,
         }
     rounded = {name: float(f"{value:.4g}") for name, value in reached.items()}
-    return Rig(**(rounded | limits))
+    return Rig(**{**rounded, **limits})
 
 
 def _protocol(path: Path) -> Protocol:

@@ -28,10 +28,10 @@ def plan_record(plan: Plan) -> dict[str, Any]:
     """Content of ``plan.json``."""
     known = plan.known[0]
     now: dict[str, Any] = {"entropy_nats": plan.unsettled, "largest_probability": max(known.probabilities.values())}
-    if plan.quantities:
-        mean, sd = plan.quantities[0].now(known.beliefs)
-        now |= {"mean": mean, "sd": sd, "unit": plan.quantities[0].unit}
-    return _head(plan.question, plan.rig, plan.seed) | {
+    if plan.question.quantities:
+        mean, sd = plan.question.quantities[0].now(known.beliefs)
+        now |= {"mean": mean, "sd": sd, "unit": plan.question.quantities[0].unit}
+    return _head(plan.question.word, plan.rig, plan.seed) | {
         "devices": [_device(k) for k in plan.known],
         "now": now,
         "worth": plan.worth.value,

@@ -31,8 +31,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.history import SCALES, History, histories
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
-from shj_bayes.planning.protocol import Protocol
-from shj_bayes.planning.rig import Rig
+from shj_bayes.planning.candidates import Candidates
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording, Source
 
@@ -43,6 +42,19 @@ MOST_BELIEFS, LEAST_SHARE = 12, 1e-4  # of the most probable
 SMOOTHNESS = 0.5  # length of a curve that no test has been seen of, as a share of the range
 PLANNED = Source("planned")
 Key = frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A tested device that a further test is planned for, and what it may be."""
+
+    name: str
+    runs: tuple[Run, ...]  # its tests
+    device: DeviceModel  # base model, with the effects that were given to the diagnosis
+    sets: tuple[tuple[Key, float], ...]  # what it may hold, with probabilities
+    hidden: frozenset[str]  # mechanisms that are not looked for
+    # whether the probabilities are those before any test, so that what the runs say of them is still to be weighed
+    untold: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,11 +170,12 @@ class Known:
         )
 
 
-def common_scales(runs: Sequence[Run], rig: Rig, protocols: Sequence[Protocol]) -> dict[str, Any]:
+def common_scales(runs: Sequence[Run], candidates: Candidates) -> dict[str, Any]:
     """Scales of the coordinates over old runs and any of the protocols."""
+    protocols = candidates.all
     own = histories([r.recording.time_s for r in runs], [r.motion for r in runs]) if runs else ()
     last = own[-1] if own else None
-    fastest = min(max(p.fastest_mm_s for p in protocols), rig.max_speed_mm_s)
+    fastest = min(max(p.fastest_mm_s for p in protocols), candidates.rig.max_speed_mm_s)
     out: dict[str, Any] = {
         "half_stroke_mm": max(p.largest_mm for p in protocols),
         "peak_speed_mm_s": fastest / 1.15,  # a 95th percentile, as for recordings
@@ -180,31 +193,19 @@ def common_scales(runs: Sequence[Run], rig: Rig, protocols: Sequence[Protocol]) 
 
 
 @one_blas_thread
-def know(
-    runs: Sequence[Run],
-    device: DeviceModel,
-    sets: Sequence[tuple[Key, float]],
-    scales: Mapping[str, Any],
-    *,
-    name: str = "device",
-    hidden: frozenset[str] = frozenset(),
-    even: bool = False,
-    tell: Callable[[str], None] = lambda _: None,
-) -> Known:
-    """Fit the rivals to the old runs, at least one.
+def know(tested: Subject, scales: Mapping[str, Any], tell: Callable[[str], None] = lambda _: None) -> Known:
+    """Fit the rivals to the old runs, at least one; `tell` gets one line for each step.
 
-    `sets` are sets of classes that the device may hold, with their probabilities after the diagnosis; with `even` those
-    before any test, and what the old runs say of them is then weighed here. `hidden` mechanisms are not tried. `tell`
-    gets one line for each step. `PlanError` if the device has had all the runs that a model takes, or a class is not
-    known.
+    `PlanError` if the device has had all the runs that a model takes, or a class is not known.
     """
+    name, runs, device, sets = tested.name, tested.runs, tested.device, tested.sets
     if len(runs) >= MOST_RUNS:
         raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
     own = scene_of(runs, device)
     old = tuple(replace(part, history=replace(part.history, **scales)) for part in own.posterior.averages)
     peak = own.posterior.averages[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
-    scene = Scene(Posterior(tuple(runs), device, old), own.z, peak)
-    known = {c.id: c for c in classes(hidden, own.measured)}
+    scene = Scene(Posterior(runs, device, old), own.z, peak)
+    known = {c.id: c for c in classes(tested.hidden, own.measured)}
     missing = sorted({c for key, _ in sets for c in key} - set(known))
     if missing:
         raise PlanError(f"'{missing[0]}' is no class of dependence; known are {', '.join(known)}")
@@ -215,7 +216,7 @@ def know(
     rough = settle(scene, Metric(scene, _rough_noise(device, size), slope), device, scene.z)
     looked = candidates(scene, rough, needed)
     metric = noise_beside(scene, rough, looked, None)
-    out = Search(scene, looked, metric, hidden, tell)
+    out = Search(scene, looked, metric, tested.hidden, tell)
     found = [(key, p, h) for key, p in sets for h in _ways(out, key)]
     if not found:
         raise PlanError(f"{name}: none of its rivals can be fitted; run diagnose again")
@@ -223,14 +224,14 @@ def know(
     setting = find_noise(scene, best.state, np.zeros((best.state.residual.size, 0)), metric.setting)
     out.metric = Metric(scene, setting, best.state.slope)
     fits = [(key, p, out.fitted(h.members, h.state.z) or h) for key, p, h in found]
-    shares = _shares(fits, even=even)
+    shares = _shares(fits, even=tested.untold)
     further = replace(device, n_runs=len(runs) + 1)
     last = old[-1].history
     kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_BELIEFS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())
     beliefs = [_belief(scene, out.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
     z, middle = _joint(device, further, scene.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
-    return Known(name, tuple(runs), further, z, old, scales, setting, tuple(beliefs), middle, peak)
+    return Known(name, runs, further, z, old, scales, setting, tuple(beliefs), middle, peak)
 
 
 def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str = "a new device") -> Known:

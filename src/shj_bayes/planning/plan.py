@@ -9,14 +9,15 @@ import numpy as np
 
 from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.mismatch.search import DOUBT
+from shj_bayes.planning.candidates import Candidates
 from shj_bayes.planning.foresight import OUTCOMES, Foreseen, Quantity, entropy_of, foresee
 from shj_bayes.planning.known import Known
-from shj_bayes.planning.proposals import changed, first_protocols
+from shj_bayes.planning.proposals import changed
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.planning.rehearsal import Rehearsal, rehearse
 from shj_bayes.planning.rig import Rig
 
-DRAWN, ROUNDS, PARENTS, CHILDREN = 8, 1, 4, 4
+ROUNDS, PARENTS, CHILDREN = 1, 4, 4
 FINAL = 6  # protocols that are foreseen again with fresh outcomes: the best of many is partly luck
 SHOWN, REHEARSALS = 3, 8
 LITTLE = 0.1  # of what is not known: a test that is expected to settle less is not worth its time
@@ -58,13 +59,23 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
+class Question:
+    """What the next test is to settle."""
+
+    word: str = WHICH  # which set of classes is there, or the name of the quantity that should become narrow
+    quantities: tuple[Quantity, ...] = ()  # that quantity for each device; empty for ``which``
+
+
+ANY_SET = Question()
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """The answer to which test is next."""
 
     known: tuple[Known, ...]
     rig: Rig
-    question: str  # ``which``, or the quantity that should become narrow
-    quantities: tuple[Quantity, ...]  # that quantity for each device; empty for ``which``
+    question: Question
     best: tuple[Row, ...]  # protocols that the rig allows, best first
     compared: tuple[Row, ...]  # Table 1 again, and the files that were given
     worth: Worth  # whether the best is worth its time
@@ -76,31 +87,22 @@ class Plan:
         return float(np.mean([_entropy(k) for k in self.known]))
 
 
-def proposals(rig: Rig, seed: int) -> list[Protocol]:
-    """Protocols that the search begins with, Table 1 first."""
-    return first_protocols(rig, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,))), DRAWN)
-
-
 @one_blas_thread
 def make_plan(
     known: Sequence[Known],
-    rig: Rig,
-    first: Sequence[Protocol],
+    candidates: Candidates,
+    question: Question = ANY_SET,
     *,
-    given: Sequence[Protocol] = (),
-    question: str = WHICH,
-    quantities: Sequence[Quantity] = (),
     seed: int = 1,
     rehearsals: int = REHEARSALS,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Plan:
     """Choose the next test for one device, or for several that it is planned for.
 
-    `first` are protocols from `proposals`, `given` further candidates. The question is ``which``, or the name of the
-    quantity that is given for each device. The leading protocols are simulated in full so many times (`rehearsals`).
-    `tell` gets one line for each step.
+    The leading protocols are simulated in full so many times (`rehearsals`). `tell` gets one line for each step.
     """
-    asked: tuple[Quantity | None, ...] = tuple(quantities) or (None,) * len(known)
+    rig = candidates.rig
+    asked: tuple[Quantity | None, ...] = question.quantities or (None,) * len(known)
 
     def row(protocol: Protocol, seed: int, n: int = OUTCOMES) -> Row:
         seen = tuple(foresee(k, protocol, rig.rate_Hz, seed, q, n) for k, q in zip(known, asked, strict=True))
@@ -111,9 +113,9 @@ def make_plan(
             broken = (*broken, f"force up to {force:.4g} kN, allowed {rig.max_force_kN:.4g}")
         return Row(protocol, seen, gain, broken)
 
-    compared = [first[0], *given]
-    tell(f"weighing {len(first) + len(given)} protocols")
-    rows = [row(p, seed) for p in (*first, *given)]
+    compared = [candidates.first[0], *candidates.given]
+    tell(f"weighing {len(candidates.all)} protocols")
+    rows = [row(p, seed) for p in candidates.all]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     for k in range(ROUNDS):
         parents = ranked(rows)[:PARENTS]
@@ -131,11 +133,11 @@ def make_plan(
         tell(f"simulating '{r.protocol.name}' in full, {rehearsals} times")
         return replace(r, rehearsal=rehearse(known[0], r.protocol, rig.rate_Hz, rehearsals, seed, asked[0]))
 
-    worth = _worth(known, best, question)
+    worth = _worth(known, best, question.word)
     if rehearsals and worth is Worth.YES:
         done = {id(r): rehearsed(r) for r in [*best, *(r for r in others if r not in best)]}
         best, others = [done[id(r)] for r in best], [done.get(id(r), r) for r in others]
-    return Plan(tuple(known), rig, question, tuple(quantities), tuple(best), tuple(others), worth, seed)
+    return Plan(tuple(known), rig, question, tuple(best), tuple(others), worth, seed)
 
 
 def ranked(rows: Sequence[Row]) -> list[Row]:

@@ -1,6 +1,7 @@
 """What a rig can do: limits in ``rig.toml`` or in options, and whether a protocol keeps to them."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,15 @@ class Rig:
 
 
 LIMITS = tuple(field.name for field in fields(Rig))
+
+
+def stated_limits(path: Path | None, given: Mapping[str, float | None]) -> dict[str, float]:
+    """Limits of a ``rig.toml``, where there is one, with those given over them; `PlanError` with the one at fault."""
+    for name in given:
+        if name not in LIMITS:
+            raise PlanError(f"'{name}' is no limit; known are {', '.join(LIMITS)}{did_you_mean(name, LIMITS)}")
+    stated = {} if path is None else read_rig(path)
+    return stated | {name: value for name, value in given.items() if value is not None}
 
 
 def read_rig(path: Path) -> dict[str, float]:

@@ -13,10 +13,10 @@ from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.inference.run import Run
 from shj_bayes.margins.specimen import model_of, read_specimen
 from shj_bayes.mismatch.look import Look
-from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.device import effects_named
 from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.priors import Prior, Priors
-from shj_bayes.planning.known import Key
+from shj_bayes.planning.known import Key, Subject
 from shj_bayes.recording.recording import Extra, Recording, Source
 
 ODDS_IN_FILES = 1e-6  # probabilities below it are left out
@@ -24,13 +24,9 @@ ODDS_IN_FILES = 1e-6  # probabilities below it are left out
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """A tested device."""
+    """A tested device, and the sliding force that its fit found."""
 
-    name: str
-    runs: tuple[Run, ...]  # its tests
-    device: DeviceModel  # base model, with the effects that were given to the diagnosis
-    sets: tuple[tuple[Key, float], ...]  # what it may hold, with probabilities
-    hidden: frozenset[str]  # mechanisms that are not looked for
+    tested: Subject
     Fy: tuple[float, float]  # sliding force, kN, and the standard deviation of its logarithm
 
 
@@ -77,7 +73,8 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
-    return Stored(str(record["device"]), tuple(runs), device, sets, Look(without).hidden(device), spread)
+    tested = Subject(str(record["device"]), tuple(runs), device, sets, Look(without).hidden(device))
+    return Stored(tested, spread)
 
 
 def _priors(record: Mapping[str, Any]) -> Priors:

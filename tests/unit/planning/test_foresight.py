@@ -10,10 +10,11 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.scene import Metric
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.planning.candidates import Candidates, proposals
 from shj_bayes.planning.devices import further_devices, half_width
 from shj_bayes.planning.foresight import as_read, foresee
-from shj_bayes.planning.known import Known, before_any_test, class_of, common_scales, know, mechanisms_of
-from shj_bayes.planning.plan import Worth, make_plan, proposals
+from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know, mechanisms_of
+from shj_bayes.planning.plan import Worth, make_plan
 from shj_bayes.planning.protocol import Block, Protocol, Waveform
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rehearsal import rehearse
@@ -33,8 +34,8 @@ def heated() -> Known:
     key = stated_key("thermal", 0.025, seed=4, rate_Hz=5.0)
     runs = runs_of([make(key)[0].recording])
     device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-    scales = common_scales(runs, RIG, [LONG, SHORT, *proposals(RIG, 1)])
-    return know(runs, device, [(HEAT, 0.6), (WEAR, 0.4)], scales, hidden=frozenset({"velocity"}))
+    scales = common_scales(runs, proposals(RIG, 1, (LONG, SHORT)))
+    return know(Subject("device", runs, device, ((HEAT, 0.6), (WEAR, 0.4)), frozenset({"velocity"})), scales)
 
 
 def test_shares_are_those_that_were_given(heated: Known) -> None:
@@ -104,7 +105,7 @@ def test_full_simulations_end_where_it_was_foreseen(heated: Known) -> None:
 
 
 def test_a_plan_beats_a_short_test_and_keeps_to_the_rig(heated: Known) -> None:
-    plan = make_plan([heated], RIG, proposals(RIG, 1), given=[SHORT], rehearsals=1)
+    plan = make_plan([heated], proposals(RIG, 1, (SHORT,)), rehearsals=1)
     best, short = plan.best[0], next(r for r in plan.compared if r.protocol is SHORT)
     assert plan.worth is Worth.YES
     assert best.gain > short.gain
@@ -119,7 +120,7 @@ def test_nothing_is_planned_for_what_is_decided(heated: Known) -> None:
     shares = {HEAT: 0.99, WEAR: 0.01}
     kept = [next(b for b in heated.beliefs if b.key == k) for k in shares]
     sure = replace(heated, beliefs=tuple(replace(b, share=shares[b.key]) for b in kept))
-    plan = make_plan([sure, sure], RIG, [LONG, SHORT], rehearsals=0)  # one test for two devices
+    plan = make_plan([sure, sure], Candidates(RIG, (LONG, SHORT)), rehearsals=0)  # one test for two devices
     assert plan.worth is Worth.DECIDED
     assert len(plan.best[0].foreseen) == 2
 
@@ -139,7 +140,7 @@ def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
         Protocol("one", (Block(48.0, 40.0, 4),)),
         Protocol("several", (Block(48.0, 40.0, 2), Block(48.0, 4.0, 1))),
     )
-    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), rig, [one, several]))
+    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), Candidates(rig, (one, several))))
     assert known.keys[0] == frozenset()
     gamma = quantity_named(known, "gamma")
     assert gamma.now(known.beliefs)[1] == pytest.approx(0.02)
