@@ -12,7 +12,7 @@ from scipy.stats import halfnorm, lognorm
 
 from shj_bayes.mismatch.classes import SPREAD, TYPICAL, Candidate
 from shj_bayes.mismatch.schema import Verdict
-from shj_bayes.mismatch.search import DOUBT, EXPLAINED, MATTERS, Hypothesis, Search, replaced
+from shj_bayes.mismatch.search import DISTANCE, DOUBT, EXPLAINED, MATTERS, POSITION, Hypothesis, Search, replaced
 from shj_bayes.mismatch.state import State, drawn_from, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
@@ -95,9 +95,11 @@ def answer_of(out: Search) -> Answer:
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
     for h, p in zip(ranked, probability, strict=True):
-        for key, share in {h.key: 1.0}.items() if p < 1e-6 else truly_there(out, h, that_matter(out, h)).items():
+        shown = _split(out, h) if p >= 1e-6 else h
+        shares = truly_there(out, shown, that_matter(out, shown)) if p >= 1e-6 else {h.key: 1.0}
+        for key, share in shares.items():
             reduced[key] = reduced.get(key, 0.0) + float(p) * share
-            best.setdefault(key, h)
+            best.setdefault(key, shown)
     sets = tuple(sorted(reduced.items(), key=lambda item: -item[1]))
     nothing = reduced.get(frozenset(), 0.0)
     inclusion: dict[str, float] = {}
@@ -253,17 +255,37 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
 
     A small curve is within what matters of everything: a formula in its place must be better than nothing, and matter.
     """
-    before = h.state.residual
-    allowed = max(MATTERS, (1.0 - EXPLAINED) * size_of(out, h, place))
+    allowed = _may_miss(out, h, place)
     best, score = h, out.best_within(h.key - {h.members[place].of.id})
     for form in out.forms(h, place):
         new = out.fitted(replaced(h, place, form), form.start)
         if new is None:
             continue
-        away = float(np.percentile(np.abs((new.state.residual - before)[out.scene.used > 0]), 99)) / out.scene.scale_kN
-        if away <= allowed and new.log_weight > score and size_of(out, new, place) >= MATTERS:
+        if _away(out, h, new) <= allowed and new.log_weight > score and size_of(out, new, place) >= MATTERS:
             best, score = new, new.log_weight
     return best
+
+
+def _split(out: Search, h: Hypothesis) -> Hypothesis:
+    """Give the hypothesis with a formula beside a function of the distance for a curve over position that they follow.
+
+    No test can tell the curve from both together, and they say what it is.
+    """
+    place = next((i for i, m in enumerate(h.members) if m.of.id == POSITION and m.variant.curve is not None), None)
+    both = out.found.get(h.key | {DISTANCE})
+    follows = place is not None and both is not None and _away(out, h, both) <= _may_miss(out, h, place)
+    return both if follows and both is not None else h
+
+
+def _may_miss(out: Search, h: Hypothesis, place: int) -> float:
+    """How far a formula may be from a curve that it is the name of, a share of Fy."""
+    return max(MATTERS, (1.0 - EXPLAINED) * size_of(out, h, place))
+
+
+def _away(out: Search, a: Hypothesis, b: Hypothesis) -> float:
+    """How far the forces of two hypotheses are apart (99th percentile), as a share of Fy."""
+    apart = np.abs(b.state.residual - a.state.residual)[out.scene.used > 0]
+    return float(np.percentile(apart, 99)) / out.scene.scale_kN
 
 
 def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tuple[str, float], ...]]:

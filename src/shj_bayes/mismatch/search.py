@@ -35,6 +35,7 @@ FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = str(ClassId("added", "constant"))
+POSITION, DISTANCE = (str(ClassId("capacity", name)) for name in ("position", "distance"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
 
@@ -146,10 +147,11 @@ class Search:
     def screen(self, h: Hypothesis) -> list[Candidate]:
         """Candidates to add to a hypothesis, the best of each class, best first."""
         if h.key not in self.screened:
-            rest = [c for c in self.looked if c.of.id not in h.key and not _same_place(c.of, h)]
+            rest = [c for c in self.looked if c.of.id not in h.key]
             free = {c.of.id: c.of for c in rest}.values()
             again = [wave for of in free for wave in waves(self.scene, self.metric, h.state, of)]
-            self.screened[h.key] = screen(self.metric, h.state, [*rest, *again])
+            apart = [c for c in (*rest, *again) if not any(_same_twice(c, m) for m in h.members)]
+            self.screened[h.key] = screen(self.metric, h.state, apart)
         return self.screened[h.key]
 
     def try_constant(self) -> None:
@@ -192,6 +194,17 @@ class Search:
             if again or h.members[place].variant.curve is not None:
                 for form in self.forms(h, place):
                     self.add(replaced(h, place, form), form.start)
+                    self._split(h, place, form)
+
+    def _split(self, h: Hypothesis, place: int, form: Candidate) -> None:
+        """Try a formula beside a function of the distance in the place of a curve over position, which holds both."""
+        other = [c for c in self.looked if c.of.id == DISTANCE and _same_twice(h.members[place], c)]
+        one = self.fitted(replaced(h, place, form), form.start) if other else None
+        if one is not None:
+            best = screen(self.metric, one.state, other)[0]
+            both = self.add((*one.members, best), _joined(one, best))
+            if both is not None:
+                self.refine(both)
 
     def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
         """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
@@ -226,7 +239,7 @@ class Search:
             own = self.columns_of(h.state, place)
             rest = self.fitted(tuple(m for m in h.members if m is not member), np.delete(h.state.z, own))
             looked = [c for c in self.looked if c.of.id == member.of.id and c.variant.curve is not None]
-            if rest is None or not looked:
+            if rest is None or not looked or any(_same_twice(looked[0], m) for m in rest.members):
                 continue
             best = screen(self.metric, rest.state, looked)[0]
             start = np.insert(rest.state.z, [own[0]] * len(best.variant.effect.parameters), 0.0)
@@ -434,10 +447,10 @@ def _is_curve(member: Candidate) -> bool:
     return member.variant.curve is not None or not any(v.curve is not None for v in member.of.variants)
 
 
-def _same_place(one: Class, h: Hypothesis) -> bool:
-    """Whether a class is the even part, or the whole, of one that is in a hypothesis."""
-    pair = {"capacity over position", "capacity over distance"}
-    return one.id in pair and bool(pair & h.key)
+def _same_twice(a: Candidate, b: Candidate) -> bool:
+    """Whether one of two is a curve over position and the other a function of the distance, its even part."""
+    pairs = [(m, n) for m, n in ((a, b), (b, a)) if (m.of.id, n.of.id) == (POSITION, DISTANCE)]
+    return any(m.variant.curve is not None for m, _ in pairs)
 
 
 def _middle(scene: Scene) -> list[float]:

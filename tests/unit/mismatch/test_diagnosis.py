@@ -239,6 +239,13 @@ def test_two_effects_are_both_found(trials, look):
     assert is_right(look(trials.simulate(both, 5)).record, set(both))
 
 
+def test_two_effects_over_position_are_not_one_curve(trials, look):
+    """A curve over position holds a taper and prying both, and no formula follows it."""
+    record = look(trials.simulate({"taper": {"size": 0.05}, "prying": {"size": 0.08, "power": 2.0}}, 5)).record
+    assert is_right(record, {"taper", "prying"})
+    assert {c["coordinate"] for c in record["coordinates"]} == {"position", "distance"}
+
+
 def test_a_drift_that_is_zeroed_before_each_run_is_one_effect(trials, look):
     """Beside the going-on drift of another form a constant would stand for the zeroing."""
     record = look(trials.simulate({"drift_zeroed": {"size": 0.06, "warming": 3.0}}, 5)).record
