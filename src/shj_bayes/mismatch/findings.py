@@ -10,10 +10,11 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, lognorm
 
-from shj_bayes.mismatch.classes import SPREAD, TYPICAL, Candidate
+from shj_bayes.mismatch.classes import SPREAD, TYPICAL, Candidate, Class
+from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.mismatch.search import DISTANCE, DOUBT, EXPLAINED, MATTERS, POSITION, Hypothesis, Search, replaced
-from shj_bayes.mismatch.state import State, drawn_from, visible
+from shj_bayes.mismatch.state import State, beyond, drawn_from, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
@@ -148,10 +149,11 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
 def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:
     """Split the probability of a hypothesis: a class far smaller than the largest may be what that one's form misses.
 
-    What a form misses is a share of its size, half-normal with standard deviation 1 - `EXPLAINED`; a class by itself
-    has the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the densities at the
-    size that was found decide. What a form of the capacity misses turns its sign with the motion, what one of an added
-    force misses does not: neither looks like the other.
+    What a form misses is a share of the force that it makes, half-normal with standard deviation 1 - `EXPLAINED`; a
+    class by itself has the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the
+    densities at the size that was found decide. A form misses something only where it makes a force, so its force
+    counts where the smaller class acts. What a form of the capacity misses turns its sign with the motion, what one of
+    an added force misses does not: neither looks like the other.
 
     Parameters
     ----------
@@ -167,19 +169,55 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
     dict of frozenset to float
         Share of the probability for each set of classes; the largest class is in all of them.
     """
-    found = sorted(
-        ((size_of(out, h, i), m.of.action, m.of.id) for i, m in enumerate(h.members) if m.of.id in key), reverse=True
-    )
+    places = [i for i, m in enumerate(h.members) if m.of.id in key]
+    sizes = {i: size_of(out, h, i) for i in places}
+    places.sort(key=lambda i: (-sizes[i], h.members[i].of.id))
+    beside = forces_beside(out, h) if len(places) > 1 else np.zeros((0, 0))
     shares = {frozenset[str](): 1.0}
-    for place, (size, action, name) in enumerate(found):
-        larger = [other for other, acts, _ in found[:place] if action == acts or MOTION in (action, acts)]
-        by_itself, missed = float(lognorm.pdf(size, SPREAD, scale=TYPICAL)), 0.0
-        if larger:
-            missed = float(halfnorm.pdf(size, scale=(1.0 - EXPLAINED) * larger[0]))
+    for rank, i in enumerate(places):
+        one, larger = h.members[i].of, [j for j in places[:rank] if _may_look_alike(h.members[i].of, h.members[j].of)]
+        by_itself, missed = float(lognorm.pdf(sizes[i], SPREAD, scale=TYPICAL)), 0.0
+        if larger and (largest := max(float(beside[j, i]) for j in larger)) > 0.0:
+            missed = float(halfnorm.pdf(sizes[i], scale=(1.0 - EXPLAINED) * largest * sizes[i]))
         there = by_itself / (by_itself + missed)
-        split = {own | {name}: p * there for own, p in shares.items()}
+        split = {own | {one.id}: p * there for own, p in shares.items()}
         shares = split if there == 1.0 else split | {own: p * (1.0 - there) for own, p in shares.items()}
     return shares
+
+
+def _may_look_alike(a: Class, b: Class) -> bool:
+    """Whether what a form of one class misses may look like the other."""
+    return a.action == b.action or MOTION in (a.action, b.action)
+
+
+def forces_beside(out: Search, h: Hypothesis) -> FloatArray:
+    """Ratios of the forces that the members make and the base law could not, shape (n, n); see `ratios`."""
+    scene = out.scene
+    if any(m.of.action == MOTION for m in h.members):
+        scene = scene.finer_at(h.state.model, h.state.z)
+    changes = np.concatenate([_change(out, h, i, h.state.z[None], scene) for i in range(len(h.members))])
+    return ratios(beyond(scene, _law_slopes(h, scene), changes.T), scene.count[scene.used > 0])
+
+
+def ratios(forces: FloatArray, count: FloatArray) -> FloatArray:
+    """How large each force is over each other one, where that one acts.
+
+    Parameters
+    ----------
+    forces : array, shape (n, p)
+        In n blocks.
+    count : array, shape (n,)
+        Samples in each block.
+
+    Returns
+    -------
+    array, shape (p, p)
+        Root mean square of the row's force over that of the column's, both weighted by the square of the column's: 1
+        on the diagonal, and the ratio of the sizes of two forces that act alike.
+    """
+    squares = forces**2
+    products = (squares * count[:, None]).T @ squares
+    return np.asarray(np.sqrt(products / np.diag(products)))
 
 
 def size_of(out: Search, h: Hypothesis, place: int) -> float:
@@ -197,17 +235,28 @@ def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArr
 
     What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long.
     """
-    state, scene, device = h.state, out.scene, out.scene.device
+    scene = out.scene
     if h.members[place].of.action == MOTION:
-        scene = scene.finer_at(state.model, state.z)
-    effect = h.members[place].variant.effect
-    rest = tuple(e for e in state.model.effects if e.id != effect.id)
-    others = np.setdiff1d(np.arange(state.z.size), out.columns_of(state, place))
-    change = scene.residual(state.model.with_effects(rest), z[:, others]) - scene.residual(state.model, z)
-    # Of the law by itself: beside a constant of many times Fy, a change of Fy is a change of the constant.
-    law = state.z[np.isin(state.model.law_names, device.law_names)]
-    jacobian = scene.jacobian(device, law, scene.residual(device, law[None])[0])
-    return visible(scene, jacobian, change.T)
+        scene = scene.finer_at(h.state.model, h.state.z)
+    return visible(scene, _law_slopes(h, scene), _change(out, h, place, z, scene).T)
+
+
+def _change(out: Search, h: Hypothesis, place: int, z: FloatArray, scene: Scene) -> FloatArray:
+    """Force of a member for each of some parameter sets of its model, shape (m, n_law) to (m, n), kN."""
+    model, effect = h.state.model, h.members[place].variant.effect
+    rest = tuple(e for e in model.effects if e.id != effect.id)
+    others = np.setdiff1d(np.arange(h.state.z.size), out.columns_of(h.state, place))
+    return scene.residual(model.with_effects(rest), z[:, others]) - scene.residual(model, z)
+
+
+def _law_slopes(h: Hypothesis, scene: Scene) -> FloatArray:
+    """Give the derivatives of the law by itself, shape (n, n_law), kN.
+
+    Beside a constant of many times Fy, a change of Fy is a change of the constant.
+    """
+    device = scene.device
+    law = h.state.z[np.isin(h.state.model.law_names, device.law_names)]
+    return scene.jacobian(device, law, scene.residual(device, law[None])[0])
 
 
 def discrepancy_size(out: Search, state: State) -> float:

@@ -120,10 +120,21 @@ def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatA
         99th percentile over the samples of what is left, or of the change itself where that is less.
     """
     used = scene.used > 0
-    count = scene.count[used]
-    root = np.sqrt(count)[:, None]
-    left = orthogonal_to(jacobian[used] * root, change_kN[used] * root) / root
+    count, left = scene.count[used], beyond(scene, jacobian, change_kN)
     return np.minimum(_largest(left, count), _largest(change_kN[used], count)) / scene.scale_kN
+
+
+def beyond(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
+    """Give what is left of changes of the force when parameters make up for what they can, as for `visible`.
+
+    Returns
+    -------
+    array, shape (n_used, p)
+        In the blocks that are evidence, kN.
+    """
+    used = scene.used > 0
+    root = np.sqrt(scene.count[used])[:, None]
+    return np.asarray(orthogonal_to(jacobian[used] * root, change_kN[used] * root) / root)
 
 
 def _largest(columns: FloatArray, count: FloatArray) -> FloatArray:

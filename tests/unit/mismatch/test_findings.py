@@ -56,9 +56,39 @@ def test_a_class_matters_when_the_upper_limit_of_its_size_does(search):
     assert findings.that_matter(search, search.found[frozenset({"taper"})]) == {"taper"}
 
 
-def test_a_small_class_beside_a_large_one_may_be_what_the_form_of_that_one_misses(search, monkeypatch):
-    sizes = {"delay": 0.1, "wear": 0.012, "taper": 0.08}
-    monkeypatch.setattr(findings, "size_of", lambda out, h, place: sizes[h.members[place].of.id])
+@pytest.fixture
+def sized(monkeypatch):
+    """Sizes of classes that act alike everywhere, or each where the others do not."""
+
+    def give(sizes, apart=False):
+        def beside(out, h):
+            own = np.array([sizes[m.of.id] for m in h.members])
+            return np.eye(own.size) if apart else own[:, None] / own
+
+        monkeypatch.setattr(findings, "size_of", lambda out, h, place: sizes[h.members[place].of.id])
+        monkeypatch.setattr(findings, "forces_beside", beside)
+
+    return give
+
+
+def test_a_small_class_that_acts_where_a_large_one_does_not_is_nothing_that_this_one_misses(search, sized):
+    sized({"delay": 0.1, "wear": 0.012}, apart=True)
+    both = _hypothesis("delay", "wear")
+    shares = findings.truly_there(search, both, both.key)
+    assert shares[both.key] > 0.99
+
+
+def test_forces_are_held_beside_each_other_where_they_act():
+    """Ends of the stroke and its middle are apart; a force that is everywhere is beside both."""
+    at = np.linspace(-1.0, 1.0, 41)
+    ends, middle, all_over = 3.0 * (np.abs(at) > 0.7), 1.0 * (np.abs(at) < 0.3), np.full(at.size, 2.0)
+    beside = findings.ratios(np.column_stack([ends, middle, all_over]), np.ones(at.size))
+    assert beside[0] == pytest.approx([1.0, 0.0, 3.0 / 2.0 * np.sqrt(np.mean(ends > 0))])
+    assert beside[2] == pytest.approx([2.0 / 3.0, 2.0, 1.0])
+
+
+def test_a_small_class_beside_a_large_one_may_be_what_the_form_of_that_one_misses(search, sized):
+    sized({"delay": 0.1, "wear": 0.012, "taper": 0.08})
     both = _hypothesis("delay", "wear", "taper")
     shares = findings.truly_there(search, both, both.key)
     assert sum(shares.values()) == pytest.approx(1.0)
@@ -71,10 +101,9 @@ def test_a_small_class_beside_a_large_one_may_be_what_the_form_of_that_one_misse
     assert findings.truly_there(search, both, frozenset()) == {frozenset(): 1.0}
 
 
-def test_an_added_force_is_nothing_that_a_form_of_the_capacity_misses(search, monkeypatch):
+def test_an_added_force_is_nothing_that_a_form_of_the_capacity_misses(search, sized):
     """It has one sign in push and pull, friction two."""
-    sizes = {"taper": 0.1, "constant": 0.012, "wear": 0.012}
-    monkeypatch.setattr(findings, "size_of", lambda out, h, place: sizes[h.members[place].of.id])
+    sized({"taper": 0.1, "constant": 0.012, "wear": 0.012})
     both = _hypothesis("taper", "constant", "wear")
     shares = findings.truly_there(search, both, both.key)
     assert all({"taper", "constant"} <= key for key in shares)
