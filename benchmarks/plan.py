@@ -29,6 +29,7 @@ from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
+from shj_bayes.mismatch.search import MATTERS
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.candidates import proposals
@@ -70,6 +71,7 @@ GROUPS = {
 BINS, LEAST = (0.9, 0.95, 0.98, 0.995), 1e-3  # of the chance foreseen; smallest probability that is drawn
 # Of the largest size that the proof conceals: what one run may leave undecided.
 SHARE, SMALL = (0.03, 0.25), {"speed or place": (0.005, 0.05)}
+CONSTANT = "load_offset"  # of less than matters it is an error of the load cell's zero, not an effect
 
 
 def main() -> None:
@@ -117,7 +119,9 @@ def key_of(seed: int, number: int) -> tuple[Key, str]:
     key = development_keys(7000 + seed, number, "one", effect=name, rate_Hz=RATE_HZ)[-1]
     effect = key.effects[0]
     largest = simulators_by_id()[effect.id].sizes[1]
-    size = float(np.sign(effect.size) * largest * np.exp(rng.uniform(*np.log(SMALL.get(group, SHARE)))))
+    low, high = largest * np.array(SMALL.get(group, SHARE))
+    low = max(low, MATTERS) if name == CONSTANT else low
+    size = float(np.sign(effect.size) * np.exp(rng.uniform(np.log(low), np.log(high))))
     return replace(key, protocol="paper", effects=(replace(effect, size=size),)), group
 
 

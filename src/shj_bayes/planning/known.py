@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
+from scipy.stats import norm
 
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.one_thread import one_blas_thread
@@ -24,7 +25,7 @@ from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
-from shj_bayes.mismatch.search import ODDS, Hypothesis, Search, noise_beside
+from shj_bayes.mismatch.search import CONSTANT, DOUBT, MATTERS, ODDS, Hypothesis, Search, noise_beside
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
@@ -130,6 +131,11 @@ class Known:
         theta = np.array([values.get(n, 1.0) * (share_of_speed if n == "gamma" else 1.0) for n in alone.names])
         return np.asarray(alone.force(theta[None], history, start_force_kN)[0])
 
+    @property
+    def largest_zero_kN(self) -> float:
+        """Limit of the load cell's zero, see `largest_zero`."""
+        return largest_zero(self.keys, self.device.law_values(self.z)["Fy"])
+
     def wobbling(self, displacement_mm: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Displacement as it would be measured, with the noise of the old tests."""
         noise = max((run.motion.noise_mm for run in self.runs), default=0.0)
@@ -142,7 +148,7 @@ class Known:
         """
         run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=PLANNED), motion)
         bends = partial(self.base_force, share_of_speed=0.0)  # what the speed adds is straight
-        part = reduce_runs((run,), bends, coarser=coarser)[0]
+        part = _zero_within(reduce_runs((run,), bends, coarser=coarser)[0], self.largest_zero_kN)
         runs = (*self.runs, run)
         posterior = Posterior(runs, self.device, (replace(part, history=self.placed(part.history)),))
         return Scene(posterior, self.z, self.peak_mm_s)
@@ -168,6 +174,21 @@ class Known:
             measured={} if last is None else last.held({}).measured,
             **self.scales,
         )
+
+
+def largest_zero(keys: Iterable[Key], scale_kN: float) -> float:
+    """Give the largest standard deviation of the load cell's zero, kN, at a sliding force of `scale_kN`.
+
+    Where a constant force is among the rivals, a zero that is off by a size that matters is that constant, as in a
+    diagnosis: it has a chance of `DOUBT`. Where it is not, there is no limit.
+    """
+    return MATTERS * scale_kN / float(norm.isf(DOUBT / 2.0)) if any(CONSTANT in key for key in keys) else math.inf
+
+
+def _zero_within(part: Averages, limit_kN: float) -> Averages:
+    """Blocks whose zero has a standard deviation of no more than a limit."""
+    timing = part.timing
+    return replace(part, timing=replace(timing, zero_noise_kN=min(timing.zero_noise_kN, limit_kN)))
 
 
 def common_scales(runs: Sequence[Run], candidates: Candidates) -> dict[str, Any]:
@@ -202,7 +223,9 @@ def know(tested: Subject, scales: Mapping[str, Any], tell: Callable[[str], None]
     if len(runs) >= MOST_RUNS:
         raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
     own = scene_of(runs, device)
-    old = tuple(replace(part, history=replace(part.history, **scales)) for part in own.posterior.averages)
+    limit = largest_zero([key for key, _ in sets], own.scale_kN)
+    parts = [_zero_within(part, limit) for part in own.posterior.averages]
+    old = tuple(replace(part, history=replace(part.history, **scales)) for part in parts)
     peak = own.posterior.averages[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
     scene = Scene(Posterior(runs, device, old), own.z, peak)
     known = {c.id: c for c in classes(tested.hidden, own.measured)}

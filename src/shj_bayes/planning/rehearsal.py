@@ -65,7 +65,7 @@ def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng
     force = true.model.force(theta, known.placed(histories([time], [motion])[0]), 0.0)[0]
     noise = {name: float(v[0]) for name, v in true.model.noise_values(theta).items()}
     force = force + simulate(true.model.noise, noise, time, np.arange(time.size) == 0, rng)
-    force += zero_noise_kN(force) * rng.standard_normal()
+    force += min(zero_noise_kN(force), known.largest_zero_kN) * rng.standard_normal()
     return Recording(time, known.wobbling(motion.displacement_mm, rng), force, source=PLANNED)
 
 

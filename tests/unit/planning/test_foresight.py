@@ -58,6 +58,21 @@ def test_more_test_tells_more(heated: Known) -> None:
     assert foresee(heated, LONG, 5.0, 1) == long  # same seed, same numbers
 
 
+def test_a_zero_that_is_off_by_what_matters_is_the_rival_that_says_so(heated: Known) -> None:
+    """A load cell that is off by 2 % of Fy; without the rival of a constant force the zero may be off so far."""
+    key = stated_key("load_offset", 0.02, seed=4, rate_Hz=5.0)
+    runs = runs_of([make(key)[0].recording])
+    device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
+    scales = common_scales(runs, proposals(RIG, 1, (LONG, SHORT)))
+    constant = frozenset({"added over constant"})
+    sets = ((constant, 0.5), (frozenset[str](), 0.5))
+    known = know(Subject("device", runs, device, sets, frozenset({"velocity"}), untold=True), scales)
+    assert known.probabilities[constant] > 0.9
+    assert known.largest_zero_kN == pytest.approx(0.01 * known.device.law_values(known.z)["Fy"] / 1.96, rel=1e-3)
+    assert all(part.timing.zero_noise_kN <= known.largest_zero_kN for part in known.old)
+    assert heated.largest_zero_kN == np.inf
+
+
 def test_a_way_does_not_weigh_its_own_outcomes(heated: Known) -> None:
     judges, shares = heated.judges, np.array([b.share for b in heated.beliefs])
     assert judges.sum(axis=1) == pytest.approx(1.0)
