@@ -8,6 +8,7 @@ from shj_bayes.recording.kinematics import blind_stretches
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.recording import Finding, FloatArray, Recording
+from shj_bayes.recording.resampled import resampled_findings
 from shj_bayes.recording.reversals import hysteresis
 
 
@@ -144,6 +145,7 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
             f"to see the stiffness; sample faster"
         )
         findings.append(Finding("coarse-sampling", "warning", message))
+    findings += resampled_findings(recording, motion.n_half)
     return [*findings, *_offsets(recording, motion), *_lag(recording, motion)]
 
 
