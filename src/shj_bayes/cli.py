@@ -404,7 +404,7 @@ def tables(out: Path, seed: int, output: Output) -> None:
     "sets",
     multiple=True,
     metavar="NAME",
-    help="Print this set only, and take --nominal for it alone; may be given again.",
+    help="Draw up this set alone; may be given again.",
 )
 @_with_output
 def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from shj_bayes._util.files import need_population, write_text
-from shj_bayes.commands.design import MOST_DRAWN, tested_devices
+from shj_bayes.commands.design import MOST_DRAWN, read_devices
 from shj_bayes.margins.curves import CurveContrast, compare_curves
 from shj_bayes.population.compare import ROPE, Comparison, compare
 from shj_bayes.population.posterior import PopulationResult
@@ -28,7 +28,7 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     first, second = members(result, strata_of(result, set_a, set_b)[2])
     rope = rope_percent / 100.0
     comparison = compare(result, set_a, set_b, rope=rope)
-    curves = compare_curves(result, tested_devices(folder, result)[1], set_a, set_b, rope=rope)
+    curves = compare_curves(result, read_devices(folder, result)[1], set_a, set_b, rope=rope)
     table = comparison.to_table()
     who = [
         f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
@@ -67,7 +67,7 @@ def curves_of_pairs(folder: Path, result: PopulationResult) -> tuple[CurveContra
     """
     few = sum(len(group.devices) for group in result.sets) <= MOST_DRAWN
     chosen = pairs(result) if few else ()
-    specimens = tested_devices(folder, result)[1] if chosen else ()
+    specimens = read_devices(folder, result)[1] if chosen else ()
     found = tuple(c for pair in chosen for c in compare_curves(result, specimens, *pair, rope=ROPE))
     path = folder / "comparison-curves.csv"
     path.unlink(missing_ok=True)

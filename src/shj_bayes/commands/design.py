@@ -26,11 +26,9 @@ from shj_bayes.margins.specimen import Specimen, largest_ranges, read_specimen, 
 from shj_bayes.margins.trial import try_all
 from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.results import load_population
 from shj_bayes.report.campaign_file import WITH_SET, read_campaign
 from shj_bayes.report.campaign_physics import statements
-from shj_bayes.report.margins_numbers import tested_sets
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 from shj_bayes.report.words import digits
@@ -47,19 +45,19 @@ def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[
     result = load_population(folder)
     named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
     request = replace(request, sets=tuple(named))
-    campaign, specimens, words = tested_devices(folder, result)
+    campaign, specimens, words = read_devices(folder, result, request.sets)
     asked = asked_for(request, specimens) if specimens else None
     trials = try_all(specimens, asked, extrapolate=request.extrapolate)
     sheet = margins(pool(trials, result, progress=progress), trials, request, asked=asked, words=words)
     speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
-    loop_bands = loops(trials, speed) if len(trials) <= MOST_DRAWN else ()
+    loop_bands = loops(sheet.trials, speed) if len(sheet.trials) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
     write_loops(loop_bands, folder)
     name = str(campaign["name"]) if campaign else TABLES_NAME
     simulated = bool(campaign and campaign.get("simulated"))
     render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
-    lines = [margin_text(sheet, request), "", *notes, "", *two_numbers(sheet, request)]
+    lines = [margin_text(sheet, request.importance), "", *notes, "", *two_numbers(sheet)]
     return {"record": to_json(sheet), "text": "\n".join(lines)}
 
 
@@ -79,7 +77,7 @@ def export_analysis(
     """
     need_population(folder)
     result = load_population(folder)
-    campaign, specimens, _ = tested_devices(folder, result)
+    campaign, specimens, _ = read_devices(folder, result)
     if not specimens:
         raise PopulationError("no device gives all of K, Fy, beta and gamma, which a material needs")
     tested = largest_ranges(specimens)["position"]
@@ -110,31 +108,33 @@ def export_analysis(
     return (*(place / name for name in files), *((drawn_loops,) if drawn_loops else ()))
 
 
-def tested_devices(
-    folder: Path, result: PopulationResult
+def read_devices(
+    folder: Path, result: PopulationResult, told: Sequence[str] = ()
 ) -> tuple[dict[str, Any] | None, tuple[Specimen, ...], tuple[str, ...]]:
     """Read the tested devices of a folder with the models that their diagnoses ended in, and what these found.
 
-    First comes the content of ``campaign.json``; None for the published tables.
+    First comes the content of ``campaign.json``; None for the published tables. What was found is told of the sets
+    `told`, of all where that is empty.
     """
     if not (folder / "campaign.json").exists():
         return None, specimens_of_table(result), ()
     campaign = read_campaign(folder)
-    out, found, notes = [], {}, []
-    places = _places(campaign, result)
-    for place, name, of_set, with_set in places:
+    out, found, notes, n_told = [], {}, [], 0
+    for place, name, of_set, with_set in _places(campaign, result):
         diagnosis, why = find_diagnosis(folder / place)
-        if why:
-            notes.append(f"{of_set}, {name}: {why}")
-        if diagnosis is not None:
-            found[of_set, name] = diagnosis
         better = diagnosis.fit if diagnosis is not None and diagnosis.verdict is not Verdict.ADEQUATE else None
         if with_set:
             better = folder / place / WITH_SET
-            if diagnosis is not None:  # a first look that was fitted after all
-                found[of_set, name] = replace(diagnosis, fit=better)
+        if not told or of_set in told:
+            n_told += 1
+            if why:
+                notes.append(f"{of_set}, {name}: {why}")
+            if diagnosis is not None:  # one without a fit, a first look, may have been fitted with its set after all
+                found[of_set, name] = replace(diagnosis, fit=better) if with_set else diagnosis
         out.append(read_specimen(folder / place, name, of_set, better))
-    return campaign, tuple(out), (*statements(campaign), *words_of(found, len(places), notes))
+    common = [group for group in campaign.get("together", ()) if not told or group["set"] in told]
+    words = (*statements({"together": common}), *words_of(found, n_told, notes))
+    return campaign, tuple(out), words
 
 
 def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[str, str, str, bool]]:
@@ -153,13 +153,11 @@ def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[st
     ]
 
 
-def margin_text(sheet: Sheet, request: Request) -> str:
+def margin_text(sheet: Sheet, importance: str) -> str:
     """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
     table = design_table(sheet)
-    tested = tested_sets(sheet)
-    enough = sets_suffice(len(tested))
     lines = []
-    for name in _shown(sheet, request):
+    for name in sheet.spoken:
         shown = "(all devices)" if name == ANY_SET else name
         part = table[table["set"] == shown]
         lines += ["", f"{name_of(name)}: {_behind(sheet, name)}"]
@@ -179,28 +177,22 @@ def margin_text(sheet: Sheet, request: Request) -> str:
             lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}")
         if not complete:
             lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
-        lines += [f"  {text}" for text in _factor_lines(sheet, name, request.importance)]
-    if not (request.sets or enough):
-        lines += ["", never_tested_words(len(tested))]
+        lines += [f"  {text}" for text in _factor_lines(sheet, name, importance)]
+    if untested := sheet.untested:
+        lines += ["", untested]
     return "\n".join(lines[1:])
 
 
-def two_numbers(sheet: Sheet, request: Request) -> list[str]:
+def two_numbers(sheet: Sheet) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
-    own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in _shown(sheet, request))
+    own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in sheet.spoken)
     return ["Two numbers of each set, of the devices that were tested:", *own]
-
-
-def _shown(sheet: Sheet, request: Request) -> Sequence[str]:
-    """Choose the sets to tell of: those asked for, else all tested ones, and where these suffice an untested one."""
-    tested = tested_sets(sheet)
-    return request.sets or ([*tested, ANY_SET] if sets_suffice(len(tested)) else tested)
 
 
 def _behind(sheet: Sheet, name: str) -> str:
     """Say on how many devices, or sets, the margins of a set rest."""
     if name == ANY_SET:
-        return f"from {len(tested_sets(sheet))} tested sets"
+        return f"from {sheet.n_sets} tested sets"
     count = max(row.n_devices for row in sheet.rows if row.set_name == name)
     return f"{count} device{'' if count == 1 else 's'}"
 

@@ -21,7 +21,7 @@ class Request:
     importance: str = "II"  # "I", "II", "III": importance class of the structure, for EN 15129
     # nominal sliding force for phi, phi_o and the bounds; that of a typical device of the set where not given
     nominal_kN: float | None = None
-    sets: tuple[str, ...] = ()  # sets that are shown and that the nominal force is for; all where empty
+    sets: tuple[str, ...] = ()  # sets that the sheet is drawn up for; all where empty
     # coefficient of variation of the sliding force between devices of a set, known from other sources than these tests
     # (EN 1990 "V known")
     v_known: float | None = None
@@ -43,10 +43,6 @@ class Request:
                 "a coefficient of variation taken as known needs the reason, and a reason needs the value: give "
                 '--v-known 0.06 --v-reason "factory control of 300 devices"; without both, V counts as unknown'
             )
-
-    def nominal_of(self, set_name: str) -> float | None:
-        """Nominal sliding force stated for a set, kN."""
-        return self.nominal_kN if not self.sets or set_name in self.sets else None
 
 
 PLAIN = Request()

@@ -20,7 +20,7 @@ from shj_bayes.margins.spread import NOT_NORMAL, Sample, between_sets, common_sp
 from shj_bayes.margins.trial import Trial
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior
-from shj_bayes.population.predict import sets_suffice
+from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.quantities import LOWEST, MOST, THIRD_CYCLE, FloatArray
 from shj_bayes.population.tested import RangeTested
 
@@ -39,9 +39,19 @@ class Sheet:
     history: str  # displacement history that the devices were driven through, in words
     tested: RangeTested | None  # amplitudes and speeds that every device went through; None where not known
     extrapolated: bool  # whether the history leaves what was tested
+    # sets that page and terminal tell of: those asked for, else all that were tested and, where these are enough to say
+    # anything of it, one never tested
+    spoken: tuple[str, ...]
+    n_sets: int  # sets that were tested
     warnings: tuple[str, ...]  # what to mind, one sentence each
     diagnoses: tuple[str, ...] = ()  # what the diagnoses found, device by device
-    trials: tuple[Trial, ...] = field(repr=False, default=())  # the devices
+    trials: tuple[Trial, ...] = field(repr=False, default=())  # the devices of the sets that it holds
+
+    @property
+    def untested(self) -> str:
+        """Why nothing is said of a set that was never tested; empty where something is, or where none was asked for."""
+        held = {row.set_name for row in self.rows}
+        return never_tested_words(self.n_sets) if ANY_SET in held - set(self.spoken) else ""
 
     def get(self, set_name: str, quantity: str, kind: str, side: str) -> Margin | None:
         """One margin; None where there is none."""
@@ -95,23 +105,25 @@ def margins(
 
     `asked` is the history of the virtual test, None for the devices' own; `words` say what the diagnoses found.
     """
-    rows = tuple(_rows(design, trials, request))
+    n_sets = len(design.sets)
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
-    spoken = (*design.set_names, ANY_SET) if sets_suffice(len(design.sets)) else design.set_names
+    spoken = request.sets or ((*design.set_names, ANY_SET) if sets_suffice(n_sets) else design.set_names)
+    own = tuple(trial for trial in trials if ANY_SET in spoken or trial.set_name in spoken)
+    rows = tuple(_rows(design, own, request))
     compared = agreement([row for row in rows if row.set_name in spoken])
-    laws = next((trial.laws for trial in trials if len(trial.laws) > 1), ())
-    followed = following.words_of([trial.following for trial in trials], own_test=asked is None)
-    warnings = (*compared.contradictions, *_warnings(design, request, asked, laws), *followed, compared.words)
+    laws = next((trial.laws for trial in own if len(trial.laws) > 1), ())
+    followed = following.words_of([trial.following for trial in own], own_test=asked is None)
+    warnings = (*compared.contradictions, *_warnings(design, request, spoken, asked, laws), *followed, compared.words)
     history = OWN_TEST if asked is None else asked.words
-    return Sheet(rows, history, design.tested, bool(laws), warnings, tuple(words), tuple(trials))
+    return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
 
 
 def _rows(result: PopulationResult, trials: Sequence[Trial], request: Request) -> Iterator[Margin]:
     by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
-    for name in (*result.set_names, ANY_SET):
+    for name in request.sets or (*result.set_names, ANY_SET):
         devices = newcomers(result, name)
-        parts = parts_of(result, name, devices, request.nominal_of(name))
+        parts = parts_of(result, name, devices, request.nominal_kN)
         given = _given(name, by_set, common, parts, request)
         yield from _first(given)
         found = list(bands.of_set(result, name, devices, given.devices))
@@ -204,7 +216,9 @@ def _degradation(row: Margin) -> Margin:
     )
 
 
-def _warnings(result: PopulationResult, request: Request, asked: Asked | None, laws: Sequence[str]) -> Iterator[str]:
+def _warnings(
+    result: PopulationResult, request: Request, spoken: Sequence[str], asked: Asked | None, laws: Sequence[str]
+) -> Iterator[str]:
     tested = result.tested
     if request.v_known is not None:
         yield f"V = {request.v_known:g} of the sliding force is taken as known (EN 1990), because: {request.v_reason}"
@@ -223,20 +237,27 @@ def _warnings(result: PopulationResult, request: Request, asked: Asked | None, l
         )
     if not result.converged:
         yield "The calculation of the population has not finished: take these margins as a first look."
+    if request.sets:
+        yield (
+            "Drawn up for what --set names alone. How much devices of a set differ is learnt from all sets that were "
+            f"tested ({len(result.sets)}); without --set the sheet holds them all."
+        )
     fit = result.fit(THIRD_CYCLE)
     several = [i for i, n in enumerate(fit.n_devices) if n > 1]
     if len(several) > 1:
         middle = np.median(fit.tau[:, several], axis=0)
         wide, tight = several[int(np.argmax(middle))], several[int(np.argmin(middle))]
         if np.quantile(fit.tau[:, wide] / fit.tau[:, tight], 0.05) > UNEQUAL:
-            yield (
-                f"The sets do not spread alike: {result.set_names[wide]} spreads several times as much as "
-                f"{result.set_names[tight]}. Margins with the spread common to all sets are too wide for the one and "
-                "too narrow for the other; the bands of a new device allow for it."
-            )
-    few = sum(n < 3 for n in fit.n_devices)
+            ends = (("narrow", result.set_names[wide]), ("wide", result.set_names[tight]))
+            if found := [f"too {fault} for {name}" for fault, name in ends if name in spoken]:
+                yield (
+                    "The sets do not spread alike, but several times as much one as another: margins with the spread "
+                    f"common to all sets are {' and '.join(found)}; the bands of a new device allow for it."
+                )
+    counts = [n for name, n in zip(result.set_names, fit.n_devices, strict=True) if name in spoken]
+    few = sum(n < 3 for n in counts)
     if few:
-        which = f"{few} of {len(fit.n_devices)} sets rest" if len(fit.n_devices) > 1 else "The set rests"
+        which = f"{few} of {len(counts)} sets rest" if len(counts) > 1 else "The set rests"
         yield (
             f"{which} on one or two devices. The smallest and largest of two hold 90 % "
             "of all devices with a confidence of only 1 %: two devices are not a band."

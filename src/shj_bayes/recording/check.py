@@ -7,6 +7,7 @@ from typing import Any, get_args
 import numpy as np
 
 from shj_bayes.errors import RecordingError, plain_text
+from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of
@@ -108,14 +109,16 @@ def describe(recording: Recording, motion: Motion | None) -> str:
     `motion` is None when the displacement does not move enough to have half-cycles.
     """
     facts = to_dict(recording, motion)
+    unit, factor = unit_of(recording.force_kN)
+    force, noise = [value * factor for value in facts["force_kN"]], facts["force_noise_kN"] * factor
     lines = [f"{facts['name']}: {'usable' if facts['usable'] else 'NOT USABLE'}"]
     for role, column in facts["columns"].items():
         lines.append(f"  {role:<13}{column}  [{facts['units'].get(role, '?')}]")
     lines += [
         f"  {'samples':<13}{facts['n_samples']} at {facts['rate_Hz']:.5g} Hz, {facts['duration_s']:.5g} s; "
         f"{facts['n_used']} used as evidence",
-        f"  {'range':<13}{_range(facts['displacement_mm'])} mm, {_range(facts['force_kN'])} kN",
-        f"  {'noise':<13}{facts['force_noise_kN']:.2g} kN" + (f", {motion.noise_mm:.2g} mm" if motion else ""),
+        f"  {'range':<13}{_range(facts['displacement_mm'])} mm, {_range(force)} {unit}",
+        f"  {'noise':<13}{noise:.2g} {unit}" + (f", {motion.noise_mm:.2g} mm" if motion else ""),
     ]
     if motion is not None:
         lines += _motion_lines(facts["motion"])

@@ -74,6 +74,15 @@ FEW_HALF_CYCLES = 4  # fewer cannot show whether anything changes from cycle to 
 MIN_SAMPLES = 32  # fewer hold less information than the law has parameters, several times over
 MIN_SAMPLES_PER_HALF_CYCLE = 8  # fewer leave the elastic branch without a sample
 
+# --- interpolated to a higher rate. Bends at random places are a whole number of periods apart, to a sixth of one, with
+# probability 1/3; that 90 % of 40 bends are so has one below 1e-11 ---
+BEND_COUNTS = 20.0  # of the resolution: rounding makes two, and ten times as much beyond a power of ten
+BENDS = 40
+BENDS_AGREE = 0.9
+BEND_WITHIN = 1 / 6  # of a period, which the clock of the recorded samples may vary by
+BEND_PERIOD = 3.0  # samples; twice the rate cannot be told from noise that was filtered
+BENDS_PER_HALF_CYCLE = 4  # a drive without noise bends where it turns, and once more where the force does
+
 # --- kinematics ---
 REVERSAL_NOISE = 10.0  # white noise of a million samples spans 10 standard deviations peak to peak
 REVERSAL_RANGE = 0.005  # share of the displacement range: rests and control hunting stay below

@@ -3,10 +3,12 @@
 import numpy as np
 
 from shj_bayes.recording import limits
+from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.kinematics import blind_stretches
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.recording import Finding, FloatArray, Recording
+from shj_bayes.recording.resampled import resampled_findings
 from shj_bayes.recording.reversals import hysteresis
 
 
@@ -143,6 +145,7 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
             f"to see the stiffness; sample faster"
         )
         findings.append(Finding("coarse-sampling", "warning", message))
+    findings += resampled_findings(recording, motion.n_half)
     return [*findings, *_offsets(recording, motion), *_lag(recording, motion)]
 
 
@@ -165,9 +168,10 @@ def _offsets(recording: Recording, motion: Motion) -> list[Finding]:
         return findings
     offset, half = 0.5 * (push + pull), 0.5 * abs(push - pull)
     if abs(offset) > limits.OFFSET_SHARE * half:
+        unit, n = unit_of(recording.force_kN)
         message = (
-            f"the force is {push:.4g} kN pushing and {pull:.4g} kN pulling, {offset:+.3g} kN off centre; kept as it "
-            f"is: a load cell that was not zeroed, or a device that differs in push and pull"
+            f"the force is {push * n:.4g} {unit} pushing and {pull * n:.4g} {unit} pulling, {offset * n:+.3g} {unit} "
+            f"off centre; kept as it is: a load cell that was not zeroed, or a device that differs in push and pull"
         )
         findings.append(Finding("force-offset", "note", message))
     return findings + _rest(recording, motion, half)
@@ -195,7 +199,9 @@ def _rest(recording: Recording, motion: Motion, half: float) -> list[Finding]:
     force = float(np.median(recording.force_kN[:n]))
     if abs(force) <= limits.OFFSET_SHARE * half:
         return []
-    message = f"force at rest before the first movement is {force:+.3g} kN ({n} samples), not zero; kept as it is"
+    unit, factor = unit_of(recording.force_kN)
+    at_rest = f"{force * factor:+.3g} {unit} ({n} samples)"
+    message = f"force at rest before the first movement is {at_rest}, not zero; kept as it is"
     return [Finding("rest-offset", "note", message, n)]
 
 

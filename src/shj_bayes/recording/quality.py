@@ -5,6 +5,7 @@ import numpy as np
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.cells import clipped, complete_rows, fill, spikes
 from shj_bayes.recording.clock import clock_findings, orderly_rows
+from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.limits import BAD_CELL_SHARE
 from shj_bayes.recording.loops import cycle_findings, magnitude_findings, sign_findings
@@ -75,8 +76,8 @@ def _clip_findings(label: str, values: FloatArray, cut: BoolArray) -> list[Findi
     if count == 0:
         return []
     share = count / values.size
-    unit = "mm" if label == "displacement" else "kN"
-    levels = " and ".join(f"{level:.4g}" for level in np.unique(values[cut]))
+    unit, factor = ("mm", 1.0) if label == "displacement" else unit_of(values)
+    levels = " and ".join(f"{level * factor:.4g}" for level in np.unique(values[cut]))
     message = f"{label} is clipped at {levels} {unit} in {count} samples ({share:.1%}), which are not used as evidence"
     severe = share > (BAD_CELL_SHARE if label == "displacement" else 0.5)
     return [Finding("clipped", "unusable" if severe else "warning", message, count)]

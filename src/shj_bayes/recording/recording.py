@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.errors import RecordingError, plain_text
+from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.limits import GAP_STEPS
 
 FloatArray = NDArray[np.float64]
@@ -154,11 +155,12 @@ class Recording:
 
     def _repr_html_(self) -> str:
         """Facts and findings as a small table, for notebooks."""
-        x, f = self.displacement_mm, self.force_kN
+        unit, factor = unit_of(self.force_kN)
+        x, f = self.displacement_mm, self.force_kN * factor
         rows = [
             ("samples", f"{self.n_samples} at {self.rate_Hz:.4g} Hz, {self.duration_s:.4g} s"),
             ("displacement", f"{x.min():.4g} to {x.max():.4g} mm"),
-            ("force", f"{f.min():.4g} to {f.max():.4g} kN"),
+            ("force", f"{f.min():.4g} to {f.max():.4g} {unit}"),
             *((finding.severity, finding.message) for finding in self.findings),
         ]
         body = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows)

@@ -1,12 +1,11 @@
-"""Newton for devices of less than a kilonewton: 0.26 kN is no number that a laboratory reads off its load cell."""
+"""The unit in which pages and terminal show the forces of a device."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from shj_bayes.recording import force_unit as rule
 from shj_bayes.report.words import short
-
-SMALL_KN = 1.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class ForceUnit:
         return {**row, "unit": unit} | {k: row[k] * factor for k in keys if row.get(k) is not None}
 
 
-KN, N = ForceUnit("kN", 1.0), ForceUnit("N", 1000.0)
+KN = ForceUnit("kN", 1.0)
 
 
 def force_unit(record: Mapping[str, Any]) -> ForceUnit:
@@ -43,4 +42,4 @@ def force_unit(record: Mapping[str, Any]) -> ForceUnit:
 
 def unit_for(sliding_kN: float | None) -> ForceUnit:
     """Choose the unit for a device by its sliding force, which may not be known."""
-    return N if sliding_kN is not None and abs(sliding_kN) < SMALL_KN else KN
+    return KN if sliding_kN is None else ForceUnit(*rule.unit_for(sliding_kN))

@@ -1,6 +1,7 @@
 """The numbers of a designer's sheet, chosen from all margins and written as text. Nothing is drawn here."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from shj_bayes.margins.codes.en15129 import kind_of
@@ -8,7 +9,6 @@ from shj_bayes.margins.files import shown
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
 from shj_bayes.population.posterior import ANY_SET
-from shj_bayes.population.predict import sets_suffice
 from shj_bayes.report.sets import name_of
 from shj_bayes.report.words import digits
 
@@ -96,7 +96,7 @@ def spread_table(sheet: Sheet) -> dict[str, Any]:
                 for kind in kinds
             ],
         }
-        for name in tested_sets(sheet)[:MAX_SETS]
+        for name in tested_sets(sheet.spoken)[:MAX_SETS]
     ]
     return {"heads": [SPREADS[kind][0] for kind in kinds], "rows": rows}
 
@@ -120,18 +120,15 @@ def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
 def counted(sheet: Sheet, name: str, row: Margin | None) -> str:
     """How many devices a margin of a set rests on; of a set never tested, how many sets."""
     if name == ANY_SET:
-        return f"{len(tested_sets(sheet))} sets"
+        return f"{sheet.n_sets} sets"
     return str(row.n_devices if row else 0)
 
 
 def shown_sets(sheet: Sheet) -> list[str]:
-    """Choose the sets on the sheet: the first sixteen, and the set never tested where enough were tested to say so."""
-    names = list(dict.fromkeys(row.set_name for row in sheet.rows))
-    tested = tested_sets(sheet)
-    untested = [name for name in names if name == ANY_SET and sets_suffice(len(tested))]
-    return [*tested[:MAX_SETS], *untested]
+    """Choose the sets on the page: the first sixteen, and the set never tested where it is told of."""
+    return [*tested_sets(sheet.spoken)[:MAX_SETS], *(name for name in sheet.spoken if name == ANY_SET)]
 
 
-def tested_sets(sheet: Sheet) -> list[str]:
-    """Names of the sets that were tested."""
-    return [name for name in dict.fromkeys(row.set_name for row in sheet.rows) if name != ANY_SET]
+def tested_sets(names: Sequence[str]) -> list[str]:
+    """Choose the sets that were tested."""
+    return [name for name in names if name != ANY_SET]

@@ -8,7 +8,6 @@ from shj_bayes.margins.asked import published_factors
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.population.loops import LoopBand
 from shj_bayes.population.posterior import ANY_SET
-from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.report import margins_numbers as numbers
 from shj_bayes.report.page import write_page
 
@@ -48,8 +47,8 @@ def render_margins(
             {"title": "after a first earthquake (second run)", "rows": tested[1]},
         ],
         "importance": importance,
-        "left_out": max(0, len(numbers.tested_sets(sheet)) - numbers.MAX_SETS),
-        "untested": "" if sets_suffice(n_sets := len(numbers.tested_sets(sheet))) else never_tested_words(n_sets),
+        "left_out": max(0, len(numbers.tested_sets(sheet.spoken)) - numbers.MAX_SETS),
+        "never": ANY_SET,
         "few": len(numbers.shown_sets(sheet)) <= FEW_SETS,
         "far": published_factors(FAR_SPEED),
         "coverage": ", ".join(f"{100 * c:.1f} % with {n}" for n, c in COVERAGE.items()),

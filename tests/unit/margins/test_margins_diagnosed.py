@@ -82,6 +82,25 @@ def test_a_first_look_that_was_fitted_with_its_set_rests_on_that_fit(fitted, mon
     monkeypatch.setattr(design, "statements", lambda campaign: ())
     monkeypatch.setattr(design, "read_specimen", lambda folder, name, of_set, better: better)
     population = SimpleNamespace(sets=[SimpleNamespace(name="bare", devices=["A1"])])
-    _, specimens, words = design.tested_devices(fitted, population)
+    _, specimens, words = design.read_devices(fitted, population)
     assert specimens == (fitted / "device" / "with-set",)
     assert words == ("bare, A1: Prying", "1 of 1 devices have a diagnosis.")
+
+
+def test_what_diagnoses_found_is_told_of_the_sets_that_are_asked_for(fitted, monkeypatch):
+    sets = []
+    for name in ("bare", "zinc"):
+        write(fitted / name / "diagnosis", quick=True)
+        (fitted / name / "fit.json").write_bytes((fitted / "fit.json").read_bytes())
+        sets.append({"name": name, "devices": [{"folder": name, "name": "1"}, {"folder": f"{name}-2", "name": "2"}]})
+    (fitted / "campaign.json").touch()
+    together = [{"set": name, "devices": ["1", "2"], "classes": []} for name in ("", "bare", "zinc")]
+    monkeypatch.setattr(design, "read_campaign", lambda folder: {"sets": sets, "together": together})
+    monkeypatch.setattr(design, "statements", lambda record: tuple(one["set"] for one in record["together"]))
+    monkeypatch.setattr(design, "read_specimen", lambda folder, *rest: folder.name)
+    population = SimpleNamespace(sets=[SimpleNamespace(name=name, devices=["1", "2"]) for name in ("bare", "zinc")])
+    _, specimens, words = design.read_devices(fitted, population, ("zinc",))
+    assert specimens == ("bare", "bare-2", "zinc", "zinc-2")
+    assert words[0] == "zinc"
+    assert words[1].startswith("zinc, 1: Prying")
+    assert words[2].startswith("1 of 2 devices have a diagnosis")

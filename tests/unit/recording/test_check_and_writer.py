@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.check import blocks_of, describe, to_dict
+from shj_bayes.recording.check import blocks_of, check_recording, describe, to_dict
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
@@ -57,6 +57,23 @@ def test_description_and_dictionary_say_the_same(tmp_path, small):
     assert facts["usable"] is True
     assert facts["motion"]["half_cycles"] == 13
     assert facts["n_samples"] == small.n_samples
+
+
+def test_forces_of_a_small_device_are_told_in_newton_as_its_page_tells_them(tmp_path, small):
+    def told(factor):
+        weak = Recording(small.time_s, small.displacement_mm, factor * (small.force_kN + 20.0))
+        path = write_csv(tmp_path / "weak.csv", weak, digits=8)
+        [(facts, text)] = check_recording(path)
+        return facts["force_kN"][1], text, read(path)._repr_html_()
+
+    peak, text, table = told(0.002)
+    assert f"{1000 * peak:.4g} N\n" in text
+    assert "N off centre" in text
+    assert "kN" not in text.replace("force_kN  [kN]", "")
+    assert f"{1000 * peak:.4g} N<" in table
+    peak, text, _ = told(1.0)
+    assert f"{peak:.4g} kN\n" in text
+    assert "kN off centre" in text
 
 
 def test_description_without_motion_and_worst_first(tmp_path):

@@ -12,6 +12,7 @@ from shj_bayes.recording.kinematics import blind_stretches, motion_of
 from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.resampled import resampled
 
 
 def arrays(clean):
@@ -302,6 +303,51 @@ def test_gaps_that_hide_reversals_are_told_from_those_that_do_not(clean):
     assert min(len(hiding), len(plain)) > 50
     assert np.mean(hiding) > 0.85
     assert np.mean(plain) < 0.4
+
+
+def interpolated(clean, factor, digits=None):
+    """Arrays of a recording of `factor` times the rate, whose samples lie on lines between those of this one."""
+    t, x, f = arrays(clean)
+    dense = np.linspace(t[0], t[-1], round(factor * (t.size - 1)) + 1)
+    channels = [np.interp(dense, t, values) for values in (x, f)]
+    if digits:
+        channels = [np.array([float(f"{value:.{digits}g}") for value in values]) for values in channels]
+    return dense, *channels
+
+
+@pytest.mark.parametrize("digits", [None, 6])
+@pytest.mark.parametrize("factor", [4.0, 10.24, 51.2])
+def test_what_was_interpolated_to_a_higher_rate_is_told_with_the_factor(clean, factor, digits):
+    found = run(*interpolated(clean, factor, digits))[0]["resampled"]
+    assert found.severity == "warning"
+    assert "force: " in found.message
+    assert f"{factor:.3g} times as many" in found.message
+    assert f"every {round(factor)}th row" in found.message
+
+
+def test_what_was_interpolated_between_uneven_times_is_told(clean):
+    """Two loggers, joined at the times of the faster one; the clock of the slower one varies by a tenth of its step."""
+    t, x, f = arrays(clean)
+    rng = np.random.default_rng(4)
+    uneven = t + 0.1 * (t[1] - t[0]) * rng.uniform(-0.5, 0.5, t.size)
+    dense = np.linspace(t[0], t[-1], 12 * t.size) + rng.uniform(0.0, 1e-4, 12 * t.size)
+    found = run(dense, np.interp(dense, uneven, x), np.interp(dense, uneven, f))[0]["resampled"]
+    assert "12 times as many" in found.message
+
+
+@pytest.mark.parametrize("count", [0.0, 1e-4, 0.05, 0.5, 2.0])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 2.0])
+def test_counts_held_and_averaged_channels_are_not_called_interpolated(clean, count, noise):
+    t, x, _ = arrays(clean)
+    rng = np.random.default_rng(5)
+    triangle = 50.0 * (4.0 * np.abs(t / 8.0 % 1.0 - 0.5) - 1.0)
+    for motion in (x, clean.motion.displacement_mm, triangle):
+        raw = 80.0 * np.tanh(np.gradient(motion, t)) + noise * rng.standard_normal(t.size)
+        force = np.round(raw / count) * count if count else raw
+        place = np.round(motion / 0.01) * 0.01 if count else motion
+        held, mean = np.repeat(force[::4], 4)[: t.size], np.convolve(force, np.full(4, 0.25), mode="same")
+        for values in (place, force, held, mean):
+            assert resampled(Recording(t, place, values), values, 40) is None
 
 
 def test_offsets(clean):
