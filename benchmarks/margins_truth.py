@@ -41,7 +41,7 @@ from shj_bayes.margins.parts import Environment, Parts
 from shj_bayes.margins.quantities import counted_from, of_readings, pooled
 from shj_bayes.margins.request import PLAIN
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
+from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.spread import Sample, common_spread, of_set
 from shj_bayes.margins.trial import LEAST_ERROR, own_readings, try_all
 from shj_bayes.margins.virtual_test import Readings, read_off
@@ -218,10 +218,7 @@ def tested(
     tops: dict[tuple[str, ...], FloatArray],
 ) -> Specimen:
     """Fit a device with the law alone, and with what was found; None in place of a fit that is not asked for."""
-    beliefs = [
-        _laplace(runs, effects, FOUND if i else ALONE, seed, tops) if effects or not i else None
-        for i, effects in enumerate(found)
-    ]
+    beliefs = [_laplace(runs, effects, seed, tops) if effects or not i else None for i, effects in enumerate(found)]
     posterior = make_posterior(runs, beliefs[0].model)  # type: ignore[union-attr]
     starts = tuple(run.start_force_kN for run in runs)
     forces = tuple(r.recording.force_kN for r in runs)
@@ -229,7 +226,7 @@ def tested(
 
 
 def _laplace(
-    runs: tuple[Run, ...], effects: tuple[str, ...], label: str, seed: int, tops: dict[tuple[str, ...], FloatArray]
+    runs: tuple[Run, ...], effects: tuple[str, ...], seed: int, tops: dict[tuple[str, ...], FloatArray]
 ) -> Belief:
     """Draws of a normal posterior; the search begins at the top of another device of the population."""
     model = DeviceModel(2, read_priors("afc"), effects=effects_named(effects))
@@ -252,7 +249,7 @@ def _laplace(
     tops[effects] = top[: model.n_law]
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(spread + 1e-12 * np.eye(top.size))
-    return Belief(label, model, model.natural(top + rng.standard_normal((N_LAPLACE, top.size)) @ root.T))
+    return Belief(model, model.natural(top + rng.standard_normal((N_LAPLACE, top.size)) @ root.T))
 
 
 def limits(state: Line, chosen: list[int]) -> dict[str, float]:
@@ -266,7 +263,7 @@ def limits(state: Line, chosen: list[int]) -> dict[str, float]:
     }
     newcomers = {
         label: NewDevice(
-            "set", n, label, {q: np.exp(draws_of_one_set(np.log(values[q]), errors[q], prior[q])) for q in POOLED}
+            "set", n, {q: np.exp(draws_of_one_set(np.log(values[q]), errors[q], prior[q])) for q in POOLED}
         )
         for label, prior in by_prior.items()
     }

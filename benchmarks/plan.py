@@ -188,7 +188,7 @@ def _trial(key: Key, group: str, seed: int, number: int, question: str, *, whole
             if quantity is not None:
                 one |= {
                     "sd_foreseen": seen.sd,
-                    "sd": quantity_of(then, question, quantity.unit, quantity.value).now(then.beliefs)[1],
+                    "sd": quantity_of(then, quantity.unit, quantity.value).now(then.beliefs)[1],
                     "sd_before": quantity.now(known.beliefs)[1],
                 }
         out["tests"][name] = one
@@ -216,7 +216,7 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
         for r in (*plan.best[:1], *plan.compared):
             then = _weighed(tested, [recording, _second(key, r.protocol)], scales)
             named, seen = 100 * then.probabilities.get(class_of("prying"), 0.0), r.foreseen[0].sd
-            after = quantity_of(then, "gamma", gamma.unit, gamma.value).now(then.beliefs)[1]
+            after = quantity_of(then, gamma.unit, gamma.value).now(then.beliefs)[1]
             print(
                 f"  {r.protocol.name}, {r.protocol.duration_s / 60:.1f} min: prying {named:.1f} %, sd of gamma "
                 f"{after:.6f} s/mm (foreseen {seen:.6f})"

@@ -26,7 +26,7 @@ from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.record import check_files, read_record
+from shj_bayes.inference.record import read_record, whole
 from shj_bayes.mismatch.look import Look
 from shj_bayes.planning.asked import Asked
 from shj_bayes.planning.files import read_plan
@@ -95,11 +95,11 @@ class FitResult(_Result):
 
         An ``arviz.InferenceData`` up to ArviZ 0.23, an ``xarray.DataTree`` from version 1 on.
         """
-        check_files(self.folder, read_record(self.folder))
         from_netcdf: Any = az.from_netcdf  # carries no types
-        data = from_netcdf(str(self.folder / "posterior.nc"), engine="h5netcdf")
-        data.load()  # and close: an open file cannot be replaced on Windows
-        data.close()
+        with whole(self.folder) as path:
+            data = from_netcdf(str(path), engine="h5netcdf")
+            data.load()  # and close: an open file cannot be replaced on Windows
+            data.close()
         return data
 
     @property

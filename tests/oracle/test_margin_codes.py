@@ -41,11 +41,8 @@ def rows(code, request=PLAIN, sample=THREE, common=(math.nan, 0), parts=PARTS):
     return {(row.kind, row.side): row for row in CODES[code].rows(given)}
 
 
-def test_codes_are_found_in_the_tree_and_say_how_far_they_were_read():
+def test_codes_are_found_in_the_tree():
     assert list(CODES) == ["en1990", "iso16269_6", "asce7", "en15129", "nz"]
-    for code in CODES.values():
-        assert code.title
-        assert code.text
 
 
 def test_en1990_with_v_unknown_is_raised_to_a_tenth():
@@ -220,7 +217,7 @@ def test_nz_equivalents_are_of_the_delivered_force_and_warn_beside_practice():
 
 
 def device(**draws):
-    return {"default": NewDevice("A", 4, "default", {q: np.array(v, dtype=float) for q, v in draws.items()})}
+    return {"default": NewDevice("A", 4, {q: np.array(v, dtype=float) for q, v in draws.items()})}
 
 
 def test_delivered_force_is_read_off_the_design_quantities():
@@ -246,7 +243,7 @@ def test_delivered_force_is_read_off_the_design_quantities():
 def test_few_devices_take_the_outermost_prior():
     names = ("third", "least", "most", "lowest", "highest")
     priors = {
-        label: NewDevice("A", 2, label, dict.fromkeys(names, np.array([value, value])))
+        label: NewDevice("A", 2, dict.fromkeys(names, np.array([value, value])))
         for label, value in {"default": 80.0, "alike": 70.0, "free": 95.0}.items()
     }
     few, many = delivered(priors, 3), delivered(priors, 4)

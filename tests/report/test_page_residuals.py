@@ -76,7 +76,6 @@ def test_the_page_repeats_the_fit_and_the_diagnosis_and_tests_nothing_itself(tmp
 def test_profile_against_hand_calculation() -> None:
     device = toy(np.random.default_rng(6), phi=0.0, shape_kN=10.0)
     push, pull = stroke_profiles(device.runs[0])
-    assert push.direction == 1
     assert push.mean_kN == pytest.approx(10 * (push.centre_mm / 50) ** 2, abs=1.0)
     assert pull.mean_kN == pytest.approx(-10 * (pull.centre_mm / 50) ** 2, abs=1.0)
     # Independent noise: the 90 % band of a mean of m samples is 1.645 / sqrt(m).

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from shj_bayes.api import load
 from shj_bayes.errors import ShjError
 from shj_bayes.inference import record as record_file
-from shj_bayes.inference import store
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.report.device import render_device
 
@@ -29,7 +29,7 @@ def test_it_is_an_old_one():
 def test_it_opens_pools_and_reports(old):
     record = record_file.read_record(old)
     record_file.check_files(old, record)
-    assert list(store.read_posterior(old).posterior.data_vars) == [row["name"] for row in record["parameters"]]
+    assert set(record_file.read_group(old, "posterior")) >= {row["name"] for row in record["parameters"]}
     assert device_from_fit(old, "old device", "set").name == "old device"
     page = render_device(old).read_text(encoding="utf-8")
     assert "old device" in page
@@ -37,6 +37,12 @@ def test_it_opens_pools_and_reports(old):
     assert "variant “published”" in page
     for row in record["parameters"]:
         assert row["name"] in page
+
+
+def test_a_damaged_posterior_is_told_in_one_line(old):
+    (old / "posterior.nc").write_bytes(b"not a netCDF file at all")
+    with pytest.raises(ShjError, match=r"posterior\.nc in .* cannot be read .*; run the fit again"):
+        _ = load(old).data
 
 
 @pytest.mark.parametrize("key", ["parameters", "inputs", "sampling", "model", "prior_laws"])

@@ -17,15 +17,12 @@ class Anova:
         First factor, here the coating.
     f_columns, p_columns : float
         Second factor, here corrosion.
-    degrees : tuple of int
-        Rows, columns, residual.
     """
 
     f_rows: float
     p_rows: float
     f_columns: float
     p_columns: float
-    degrees: tuple[int, int, int]
 
 
 def two_way_anova(values: FloatArray) -> Anova:
@@ -52,5 +49,4 @@ def two_way_anova(values: FloatArray) -> Anova:
         float(fdtrc(degrees[0], degrees[2], f_rows)),
         f_columns,
         float(fdtrc(degrees[1], degrees[2], f_columns)),
-        degrees,
     )

@@ -91,10 +91,6 @@ class Posterior:
         """Give the variance of the white noise over that at speed, at the points of a history, shape (n_points,)."""
         return rougher(self.at_rest, slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
 
-    def modelled_force(self, theta: FloatArray, run: int) -> FloatArray:
-        """Force of run ``run`` (1 for the first) without noise, at all its samples, shape (m, n_samples), kN."""
-        return self.model.force(theta, self.histories[run - 1], self.runs[run - 1].start_force_kN)
-
     def residual_and_slope(self, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
         """Measured less modelled force of each block of a run, and the slope of the latter, shape (m, n_blocks)."""
         part = self.averages[run - 1]

@@ -24,7 +24,7 @@ import shj_bayes
 from shj_bayes._util.files import file_digest, replacing, reserve, sealed, write_text
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
-from shj_bayes.inference.record import EXTRA, FILES, SCHEMA, whole
+from shj_bayes.inference.record import EXTRA, FILES, SCHEMA
 from shj_bayes.inference.run import Run, measured_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
@@ -276,12 +276,6 @@ def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: dict
     record["files"] = {name: file_digest(folder / name) for name in FILES}
     record.update(sealed(record))
     write_text(folder / "fit.json", json.dumps(record, indent=1))
-
-
-def read_posterior(folder: Path) -> xr.DataTree:
-    """Read ``posterior.nc`` of a results folder, all groups; `InferenceError` where that fails."""
-    with whole(folder) as path, xr.open_datatree(path, engine="h5netcdf") as data:
-        return data.load()
 
 
 def versions() -> dict[str, str]:

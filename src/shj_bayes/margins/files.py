@@ -11,7 +11,7 @@ import pandas as pd
 
 from shj_bayes._util.files import replacing, write_text
 from shj_bayes.margins.quantities import TABLE
-from shj_bayes.margins.row import COLUMNS, HIGH, LOW, MIDDLE, Margin
+from shj_bayes.margins.row import COLUMNS, HIGH, LOW, MIDDLE, Key, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
 from shj_bayes.population.posterior import ANY_SET
@@ -23,7 +23,6 @@ HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
 """Columns whose name in a file says more than the one in the code."""
 WIDTH_ROWS, WIDEST = 200, 60
 """Rows of a workbook that the width of a column is taken from, and most of it in characters."""
-Key = tuple[str, str, str, str]
 
 
 def to_table(sheet: Sheet) -> pd.DataFrame:
@@ -122,7 +121,7 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
     A value by testing rests on the first way to come by the spread that there is: stated as known, common to several
     sets, of the set's own devices; between sets for a set never tested.
     """
-    index = {row.key: row for row in sheet.rows}
+    index = sheet.by_key
     lines = []
     for name in dict.fromkeys(row.set_name for row in sheet.rows):
         for quantity in dict.fromkeys(row.quantity for row in sheet.rows if row.set_name == name):

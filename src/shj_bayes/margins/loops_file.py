@@ -31,7 +31,7 @@ def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ..
             energy = trapezoid(push - pull, grid, axis=1)
             bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0))
             head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
-            out.append(LoopBand(*head, *bands, band_of(energy), len(own), push.shape[0]))
+            out.append(LoopBand(*head, *bands, band_of(energy), len(own)))
     return tuple(out)
 
 

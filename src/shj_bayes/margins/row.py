@@ -7,6 +7,8 @@ from shj_bayes.errors import PopulationError
 BANDS, TESTING, TOLERANCE, FACTORS = "new device", "EN 1990", "tolerance", "factor"
 DESIGN, SPREAD = "design", "spread"
 LOW, MIDDLE, HIGH = "low", "middle", "high"
+Key = tuple[str, str, str, str]
+"""Set, quantity, kind, side."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,8 @@ class Margin:
             )
 
     @property
-    def key(self) -> tuple[str, str, str, str]:
-        """What it is found by: set, quantity, kind, side."""
+    def key(self) -> Key:
+        """What it is found by."""
         return self.set_name, self.quantity, self.kind, self.side
 
 

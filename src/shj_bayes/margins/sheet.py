@@ -15,7 +15,7 @@ from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.outermost import newcomers
 from shj_bayes.margins.parts import Parts, parts_of
 from shj_bayes.margins.request import PLAIN, Request
-from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Margin
+from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.spread import NOT_NORMAL, Sample, between_sets, common_spread, of_set, samples
 from shj_bayes.margins.trial import Trial
 from shj_bayes.population.hierarchy import fit_population
@@ -53,10 +53,10 @@ class Sheet:
         held = {row.set_name for row in self.rows}
         return never_tested_words(self.n_sets) if ANY_SET in held - set(self.spoken) else ""
 
-    def get(self, set_name: str, quantity: str, kind: str, side: str) -> Margin | None:
-        """One margin; None where there is none."""
-        key = (set_name, quantity, kind, side)
-        return next((row for row in self.rows if row.key == key), None)
+    @property
+    def by_key(self) -> dict[Key, Margin]:
+        """Margins by set, quantity, kind and side."""
+        return {row.key: row for row in self.rows}
 
 
 def pool(trials: Sequence[Trial], result: PopulationResult, *, progress: bool = False) -> PopulationResult:

@@ -29,7 +29,6 @@ from shj_bayes.recording.protocol import exact_motion, table_1
 
 N_DRAWS = 64
 """Draws of each device that are driven: its own uncertainty is known to a tenth from them."""
-FOUND, ALONE = "with the physics found", "with the law alone"
 TABLE_RATE_HZ = 10.0
 
 
@@ -37,7 +36,6 @@ TABLE_RATE_HZ = 10.0
 class Belief:
     """A model of a device, and draws of its parameters."""
 
-    label: str  # which model it is, in words
     model: DeviceModel  # with its effects
     theta: FloatArray  # shape (m, d): draws in natural units
     # shape (m,): log likelihood of each half-cycle under each draw, as far as the fit holds it: what the draws would be
@@ -92,9 +90,9 @@ def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = N
         data = read_group(folder, "constant_data")
         # Fits of the first schema hold the measured force with what was observed.
         force = data["force"] if "force" in data else read_group(folder, "observed_data")["force"]
-        beliefs = [_belief(folder, record, ALONE)]
+        beliefs = [_belief(folder, record)]
         if found is not None:
-            beliefs.insert(0, _belief(found, read_record(found), FOUND))
+            beliefs.insert(0, _belief(found, read_record(found)))
         numbers = [int(run) for run in np.unique(data["run"])]
         parts = [data["run"] == run for run in numbers]
         motions = [
@@ -124,7 +122,7 @@ def model_of(record: Mapping[str, Any]) -> DeviceModel:
     )
 
 
-def _belief(folder: Path, record: Mapping[str, Any], label: str) -> Belief:
+def _belief(folder: Path, record: Mapping[str, Any]) -> Belief:
     model, draws = model_of(record), read_group(folder, "posterior")
     total = draws["Fy"].size
     chosen = np.linspace(0, total - 1, min(N_DRAWS, total)).astype(np.int64)
@@ -136,7 +134,7 @@ def _belief(folder: Path, record: Mapping[str, Any], label: str) -> Belief:
         values = stored["force_of_half_cycle"].reshape(total, -1)[chosen]
         places = zip(stored["run"].tolist(), stored["number"].tolist(), strict=True)
         likely = {(int(run), int(number)): values[:, i] for i, (run, number) in enumerate(places)}
-    return Belief(label, model, np.stack(columns, axis=1).astype(np.float64), likely)
+    return Belief(model, np.stack(columns, axis=1).astype(np.float64), likely)
 
 
 def _measured(said: Mapping[str, Any], time_s: FloatArray, values: FloatArray) -> Measured:
@@ -171,7 +169,7 @@ def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:
             n_runs = 2 if "ratio" in theta else 1
             model = DeviceModel(n_runs, read_priors(), variant=variant)
             columns = [theta.get(name, np.zeros(N_DRAWS)) for name in model.names]
-            belief = Belief(ALONE, model, np.stack(columns, axis=1))
+            belief = Belief(model, np.stack(columns, axis=1))
             tested = histories([time] * n_runs, [motion] * n_runs)
             out.append(Specimen(name, group.name, (belief,), tested, (0.0,) * n_runs))
     return tuple(out)

@@ -18,7 +18,7 @@ from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.planning.known import PLANNED, Belief, Key, Known
+from shj_bayes.planning.known import PLANNED, Belief, Known
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
@@ -34,7 +34,6 @@ STEP = 1e-4
 class Quantity:
     """A design quantity as a linear function of each rival's parameters."""
 
-    name: str
     unit: str
     values: FloatArray  # shape (n_beliefs,): at the mean of each rival
     slopes: tuple[FloatArray, ...]  # shape (n_law + p,) each: derivatives there
@@ -57,9 +56,8 @@ class Foreseen:
     right: float  # chance that the most probable set is the true one
     sd: float | None  # expected standard deviation of the quantity that is asked for (root of the mean variance)
     force_kN: float  # largest force, two standard deviations above what is predicted
-    by_set: dict[Key, float]  # expected probability of each set where it is the true one
-    # mean of `by_set` over the contenders, each counted alike: which of them is the more probable so far hangs on the
-    # form that each was given
+    # expected probability of the true set where it is one of the contenders, each counted alike: which of them is the
+    # more probable so far hangs on the form that each was given
     told: float
 
 
@@ -111,15 +109,14 @@ def foresee(
     sd = None
     if quantity is not None:
         sd = math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
-    by_set = {key: float(np.average(own[truth == k], weights=chance[truth == k])) for k, key in enumerate(keys)}
+    there = [truth == keys.index(key) for key in known.contenders]
     return Foreseen(
         float(chance @ entropy_of(by_key)),
         float(chance @ own),
         float(chance @ (by_key.argmax(axis=1) == truth)),
         sd,
         force_kN,
-        by_set,
-        float(np.mean([by_set[key] for key in known.contenders])),
+        float(np.mean([np.average(own[k], weights=chance[k]) for k in there])),
     )
 
 
@@ -163,7 +160,7 @@ def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Gen
     return scene, scene.blocks([(run - read)[:, None]])[:, 0]
 
 
-def quantity_of(known: Known, name: str, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> Quantity:
+def quantity_of(known: Known, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> Quantity:
     """Linearise a design quantity about every rival; `value` as in `Quantity`."""
     values, slopes = [], []
     for b in known.beliefs:
@@ -173,7 +170,7 @@ def quantity_of(known: Known, name: str, unit: str, value: Callable[[DeviceModel
         slope[:n] = [(value(b.model, z + s) - value(b.model, z - s)) / (20 * STEP) for s in steps]
         values.append(value(b.model, z))
         slopes.append(slope)
-    return Quantity(name, unit, np.array(values), tuple(slopes), value)
+    return Quantity(unit, np.array(values), tuple(slopes), value)
 
 
 def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:

@@ -33,8 +33,8 @@ def quantity_named(known: Known, name: str) -> Quantity:
             f"{did_you_mean(name, (WHICH, FORCE, *able))}"
         )
     if name == MARGIN:
-        return quantity_of(known, MARGIN, "kN", _smallest_plateau(known))
-    return quantity_of(known, name, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
+        return quantity_of(known, "kN", _smallest_plateau(known))
+    return quantity_of(known, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
 
 
 def _smallest_plateau(known: Known) -> Callable[[DeviceModel, FloatArray], float]:

@@ -33,9 +33,7 @@ class LoopBand:
     push: FloatArray = field(repr=False)
     pull: FloatArray = field(repr=False)
     energy_kN_mm: tuple[float, float, float]  # energy of one cycle at 5, 50 and 95 %, kN mm (equal to joule)
-    # n_devices, n_draws: tested devices of the set; devices drawn
-    n_devices: int
-    n_draws: int
+    n_devices: int  # tested devices of the set
 
 
 def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float = 10.0, run: int = 1) -> LoopBand:
@@ -74,4 +72,4 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
     energy = trapezoid(force[:, cycle], x[cycle], axis=1)
     bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0), band_of(energy))
     head = (device.set_name, run, amplitude_mm, peak_speed_mm_s, grid)
-    return LoopBand(*head, *bands, device.n_devices, chosen.size)
+    return LoopBand(*head, *bands, device.n_devices)

@@ -31,7 +31,6 @@ class NewDevice:
 
     set_name: str  # its set, or "(any set)"
     n_devices: int  # tested devices of that set
-    prior: str  # prior of the spread it rests on
     # shape (n_draws,): natural units: K kN/mm, Fy kN, ratio 1, gamma s/mm, beta 1, Fy_second kN
     draws: Mapping[str, FloatArray] = field(repr=False)
 
@@ -60,7 +59,7 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
     }
     draws |= {force: draws["Fy"] * draws[q] for force, q in RUN_FORCES.items() if "Fy" in draws and q in draws}
     n = 0 if index is None else len(result.sets[index].devices)
-    return NewDevice(name, n, prior, draws)
+    return NewDevice(name, n, draws)
 
 
 @lru_cache(maxsize=4)

@@ -15,9 +15,6 @@ N_SHIFTS = 3  # enough for a band
 class StrokeProfile:
     """Mean residual over stroke of one run and direction, arrays of shape (n_bins,)."""
 
-    # run, direction: number of the run; +1 push, -1 pull
-    run: int
-    direction: int
     # centre_mm, mean_kN: middle of the bin and mean residual there
     centre_mm: FloatArray = field(repr=False)
     mean_kN: FloatArray = field(repr=False)
@@ -58,7 +55,7 @@ def stroke_profiles(run: RunData) -> tuple[StrokeProfile, StrokeProfile]:
         there = np.isfinite(mean)
         alone = [bin_means(index, np.roll(row, step), inside, N_STROKE)[there] for row in noise for step in shifts]
         low, high = np.quantile(alone, (0.05, 0.95), axis=0)
-        out.append(StrokeProfile(run.number, sign, 0.5 * (edges[:-1] + edges[1:])[there], mean[there], low, high))
+        out.append(StrokeProfile(0.5 * (edges[:-1] + edges[1:])[there], mean[there], low, high))
     return out[0], out[1]
 
 

@@ -53,7 +53,7 @@ SPREADS = {  # kind of a margin: heading, factor
 
 def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
     """One row per set: the numbers for design, bands of a new device, and factors for a class of EN 15129."""
-    index = {row.key: row for row in sheet.rows}
+    index = sheet.by_key
     factors = (*FACTORS, kind_of("LBDP", importance), kind_of("UBDP", importance), *EQUIVALENTS)
     rows = []
     for name in shown_sets(sheet):
@@ -103,7 +103,7 @@ def spread_table(sheet: Sheet) -> dict[str, Any]:
 
 def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     """One row per set: values by testing, low and high, with the spread common to all sets where there is one."""
-    index = {row.key: row for row in sheet.rows}
+    index = sheet.by_key
     rows = []
     for name in shown_sets(sheet):
         cells, degrees, n = [], math.nan, counted(sheet, name, None)

@@ -51,8 +51,8 @@ def test_likelihood_is_law_plus_noise(make_small: Make, truth: Truth, as_vector:
     assert all(np.all(part.count == 1) for part in small.averages)
     theta = as_vector(small)
     expected = 0.0
-    for number, run in enumerate(small.runs, start=1):
-        residual = run.recording.force_kN - small.modelled_force(theta, number)[0]
+    for number, (run, history) in enumerate(zip(small.runs, small.histories, strict=True), start=1):
+        residual = run.recording.force_kN - small.model.force(theta, history, run.start_force_kN)[0]
         lag = np.abs(run.recording.time_s[:, None] - run.recording.time_s[None])
         covariance = truth.sigma_slow**2 * np.exp(-lag / truth.tau_slow) + truth.sigma**2 * np.eye(residual.size)
         covariance += small.averages[number - 1].timing.zero_noise_kN ** 2
@@ -136,7 +136,7 @@ def test_smaller_batches_do_not_see_the_larger_one_before(make_small: Make) -> N
     again = small.log_posterior_free(z[:5])
     assert np.array_equal(again, large[:5])
     assert np.array_equal(small.log_posterior_free(z), large)
-    kept = small.modelled_force(small.natural(z[:2]), 1)
+    kept = small.model.force(small.natural(z[:2]), small.histories[0], small.runs[0].start_force_kN)
     copy = kept.copy()
     small.log_posterior_free(z)
     assert np.array_equal(kept, copy)  # what a caller was given is not the reused memory

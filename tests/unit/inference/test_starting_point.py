@@ -88,9 +88,9 @@ def test_effects_are_found_one_after_another(make_small: Make) -> None:
     for name, value in (values | {"slack.size": 2.0, "slack.softness": 0.1, "slack.start": 0.5}).items():
         truth[0, model.index(name)] = value
     runs = []
-    for number, run in enumerate(plain.runs, start=1):
+    for number, (run, history) in enumerate(zip(plain.runs, plain.histories, strict=True), start=1):
         noise = np.random.default_rng(number).normal(0, 0.5, run.recording.n_samples)
-        force = plain.modelled_force(truth, number)[0] + noise
+        force = plain.model.force(truth, history, run.start_force_kN)[0] + noise
         runs.append(Run(replace(run.recording, force_kN=force), run.motion))
     bare = model.with_effects(())
     assert len(law_starts(make_posterior(runs, bare))) > 1

@@ -214,7 +214,7 @@ def test_a_missing_factor_is_told_by_its_value_not_by_a_dash(design, trials):
 def test_bounds_are_shown_for_the_class_that_was_asked_for(design, trials):
     third = Request(importance="III", sets=("Zinc 70",))
     sheet = margins(design, trials, third)
-    bound = sheet.get("Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW)
+    bound = sheet.by_key["Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW]
     assert f"EN 15129 {bound.value:.3g} to" in margin_text(sheet, "III")
     assert "EN 15129 - to - kN" in margin_text(sheet, "I")
     factors = next(row["factors"] for row in set_table(sheet, "III") if row["name"] == "Zinc 70")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.margins.curves import compare_curves, content, log_factors
-from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
+from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
@@ -31,7 +31,7 @@ def specimen(set_name, name, gamma=0.0, seed=0, **effects):
     theta[:, model.index("gamma")] = gamma + 0.0005 * rng.standard_normal(DRAWS)
     for effect in effects:
         theta[:, model.index(f"{effect}.size")] *= 1.0 + 0.02 * rng.standard_normal(DRAWS)
-    return Specimen(name, set_name, (Belief(FOUND if effects else ALONE, model, theta),), HISTORIES, (0.0,))
+    return Specimen(name, set_name, (Belief(model, theta),), HISTORIES, (0.0,))
 
 
 def population(*names):

@@ -9,7 +9,7 @@ from shj_bayes.margins.asked import courses, sine
 from shj_bayes.margins.bounds import Bound
 from shj_bayes.margins.following import following_of, left_out_words, values_to_try, words_of
 from shj_bayes.margins.opensees import python_script, tcl_script
-from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
+from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.trial import try_all
 from shj_bayes.margins.virtual_test import drive
 from shj_bayes.model.curve import Curve
@@ -26,13 +26,13 @@ TENSION = 45.0 + 5.0 * np.sin(TIME / 60.0)
 MEASURED = {"measured_tension": Measured("kN", TIME, TENSION, 40.0, 50.0, 46.0)}
 
 
-def belief(label: str, effects: list[str], coefficients: Sequence[float] = ()) -> Belief:
+def belief(effects: list[str], coefficients: Sequence[float] = ()) -> Belief:
     model = DeviceModel(1, read_priors(), effects=effects_named(effects))
     told = LAW | {f"{CURVE.id}.c{i}": float(c) for i, c in enumerate(coefficients, start=1)}
     rng = np.random.default_rng(3)
     theta = np.array([[told.get(name, 1.0) for name in model.names]] * 16)
     theta[:, model.index("Fy")] *= np.exp(0.004 * rng.standard_normal(16))
-    return Belief(label, model, theta)
+    return Belief(model, theta)
 
 
 def rising(slope: float) -> np.ndarray:
@@ -44,9 +44,9 @@ def rising(slope: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def specimen() -> Specimen:
     tested = histories([TIME], [MOTION], [MEASURED])
-    found = belief(FOUND, [CURVE.id], rising(0.2))
+    found = belief([CURVE.id], rising(0.2))
     measured = drive(found.model, found.typical, tested)[0][0]
-    return Specimen("d", "set", (found, belief(ALONE, [])), tested, (0.0,), (measured,))
+    return Specimen("d", "set", (found, belief([])), tested, (0.0,), (measured,))
 
 
 def test_what_is_followed_is_found_with_its_range(specimen: Specimen) -> None:
@@ -76,7 +76,7 @@ def test_limits_of_another_history_are_the_outermost_over_the_recorded_range(spe
 
 def test_a_device_that_follows_nothing_is_driven_once() -> None:
     tested = histories([TIME], [MOTION], [MEASURED])
-    plain = Specimen("d", "set", (belief(ALONE, []),), tested, (0.0,))
+    plain = Specimen("d", "set", (belief([]),), tested, (0.0,))
     assert following_of(plain) == ()
     assert len(courses(sine(60.0, 9.0, 3), plain, extrapolate=False)) == 1
 

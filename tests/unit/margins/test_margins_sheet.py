@@ -52,21 +52,21 @@ def test_bands_are_those_of_a_new_device(sheet, design):
     low, high = min(b[0] for b in bands.values()), max(b[2] for b in bands.values())
     assert low <= bands["default"][0]  # two devices of its own: the outermost of the three priors
     for side, level, value in ((LOW, 5, low), (MIDDLE, 50, bands["default"][1]), (HIGH, 95, high)):
-        row = sheet.get("Zinc 70", "plateau", f"new device, {level} %", side)
+        row = sheet.by_key["Zinc 70", "plateau", f"new device, {level} %", side]
         assert row.value == pytest.approx(value)
         assert all(f"'{p}'" in row.inputs for p in bands)
         assert ("outermost of 3 priors" in row.note) is (side != MIDDLE)
-    energy = sheet.get("Zinc 70", "energy", "new device, 50 %", MIDDLE).value
+    energy = sheet.by_key["Zinc 70", "energy", "new device, 50 %", MIDDLE].value
     assert energy == pytest.approx(4 * 0.095 * 92 * (1 - np.pi / 4 * 10.25 / 72) * (1 - 92 / 11.4 / 95), rel=0.05)
 
 
 def test_two_numbers_come_first(sheet):
-    drift, capacity = (sheet.get("Zinc 70", "force", *key) for key in ((DRIFT, LOW), (CAPACITY, HIGH)))
+    drift, capacity = (sheet.by_key["Zinc 70", "force", *key] for key in ((DRIFT, LOW), (CAPACITY, HIGH)))
     assert [row.kind for row in sheet.rows[:2]] == [DRIFT, CAPACITY]
-    assert drift.value <= sheet.get("Zinc 70", "least_2", "new device, 5 %", LOW).value
-    assert capacity.value >= sheet.get("Zinc 70", "most", "new device, 95 %", HIGH).value
-    assert sheet.get("Zinc 70", "lowest", "device to device", MIDDLE).value > 0
-    assert sheet.get("Zinc 70", "lowest", "model, b", MIDDLE) is None  # no recordings, so no error of a model
+    assert drift.value <= sheet.by_key["Zinc 70", "least_2", "new device, 5 %", LOW].value
+    assert capacity.value >= sheet.by_key["Zinc 70", "most", "new device, 95 %", HIGH].value
+    assert sheet.by_key["Zinc 70", "lowest", "device to device", MIDDLE].value > 0
+    assert ("Zinc 70", "lowest", "model, b", MIDDLE) not in sheet.by_key  # no recordings, so no error of a model
 
 
 def test_values_by_testing_follow_from_the_devices(sheet, design):
@@ -74,26 +74,26 @@ def test_values_by_testing_follow_from_the_devices(sheet, design):
     logs = np.log(values[0])
     spread = math.sqrt((logs.var(ddof=1) + np.log(values[1]).var(ddof=1)) / 2)
     assert spread < 0.10  # so s_y = sqrt(ln 1.01) = 0.09975
-    row = sheet.get("Zinc 70", "third", "EN 1990 characteristic, lognormal, V common", LOW)
+    row = sheet.by_key["Zinc 70", "third", "EN 1990 characteristic, lognormal, V common", LOW]
     assert row.value == pytest.approx(math.exp(logs.mean() - en1990.factor_unknown(2, degrees=2) * 0.099751), rel=1e-5)
     assert "V raised from" in row.note
     assert (row.n_devices, row.degrees) == (2, 2)
     assert not any("V known" in row.kind for row in sheet.rows)
-    row = sheet.get("Zinc 70", "most", "tolerance 95/95 one-sided, lognormal, V unknown", HIGH)
+    row = sheet.by_key["Zinc 70", "most", "tolerance 95/95 one-sided, lognormal, V unknown", HIGH]
     logs = np.log(np.exp(design.sets[0].points["most"]))
     k = iso16269_6.one_sided(2, 0.95, 0.95)
     assert row.value == pytest.approx(math.exp(logs.mean() + k * max(logs.std(ddof=1), 0.0175)), rel=0.02)
     assert "V common" in row.note
-    row = sheet.get("Zinc 70", "third", "EN 1990 characteristic, lognormal, V unknown", LOW)
+    row = sheet.by_key["Zinc 70", "third", "EN 1990 characteristic, lognormal, V unknown", LOW]
     assert math.isnan(row.value)
     assert "no factor for n = 2" in row.note
 
 
 def test_one_device_has_no_spread_of_its_own(sheet):
-    assert sheet.get(LABEL, "third", "EN 1990 characteristic, lognormal, V unknown", LOW) is None
-    assert sheet.get(LABEL, "third", "EN 1990 characteristic, lognormal, V common", LOW).degrees == 2
+    assert (LABEL, "third", "EN 1990 characteristic, lognormal, V unknown", LOW) not in sheet.by_key
+    assert sheet.by_key[LABEL, "third", "EN 1990 characteristic, lognormal, V common", LOW].degrees == 2
     # Two degrees of freedom are those of three devices, for which Table D2 has no factor.
-    design = sheet.get(LABEL, "third", "EN 1990 design, lognormal, V common", LOW)
+    design = sheet.by_key[LABEL, "third", "EN 1990 design, lognormal, V common", LOW]
     assert math.isnan(design.value)
     assert "no factor for n = 3" in design.note
 
@@ -103,11 +103,11 @@ def test_degradation_turns_the_ratio_round(sheet, design):
         ("new device, 5 %", "new device, 95 %"),
         ("EN 1990 characteristic, lognormal, V common",) * 2,
     ):
-        ratio = sheet.get("Zinc 70", "ratio", kind, LOW).value
-        row = sheet.get("Zinc 70", "degradation", mirrored, HIGH)
+        ratio = sheet.by_key["Zinc 70", "ratio", kind, LOW].value
+        row = sheet.by_key["Zinc 70", "degradation", mirrored, HIGH]
         assert row.value == pytest.approx(1 - ratio)
     assert row.inputs.startswith("of the ratio: m_y")
-    band = sheet.get("Zinc 70", "degradation", "new device, 95 %", HIGH)
+    band = sheet.by_key["Zinc 70", "degradation", "new device, 95 %", HIGH]
     own = {p: 1 - device.band("ratio")[0] for p, device in newcomers(design, "Zinc 70").items()}
     for label, value in own.items():
         assert f"{value:.4g} under the prior '{label}'" in band.inputs
@@ -116,7 +116,7 @@ def test_degradation_turns_the_ratio_round(sheet, design):
 
 def test_factors_multiply(sheet, design):
     def value(kind, side):
-        return sheet.get("Zinc 70", "force", kind, side).value
+        return sheet.by_key["Zinc 70", "force", kind, side].value
 
     age = value("lambda_ae,min", LOW)
     assert corroded_pairs(design) == [(0, 1)]
@@ -127,27 +127,27 @@ def test_factors_multiply(sheet, design):
         value("lambda_min with the floor for dampers", LOW) * value("nominal sliding force", MIDDLE)
     )
     nominal = value("nominal sliding force", MIDDLE)
-    first = sheet.get("Zinc 70", "least", "new device, 5 %", LOW).value
+    first = sheet.by_key["Zinc 70", "least", "new device, 5 %", LOW].value
     assert value("phi equivalent, first run", LOW) == pytest.approx(first / nominal)
     assert value("phi_o equivalent", HIGH) == pytest.approx(value(CAPACITY, HIGH) / nominal)
     # gamma of this set is near -1/72 s/mm: the largest force comes where the speed is least, the plateau at speed
-    assert sheet.get("Zinc 70", "most", "new device, 50 %", MIDDLE).value > 1.1 * nominal
-    own = sheet.get("Zinc 70 corroded", "force", "lambda_ae,min", LOW)
+    assert sheet.by_key["Zinc 70", "most", "new device, 50 %", MIDDLE].value > 1.1 * nominal
+    own = sheet.by_key["Zinc 70 corroded", "force", "lambda_ae,min", LOW]
     assert own.value == 1.0
     assert "tested corroded" in own.inputs
-    assert "nothing is known" in sheet.get(LABEL, "force", "lambda_ae,max", HIGH).inputs
+    assert "nothing is known" in sheet.by_key[LABEL, "force", "lambda_ae,max", HIGH].inputs
 
 
 def test_nominal_and_importance_are_the_users(design, trials, sheet):
     stated = margins(design, trials, Request(nominal_kN=80.0, importance="III"))
     kind = "phi equivalent, first run"
-    typical = sheet.get("Zinc 70", "force", "nominal sliding force", MIDDLE).value
-    assert stated.get("Zinc 70", "force", kind, LOW).value == pytest.approx(
-        sheet.get("Zinc 70", "force", kind, LOW).value * typical / 80.0
+    typical = sheet.by_key["Zinc 70", "force", "nominal sliding force", MIDDLE].value
+    assert stated.by_key["Zinc 70", "force", kind, LOW].value == pytest.approx(
+        sheet.by_key["Zinc 70", "force", kind, LOW].value * typical / 80.0
     )
-    lower = [s.get("Zinc 70", "force", "ASCE 7 lower bound force", LOW).value for s in (sheet, stated)]
+    lower = [s.by_key["Zinc 70", "force", "ASCE 7 lower bound force", LOW].value for s in (sheet, stated)]
     assert lower[1] <= 1.001 * lower[0]  # a high nominal force does not raise the bound
-    assert stated.get("Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW) is not None
+    assert ("Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW) in stated.by_key
     with pytest.raises(PopulationError, match="above zero"):
         Request(nominal_kN=-1.0)
 
@@ -240,17 +240,17 @@ def test_a_number_without_origin_is_refused():
 def test_bounds_do_not_contradict_each_other(sheet):
     assert "None contradict" in sheet.warnings[-1]
     for name in ("Zinc 70", "Zinc 70 corroded", LABEL):
-        second = sheet.get(name, "least_2", "new device, 5 %", LOW).value
-        force = sheet.get(name, "most", "new device, 95 %", HIGH).value
+        second = sheet.by_key[name, "least_2", "new device, 5 %", LOW].value
+        force = sheet.by_key[name, "most", "new device, 95 %", HIGH].value
         for kind in ("ASCE 7 lower bound force", "EN 15129 LBDP, importance class II"):
-            assert sheet.get(name, "force", kind, LOW).value <= 1.001 * second
+            assert sheet.by_key[name, "force", kind, LOW].value <= 1.001 * second
         for kind in ("ASCE 7 upper bound force", "EN 15129 UBDP, importance class II"):
-            assert sheet.get(name, "force", kind, HIGH).value >= 0.999 * force
+            assert sheet.by_key[name, "force", kind, HIGH].value >= 0.999 * force
 
 
 def test_a_contradiction_is_found_and_said(sheet):
-    bound = sheet.get("Zinc 70", "force", "EN 15129 LBDP, importance class II", LOW)
-    second = sheet.get("Zinc 70", "least_2", "new device, 5 %", LOW)
+    bound = sheet.by_key["Zinc 70", "force", "EN 15129 LBDP, importance class II", LOW]
+    second = sheet.by_key["Zinc 70", "least_2", "new device, 5 %", LOW]
     rows = [replace(r, value=second.value + 8.0) if r.key == bound.key else r for r in sheet.rows]
     found = agreement(rows)
     assert found.words.endswith("contradict.")
@@ -262,18 +262,18 @@ def test_a_contradiction_is_found_and_said(sheet):
 def test_a_spread_stated_as_known_is_printed_with_its_reason(design, trials):
     told = margins(design, trials, Request(v_known=0.06, v_reason="300 devices in the factory"))
     assert any("V = 0.06" in text and "300 devices in the factory" in text for text in told.warnings)
-    row = told.get("Zinc 70", "least", "EN 1990 characteristic, lognormal, V known", LOW)
+    row = told.by_key["Zinc 70", "least", "EN 1990 characteristic, lognormal, V known", LOW]
     assert "300 devices in the factory" in row.inputs
-    assert told.get("Zinc 70", "K", "EN 1990 characteristic, lognormal, V known", LOW) is None
+    assert ("Zinc 70", "K", "EN 1990 characteristic, lognormal, V known", LOW) not in told.by_key
     line = design_table(told).query("set == 'Zinc 70' and quantity == 'least'").iloc[0]
     assert line["EN 1990 characteristic, low"] == pytest.approx(row.value)
 
 
 def test_devices_of_one_set_are_not_independent_in_a_set_never_tested(sheet):
-    row = sheet.get(ANY_SET, "third", "EN 1990 characteristic, lognormal, V between sets", LOW)
+    row = sheet.by_key[ANY_SET, "third", "EN 1990 characteristic, lognormal, V between sets", LOW]
     assert row.n_devices == 5
     assert "set means" in row.inputs
-    assert sheet.get(ANY_SET, "third", "EN 1990 characteristic, lognormal, V unknown", LOW) is None
+    assert (ANY_SET, "third", "EN 1990 characteristic, lognormal, V unknown", LOW) not in sheet.by_key
 
 
 def test_fits_without_gamma_give_bounds_and_drawn_devices_without_a_speed_law(design, population):
@@ -294,5 +294,5 @@ def test_model_error_is_that_of_measured_over_predicted(trials, design):
     gaps = (0.02, -0.04, 0.08)
     own = [replace(trials[0], name=f"d{i}", model_errors={"least": gap}) for i, gap in enumerate(gaps)]
     sheet = margins(design, own)
-    b, scatter = (sheet.get("Zinc 70", "least", kind, MIDDLE).value for kind in ("model, b", "model, V_delta"))
+    b, scatter = (sheet.by_key["Zinc 70", "least", kind, MIDDLE].value for kind in ("model, b", "model, V_delta"))
     assert (b, scatter) == pytest.approx((1.0202, 0.06), abs=1e-4)

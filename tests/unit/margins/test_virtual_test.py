@@ -9,7 +9,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.margins.asked import depends, sine
 from shj_bayes.margins.quantities import counted_from, of_readings
 from shj_bayes.margins.sheet import pool
-from shj_bayes.margins.specimen import ALONE, FOUND, Belief, Specimen
+from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.trial import try_all
 from shj_bayes.margins.virtual_test import drive, read_off
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -25,18 +25,18 @@ ALONE_LAW = {"Fy": 71.0, "ratio": 0.76}  # what the law alone makes of such a de
 TIME, MOTION = exact_motion(table_1(), 10.0)
 
 
-def belief(label, effects, **values):
+def belief(effects, **values):
     model = DeviceModel(2, read_priors(), effects=effects_named(effects))
     told = LAW | values
     rng = np.random.default_rng(3)
     theta = np.array([[told.get(name, 1.0) for name in model.names]] * 16)
     theta[:, model.index("Fy")] *= np.exp(0.004 * rng.standard_normal(16))
-    return Belief(label, model, theta)
+    return Belief(model, theta)
 
 
 def specimen(*beliefs, scale=1.0, name="d"):
     tested = histories([TIME] * 2, [MOTION] * 2)
-    worn = belief(FOUND, ["wear"], **WEAR)
+    worn = belief(["wear"], **WEAR)
     rng = np.random.default_rng(4)
     forces = drive(worn.model, worn.typical, tested)
     measured = tuple(scale * f[0] + 0.3 * rng.standard_normal(TIME.size) for f in forces)
@@ -62,7 +62,7 @@ def test_what_is_read_off_a_force_of_known_shape():
 
 def test_only_half_cycles_that_slide_fully_count():
     """2 F / K = 10.7 mm: the middle half of a stroke of 24 mm begins before the device slides, that of 48 mm not."""
-    law = belief(ALONE, ())
+    law = belief(())
     (history,) = histories([TIME], [MOTION])
     readings = read_off(drive(law.model, law.typical, [history])[0], MOTION, history.travel_m)
     assert counted_from([readings]) == pytest.approx(24.0)
@@ -73,9 +73,9 @@ def test_only_half_cycles_that_slide_fully_count():
 @pytest.mark.parametrize(
     "beliefs",
     [
-        (belief(FOUND, ["wear"], **WEAR), belief(ALONE, (), **ALONE_LAW)),
-        (belief(ALONE, (), **ALONE_LAW),),
-        (belief(FOUND, ["bedding_in"], **BEDDING, Fy=70.0, ratio=0.74), belief(ALONE, (), **ALONE_LAW)),
+        (belief(["wear"], **WEAR), belief((), **ALONE_LAW)),
+        (belief((), **ALONE_LAW),),
+        (belief(["bedding_in"], **BEDDING, Fy=70.0, ratio=0.74), belief((), **ALONE_LAW)),
     ],
     ids=["rightly", "not", "wrongly"],
 )
@@ -94,11 +94,11 @@ def test_no_diagnosis_makes_a_bound_less_safe_than_the_recording(beliefs):
 
 def test_a_wild_draw_of_a_model_makes_no_measured_value_unsure():
     """The recording bounds this device from below; one draw of 16 of a wrong model has half the force."""
-    wrong = belief(FOUND, ["bedding_in"], **BEDDING)
+    wrong = belief(["bedding_in"], **BEDDING)
     wild = wrong.theta.copy()
     wild[3, wrong.model.index("Fy")] *= 0.5
     sure, unsure = (
-        try_all([specimen(replace(wrong, theta=theta), belief(ALONE, ()))], None)[0] for theta in (wrong.theta, wild)
+        try_all([specimen(replace(wrong, theta=theta), belief(()))], None)[0] for theta in (wrong.theta, wild)
     )
     for q in ("least", "least_2", "lowest", "plateau"):
         assert unsure.values[q] == pytest.approx(sure.values[q], rel=2e-3)
@@ -107,12 +107,12 @@ def test_a_wild_draw_of_a_model_makes_no_measured_value_unsure():
 
 
 def test_the_error_of_the_model_is_seen_and_carried_to_another_history():
-    alone = belief(ALONE, (), **ALONE_LAW)
+    alone = belief((), **ALONE_LAW)
     devices = [specimen(alone, scale=scale, name=f"d{scale}") for scale in (0.95, 1.0, 1.05)]
     (trial, *_) = own = try_all(devices, None)
     assert np.exp(trial.model_errors["least_2"]) < 0.95
     assert trial.cycle_errors.std() > 0.05
-    right = try_all([specimen(belief(FOUND, ["wear"], **WEAR), alone)], None)[0]
+    right = try_all([specimen(belief(["wear"], **WEAR), alone)], None)[0]
     assert right.cycle_errors.std() < 0.01
     other = try_all(devices, sine(60.0, 9.0, 3))
     assert all(t.carried for t in other)
@@ -124,24 +124,24 @@ def test_the_error_of_the_model_is_seen_and_carried_to_another_history():
 
 def test_what_a_model_depends_on_is_found_by_trying():
     history = histories([TIME] * 2, [MOTION] * 2)[1]
-    law, worn = belief(ALONE, (), gamma=0.01), belief(FOUND, ["wear"], **WEAR)
+    law, worn = belief((), gamma=0.01), belief(["wear"], **WEAR)
     assert [depends(law, history, name) for name in ("speed", "travel", "time")] == [True, False, False]
     assert [depends(worn, history, name) for name in ("speed", "travel", "time")] == [False, True, False]
 
 
 def test_travel_beyond_the_test_is_refused_where_the_force_depends_on_it():
     long = sine(60.0, 9.0, 40)
-    worn = specimen(belief(FOUND, ["wear"], **WEAR), belief(ALONE, (), **ALONE_LAW))
+    worn = specimen(belief(["wear"], **WEAR), belief((), **ALONE_LAW))
     with pytest.raises(PopulationError, match=r"travel of .* m, which was not tested.*--extrapolate"):
         try_all([worn], long)
     (beyond,) = try_all([worn], long, extrapolate=True)
-    (law,) = try_all([specimen(belief(ALONE, (), **ALONE_LAW))], long)
+    (law,) = try_all([specimen(belief((), **ALONE_LAW))], long)
     assert 0 < beyond.values["lowest"] < law.values["lowest"]
 
 
 def test_another_motion_keeps_the_scales_of_the_devices_own_test():
     """A curve over travel is stated over the travel of the test; a shorter history walks a part of it."""
-    device = specimen(belief(FOUND, ["wear"], **WEAR))
+    device = specimen(belief(["wear"], **WEAR))
     time, motion = exact_motion(table_1()[:1], 10.0)
     for history in device.driven_through(time, motion):
         for name in SCALES:

@@ -356,7 +356,7 @@ N_PAIR = 8  # short, so that the first samples carry weight
 TIME, BEGIN = STEP * np.arange(N_PAIR), np.isin(np.arange(N_PAIR), (0, 3))
 SCALES = np.exp(np.linspace(-2.2, 2.2, 61))
 SECOND = {"phi": np.linspace(-0.985, 0.985, 61), "tau_slow": np.linspace(0.0, 0.4, 62)[1:] - 0.2 / 61}
-WRONG = Noise("ar1", "", "", ("sigma", "phi"), lambda v: gaussian(v["sigma"], v["sigma"]), noise_model("ar1").decay)
+WRONG = Noise("ar1", ("sigma", "phi"), lambda v: gaussian(v["sigma"], v["sigma"]), noise_model("ar1").decay)
 
 
 def rank_p_values(
@@ -447,4 +447,4 @@ def test_words_of_the_catalogue() -> None:
 def test_a_noise_parameter_needs_a_unit_and_a_meaning() -> None:
     parts, decay = noise_model("ar1").parts, noise_model("ar1").decay
     with pytest.raises(ModelError, match=r"noise model mine: 'rho' is not a noise parameter; known are sigma_white"):
-        Noise("mine", "", "", ("sigma", "rho"), parts, decay)
+        Noise("mine", ("sigma", "rho"), parts, decay)

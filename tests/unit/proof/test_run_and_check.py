@@ -60,7 +60,7 @@ def canned(answer, monkeypatch):
 def whole(answer, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "in_parallel", lambda tasks, workers, done: [done(task, answer) for task in tasks])
-        return prove(tmp_path_factory.mktemp("whole") / "proof", n=N, seed=SEED, workers=1).folder
+        return prove(tmp_path_factory.mktemp("whole") / "proof", n=N, seed=SEED, workers=1).page.parent
 
 
 @pytest.fixture

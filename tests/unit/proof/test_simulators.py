@@ -30,7 +30,7 @@ def rig(blocks, acts=None, device=DEVICE, rate=400.0, frame=1e6):
     """Force of the rig under exact sine blocks on a fine grid, with the motion."""
     time, motion = exact_motion(blocks, rate)
     path = Course(time, motion.displacement_mm, 1)
-    drive = Drive(1, path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]))
+    drive = Drive(path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]))
     return time, motion, rate_free(drive, device, acts or Acts(), frame)
 
 
@@ -51,7 +51,7 @@ def test_the_published_rule_is_equation_1_with_its_jump(beta):
     blocks = (Block(6.0, 0.05, 2), Block(48.0, 0.03, 2))
     time, motion = exact_motion(blocks, 100.0)
     path = Course(time, motion.displacement_mm, 1)
-    drive = Drive(1, path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]))
+    drive = Drive(path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]))
     own = rate_free(drive, device, Acts(), 1e6, "published")
     law = force(motion, K=14.0, Fy=60.0, beta=beta, variant="published")
     sure = np.ones(time.size, dtype=bool)
@@ -61,7 +61,7 @@ def test_the_published_rule_is_equation_1_with_its_jump(beta):
 
 def test_a_gap_and_a_lever_act_under_both_rules():
     time, motion = exact_motion((Block(48.0, 0.03, 2),), 400.0)
-    drive = Drive(1, Course(time, motion.displacement_mm, 1), 60.0, np.zeros(time.size), 95.0, float(time[-1]))
+    drive = Drive(Course(time, motion.displacement_mm, 1), 60.0, np.zeros(time.size), 95.0, float(time[-1]))
     own = rate_free(drive, DEVICE, Acts(clearance_mm=3.0, lever=0.1), 1e6, "published")
     back = motion.half_cycle == 2
     assert np.ptp(motion.displacement_mm[(np.abs(own) < 0.01) & back]) == pytest.approx(3.0, abs=0.1)
@@ -72,7 +72,7 @@ def test_a_gap_and_a_lever_act_under_both_rules():
 
 def test_a_rest_is_no_reversal():
     x = np.concatenate([np.linspace(0, 20, 500), 20 + 1e-9 * np.sin(np.arange(300)), np.linspace(20, 25, 100)])
-    drive = Drive(1, Course(np.arange(x.size) * 0.01, x, 1), 60.0, np.zeros(x.size), 95.0, 10.0)
+    drive = Drive(Course(np.arange(x.size) * 0.01, x, 1), 60.0, np.zeros(x.size), 95.0, 10.0)
     own = rate_free(drive, DEVICE, Acts(), 1e6, "published")
     assert own[450:] == pytest.approx(60.0, abs=0.01)
 

@@ -24,7 +24,6 @@ from shj_validation.proof.pool import in_parallel
 from shj_validation.proof.score import score_trial
 from shj_validation.proof.summary import summarise
 
-DEFAULT_SEED = 20310706  # of ``make prove``; development never used it
 SCORE, TRANSCRIPT, TABLE = "score.json", "transcript.json", "trials.csv"
 
 
@@ -34,15 +33,12 @@ class Proof:
 
     Parameters
     ----------
-    folder : Path
-        Where its files are.
     score : dict
         Content of ``score.json``.
     page : Path
         The page.
     """
 
-    folder: Path
     score: dict[str, Any]
     page: Path
 
@@ -137,7 +133,7 @@ def score(folder: Path, keys: list[Key], seed: int, workers: int, progress: bool
         "trials": rows,
     }
     write_text(folder / SCORE, json.dumps(result, indent=1, allow_nan=False))
-    return Proof(folder, result, render(folder, result))
+    return Proof(result, render(folder, result))
 
 
 def diagnosed(folder: Path) -> int:

@@ -92,4 +92,4 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
         yield given.of_force(kind, side, value, unit, (clause, formula, inputs, purpose))
 
 
-CODE = Code("asce7", "ASCE/SEI 7", "clause text not read; given from knowledge of the standard", _rows, 3)
+CODE = Code("asce7", _rows, 3)

@@ -1,4 +1,4 @@
-"""What a design code is: a name, how far its text was read, and a function from what is known of a set to margins."""
+"""What a design code is: a name, and a function from what is known of a set to margins."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -34,7 +34,5 @@ class Code:
     """A design code."""
 
     id: str  # name of its file
-    title: str  # as it is cited
-    text: str  # how far its text could be read, in words
     rows: Callable[[Given], Iterator[Margin]]  # from what is given of a set to its margins
     place: int  # order on the sheet

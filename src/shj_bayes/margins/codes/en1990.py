@@ -102,4 +102,4 @@ def _check(n: float, degrees: float) -> None:
         )
 
 
-CODE = Code("en1990", "EN 1990 Annex D", "tables checked, clause text of D7.1 not read", _rows, 1)
+CODE = Code("en1990", _rows, 1)

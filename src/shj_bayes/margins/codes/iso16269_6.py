@@ -105,4 +105,4 @@ def _rows(given: Given) -> Iterator[Margin]:
                             yield Margin(*head, *number, *origin, remarks(way, value))
 
 
-CODE = Code("iso16269_6", "ISO 16269-6", "scope read, factors checked against definitions and tables", _rows, 2)
+CODE = Code("iso16269_6", _rows, 2)

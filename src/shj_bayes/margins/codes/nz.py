@@ -50,4 +50,4 @@ def _rows(given: Given) -> Iterator[Margin]:
         yield given.of_force(kind, side, value, "1", origin)
 
 
-CODE = Code("nz", "NZ practice for sliding hinge joints", "values recalled from the literature", _rows, 5)
+CODE = Code("nz", _rows, 5)

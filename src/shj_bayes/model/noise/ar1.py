@@ -1,4 +1,7 @@
-"""First-order autoregressive noise at the recorded rate, for comparison with the literature."""
+"""First-order autoregressive noise at the recorded rate, for comparison with the literature.
+
+r_i = phi r_(i-1) + sigma sqrt(1 - phi^2) z_i, z ~ N(0, 1): the parameters hold for this sampling rate only.
+"""
 
 import numpy as np
 
@@ -18,8 +21,6 @@ def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
 
 NOISE = Noise(
     id="ar1",
-    statement="Correlated from one recorded sample to the next; its parameters hold for this sampling rate only.",
-    equation="r_i = phi r_(i-1) + sigma sqrt(1 - phi^2) z_i,  z ~ N(0, 1)",
     parameters=("sigma", "phi"),
     parts=parts,
     decay=decay,

@@ -1,4 +1,4 @@
-"""White noise alone, for comparison with least squares."""
+"""White noise alone, r_i ~ N(0, sigma^2), for comparison with least squares: too narrow for real noise."""
 
 import numpy as np
 
@@ -18,8 +18,6 @@ def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
 
 NOISE = Noise(
     id="independent",
-    statement="Independent from sample to sample, as least squares takes it; intervals are too narrow for real noise.",
-    equation="r_i ~ N(0, sigma^2)",
     parameters=("sigma",),
     parts=parts,
     decay=decay,

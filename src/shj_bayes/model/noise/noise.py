@@ -25,8 +25,6 @@ class Noise:
     """One noise model."""
 
     id: str  # word for ``--noise``; the file carries it
-    statement: str  # what it says, in one sentence
-    equation: str  # plain-text equation
     # its parameters, in the order in which they are sampled; each has a prior in the prior files
     parameters: tuple[str, ...]
     parts: Callable[[Values], Parts]  # ``parts(values)`` gives the `Parts` from parameters by name, each of shape (m,)

@@ -1,4 +1,7 @@
-"""White noise and a slow part with a memory of seconds: means the same at any sampling rate."""
+"""White noise and a slow part (Ornstein-Uhlenbeck) with a memory of seconds: means the same at any sampling rate.
+
+r(t) = w(t) + s(t), sd(w) = sigma_white, cov(s(t), s(t')) = sigma_slow^2 exp(-|t - t'| / tau_slow).
+"""
 
 from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential, gaussian
 
@@ -10,8 +13,6 @@ def parts(values: Values) -> Parts:
 
 NOISE = Noise(
     id="slow",
-    statement="White noise from sample to sample and a slow part that forgets exponentially (Ornstein-Uhlenbeck).",
-    equation="r(t) = w(t) + s(t), sd(w) = sigma_white, cov(s(t), s(t')) = sigma_slow^2 exp(-|t - t'| / tau_slow)",
     parameters=("sigma_white", "sigma_slow", "tau_slow"),
     parts=parts,
     decay=exponential,

@@ -1,4 +1,7 @@
-"""White and slow noise whose news has heavy tails: single readings that are far off count less."""
+"""White and slow noise whose news has heavy tails: single readings that are far off count less.
+
+As `slow`, with (r_i - E[r_i | before]) / sd[r_i | before] ~ t_nu for each average of samples.
+"""
 
 from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential
 
@@ -10,8 +13,6 @@ def parts(values: Values) -> Parts:
 
 NOISE = Noise(
     id="student",
-    statement="As `slow`, but what is new in each average of samples follows Student's t, so that outliers count less.",
-    equation="(r_i - E[r_i | before]) / sd[r_i | before] ~ t_nu",
     parameters=("sigma_white", "sigma_slow", "tau_slow", "nu"),
     parts=parts,
     decay=exponential,

@@ -85,8 +85,6 @@ class Drive:
 
     Parameters
     ----------
-    run : int
-        Number of the run, from 1.
     course : Course
         Displacement on the fine grid.
     capacity_kN : float
@@ -99,7 +97,6 @@ class Drive:
         Duration of one test run, s.
     """
 
-    run: int
     course: Course
     capacity_kN: float
     slip_mm_s: FloatArray
@@ -142,11 +139,11 @@ def drives(
     out = []
     for run, course in enumerate(courses, start=1):
         capacity = device.Fy * (device.ratio if run > 1 else 1.0)
-        bare = Drive(run, course, capacity, np.zeros(course.x_mm.size), stroke_mm, test_s)
+        bare = Drive(course, capacity, np.zeros(course.x_mm.size), stroke_mm, test_s)
         force = rate_free(bare, device, Acts(), frame_kN_mm, rule)
         sliding = np.abs(course.v_mm_s - np.gradient(force, course.dt_s) / device.K)
         slip = np.where(np.abs(force) > 0.5 * capacity, np.minimum(sliding, np.abs(course.v_mm_s)), 0.0)
-        out.append(Drive(run, course, capacity, slip, stroke_mm, test_s))
+        out.append(Drive(course, capacity, slip, stroke_mm, test_s))
     return out
 
 
