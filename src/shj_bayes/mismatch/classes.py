@@ -95,10 +95,13 @@ def classes(
             names = HEATS if name == "heat" else (name,)
             smooth = (1.0 - FORMS) * (1.0 - coordinate_named(names[0]).repeats)
             lengths = coordinate_named(names[0]).lengths
+            sides = coordinate_named(names[0]).sides if action == "capacity" else 0.0
             variants = tuple(
-                Variant(curve := Curve(action, n, length), curve.effect(), smooth * weight / len(names))
+                Variant(curve := Curve(action, n, length, own), curve.effect(), smooth * weight * share / len(names))
                 for n in names
                 for length, weight in lengths.items()
+                for own, share in ((False, 1.0 - sides), (True, sides))
+                if share
             )
             shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             few = [effect for effect in shown if math.prod(map(len, start_values(effect))) <= FEW_STARTS]

@@ -125,7 +125,7 @@ def family(out: Search, answer: Answer) -> list[dict[str, Any]]:
 
 
 def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
-    """List what the force depends on beyond the base law, most probable first."""
+    """List what the force depends on beyond the base law, most probable first; push and pull may have a row each."""
     found = {finding.member.of.id: finding for finding in answer.findings}
     rows = []
     for name, probability in sorted(answer.inclusion.items(), key=lambda item: -item[1]):
@@ -146,12 +146,18 @@ def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
             "period": None,
             "matches": mechanisms(out, answer, name) if finding is None or finding.named else [],
         }
-        band = curve_band(out, finding) if finding else None
-        if band is not None:
-            row["range_percent"] = float(np.ptp(band["mean"]))
-            row["period"] = finding.period if finding else None
-            row["curve"] = {key: values.tolist() for key, values in band.items()} | {"unit": "% of Fy"}
-        rows.append(row)
+        bands = {d: curve_band(out, finding, direction=q) for d, q in finding.directions.items()} if finding else {}
+        drawn = [
+            {
+                "direction": direction,
+                "range_percent": float(np.ptp(band["mean"])),
+                "period": finding.period if finding else None,
+                "curve": {key: values.tolist() for key, values in band.items()} | {"unit": "% of Fy"},
+            }
+            for direction, band in bands.items()
+            if band is not None
+        ]
+        rows += [row | own for own in drawn] or [row]
     if answer.reason is Reason.FLUCTUATES:
         rows.insert(0, fluctuation(out))
     return rows

@@ -151,7 +151,7 @@ def _averaged(own: list[Candidate]) -> float:
     starts: dict[str, list[float]] = {}
     for c in own:
         curve = c.variant.curve
-        word = c.variant.effect.id if curve is None else f"{curve.coordinate} {curve.length}"
+        word = c.variant.effect.id if curve is None else f"{curve.coordinate} {curve.length} {curve.sides}"
         starts.setdefault(word, []).append(c.gain)
     return float(logsumexp([logsumexp(gains) - np.log(len(gains)) for gains in starts.values()]))
 

@@ -13,8 +13,18 @@ from scipy.stats import halfnorm, lognorm
 from shj_bayes.mismatch.classes import SPREAD, TYPICAL, Candidate, Class
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import Verdict
-from shj_bayes.mismatch.search import DISTANCE, DOUBT, EXPLAINED, MATTERS, POSITION, Hypothesis, Search, replaced
-from shj_bayes.mismatch.state import State, beyond, drawn_from, visible
+from shj_bayes.mismatch.search import (
+    CONSTANT,
+    DIRECTION,
+    DOUBT,
+    EXPLAINED,
+    MATTERS,
+    Hypothesis,
+    Search,
+    replaced,
+    second_of,
+)
+from shj_bayes.mismatch.state import State, beyond, drawn_from, largest, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
@@ -56,6 +66,12 @@ class Finding:
     def named(self) -> bool:
         """Whether it has a name."""
         return bool(self.names)
+
+    @property
+    def directions(self) -> dict[str, float]:
+        """Directions that have a curve of their own, with their signs."""
+        curve = self.curve.variant.curve if self.curve is not None else None
+        return {"push": 1.0, "pull": -1.0} if curve is not None and curve.sides else {"both": 1.0}
 
     @property
     def period(self) -> float | None:
@@ -186,8 +202,8 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
 
 
 def _may_look_alike(a: Class, b: Class) -> bool:
-    """Whether what a form of one class misses may look like the other."""
-    return a.action == b.action or MOTION in (a.action, b.action)
+    """Whether what a form of `b` misses may look like `a`: a constant, or one for each direction, misses nothing."""
+    return b.id not in (CONSTANT, DIRECTION) and (a.action == b.action or MOTION in (a.action, b.action))
 
 
 def forces_beside(out: Search, h: Hypothesis) -> FloatArray:
@@ -316,14 +332,18 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
 
 
 def _split(out: Search, h: Hypothesis) -> Hypothesis:
-    """Give the hypothesis with a formula beside a function of the distance for a curve over position that they follow.
+    """Give the hypothesis with a formula beside another class for a curve that holds both and that they follow.
 
-    No test can tell the curve from both together, and they say what it is.
+    No test can tell the curve from both together, and they say what it is; see `search.second_of`.
     """
-    place = next((i for i, m in enumerate(h.members) if m.of.id == POSITION and m.variant.curve is not None), None)
-    both = out.found.get(h.key | {DISTANCE})
-    follows = place is not None and both is not None and _away(out, h, both) <= _may_miss(out, h, place)
-    return both if follows and both is not None else h
+    for place, member in enumerate(h.members):
+        second = second_of(member)
+        if second is None or second in h.key:
+            continue
+        both = out.beside_direction(h, place) or out.found.get(h.key | {second})
+        if both is not None and _away(out, h, both) <= _may_miss(out, h, place):
+            return both
+    return h
 
 
 def _may_miss(out: Search, h: Hypothesis, place: int) -> float:
@@ -332,9 +352,10 @@ def _may_miss(out: Search, h: Hypothesis, place: int) -> float:
 
 
 def _away(out: Search, a: Hypothesis, b: Hypothesis) -> float:
-    """How far the forces of two hypotheses are apart (99th percentile), as a share of Fy."""
-    apart = np.abs(b.state.residual - a.state.residual)[out.scene.used > 0]
-    return float(np.percentile(apart, 99)) / out.scene.scale_kN
+    """How far the forces of two hypotheses are apart (99th percentile over the samples), as a share of Fy."""
+    used = out.scene.used > 0
+    apart = (b.state.residual - a.state.residual)[used, None]
+    return float(largest(apart, out.scene.count[used])[0]) / out.scene.scale_kN
 
 
 def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tuple[str, float], ...]]:
@@ -382,15 +403,18 @@ def rivals_of(answer: Answer) -> tuple[tuple[frozenset[str], float], ...]:
     return most_probable(answer.sets)
 
 
-def curve_band(out: Search, f: Finding, n: int = 61) -> dict[str, FloatArray] | None:
-    """Curve of a finding over its coordinate or its period, with its 90 % band, % of Fy; None where there is none."""
+def curve_band(out: Search, f: Finding, n: int = 61, direction: float = 1.0) -> dict[str, FloatArray] | None:
+    """Curve of a finding over its coordinate or its period, with its 90 % band, % of Fy; None where there is none.
+
+    Of curves for push and pull, that of a direction, 1 or -1.
+    """
     if f.curve is None or f.curve_state is None or f.curve.variant.curve is None:
         return None
     curve, state = f.curve.variant.curve, f.curve_state
     own = out.columns_of(state, f.place)
     share = np.linspace(0.0, 1.0, n)
     mean, cov = state.z[own], state.covariance[np.ix_(own, own)]
-    rows = curve.rows(share, np.ones(n))
+    rows = curve.rows(share, np.full(n, direction))
     centre = rows @ mean
     half = 1.6449 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
     history = out.scene.posterior.averages[0].history

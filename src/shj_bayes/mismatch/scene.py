@@ -25,7 +25,7 @@ from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.masing import masing_force
 from shj_bayes.model.measured import Measured
-from shj_bayes.model.noise.filter import Timing, whiten
+from shj_bayes.model.noise.filter import whiten
 from shj_bayes.model.noise.low_speed import ROUGHER, rougher, slowness
 from shj_bayes.model.parameters import FloatArray
 
@@ -177,6 +177,17 @@ class Scene:
             columns.append((masing_force(motion, laws[0], start) - own)[:, None])
         return self.blocks(columns)
 
+    @property
+    def step_s(self) -> float:
+        """Time between two samples, s."""
+        return self.posterior.averages[0].timing.step_s
+
+    def parts_kN(self, noise: Mapping[str, float]) -> tuple[float, float]:
+        """Give the standard deviations of noise, its white part on averages over `AVERAGED_S` and its slow part, kN."""
+        parts = self.device.noise.parts({name: np.array([value]) for name, value in noise.items()})
+        averaged = math.sqrt(min(1.0, self.step_s / AVERAGED_S))
+        return float(parts.white_kN[0]) * averaged, float(parts.slow_kN[0])
+
     @cached_property
     def zeros(self) -> FloatArray:
         """Error of the load cell's zero in each run, kN for a size of 1 kN, shape (n, n_runs)."""
@@ -191,6 +202,27 @@ class NoiseSetting:
     z: tuple[float, ...]  # parameters of the noise model in their unbounded space
     model_error_kN: float  # size of the discrepancy
     at_rest: float = 0.0  # logarithm of the standard deviation of the noise at low speed over that at high speed
+
+    def values(self, scene: Scene) -> dict[str, float]:
+        """Parameters of the noise model in their units, by name."""
+        laws = scene.device.laws_of_parameters[scene.device.n_law :]
+        return {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, self.z, strict=True)}
+
+    def size_kN(self, scene: Scene) -> float:
+        """Give the standard deviation of the noise where it is roughest, on averages over `AVERAGED_S`, kN."""
+        return max(1.0, math.exp(self.at_rest)) * math.hypot(*scene.parts_kN(self.values(scene)))
+
+    def at_most(self, scene: Scene, most_kN: float) -> NoiseSetting:
+        """Give the same noise, smaller where its size is more than this."""
+        size = self.size_kN(scene)
+        if size <= most_kN:
+            return self
+        laws = scene.device.laws_of_parameters[scene.device.n_law :]
+        smaller = (
+            float(law.to_free(np.asarray(value * most_kN / size))) if law.unit == "kN" else z
+            for law, z, value in zip(laws, self.z, self.values(scene).values(), strict=True)
+        )
+        return replace(self, z=tuple(smaller))
 
 
 class Metric:
@@ -216,8 +248,7 @@ class Metric:
 
     def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
         self.scene, self.setting, self.slope = scene, setting, slope
-        laws = scene.device.laws_of_parameters[scene.device.n_law :]
-        self.noise = {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, setting.z, strict=True)}
+        self.noise = setting.values(scene)
         self.rougher = rougher(setting.at_rest, scene.slow)
         self.zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
         sizes = np.concatenate([np.full(scene.discrepancy.shape[1], setting.model_error_kN), [1.0], self.zero_kN])
@@ -257,36 +288,20 @@ class Metric:
         white, reduced = self.factors(columns)
         return np.asarray(white.T @ reduced)
 
-    @cached_property
+    @property
     def fluctuation(self) -> float:
-        """Standard deviation of the noise where it is roughest, on averages over `AVERAGED_S`, as a share of Fy."""
-        rough = max(1.0, math.exp(self.setting.at_rest))
-        return rough * math.hypot(*self._sizes_kN) / self.scene.scale_kN
+        """Size of the noise as a share of Fy; see `NoiseSetting.size_kN`."""
+        return self.setting.size_kN(self.scene) / self.scene.scale_kN
 
     @property
     def is_slow(self) -> bool:
         """Whether most of the noise is remembered for longer than a half-cycle lasts."""
         history = self.scene.posterior.averages[0].history
         lasts = np.array([history.time_s[-1] / history.motion.n_half])
-        left = float(self.scene.device.noise.decay(self._rows, lasts, self._timing.step_s)[0, 0])
-        white, slow = self._sizes_kN
+        rows = {name: np.array([value]) for name, value in self.noise.items()}
+        left = float(self.scene.device.noise.decay(rows, lasts, self.scene.step_s)[0, 0])
+        white, slow = self.scene.parts_kN(self.noise)
         return left * slow**2 > math.exp(-1.0) * (slow**2 + white**2)
-
-    @property
-    def _rows(self) -> dict[str, FloatArray]:
-        """Parameters of the noise as its model takes them."""
-        return {name: np.array([value]) for name, value in self.noise.items()}
-
-    @property
-    def _sizes_kN(self) -> tuple[float, float]:
-        """Standard deviations of the white part on averages over `AVERAGED_S`, and of the slow part, kN."""
-        parts = self.scene.device.noise.parts(self._rows)
-        averaged = math.sqrt(min(1.0, self._timing.step_s / AVERAGED_S))
-        return float(parts.white_kN[0]) * averaged, float(parts.slow_kN[0])
-
-    @property
-    def _timing(self) -> Timing:
-        return self.scene.posterior.averages[0].timing
 
     def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Give whitened columns, and the same less what the discrepancy takes up: products are of one with the other.

@@ -29,13 +29,13 @@ BEAM = 2
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
 DEPTH = 4
 LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
-LARGEST = 70  # parameters of a model that is grown further
+LARGEST = 160  # parameters of a model that is grown further
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
 FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = str(ClassId("added", "constant"))
-POSITION, DISTANCE = (str(ClassId("capacity", name)) for name in ("position", "distance"))
+POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
 
@@ -191,37 +191,76 @@ class Search:
         """
         for place in range(len(h.members)):
             h = self.found[h.key]
-            if again or h.members[place].variant.curve is not None:
+            curve = h.members[place].variant.curve
+            if again or curve is not None:
                 for form in self.forms(h, place):
                     self.add(replaced(h, place, form), form.start)
-                    self._split(h, place, form)
+                    self._beside_distance(h, place, form)
+            self.beside_direction(h, place)
 
-    def _split(self, h: Hypothesis, place: int, form: Candidate) -> None:
+    def _beside_distance(self, h: Hypothesis, place: int, form: Candidate) -> None:
         """Try a formula beside a function of the distance in the place of a curve over position, which holds both."""
-        other = [c for c in self.looked if c.of.id == DISTANCE and _same_twice(h.members[place], c)]
-        one = self.fitted(replaced(h, place, form), form.start) if other else None
+        other = [c for c in self.looked if c.of.id == DISTANCE and second_of(h.members[place]) == DISTANCE]
+        one = self.fitted(replaced(h, place, form), form.start) if other and DISTANCE not in h.key else None
         if one is not None:
             best = screen(self.metric, one.state, other)[0]
             both = self.add((*one.members, best), _joined(one, best))
             if both is not None:
                 self.refine(both)
 
+    def beside_direction(self, h: Hypothesis, place: int) -> Hypothesis | None:
+        """Try a formula beside a difference of push and pull in the place of curves for push and pull: they hold both.
+
+        The rest is fitted with the difference first: beside such curves the parameters of the law may be anywhere.
+        Gives the best of these hypotheses; None where there is none.
+        """
+        member = h.members[place]
+        if second_of(member) != DIRECTION or DIRECTION in h.key or DIRECTION not in self.classes:
+            return None
+        keep = np.setdiff1d(np.arange(h.state.z.size), self.columns_of(h.state, place))
+        rest = self.fitted(tuple(m for m in h.members if m is not member), h.state.z[keep])
+        if rest is None:
+            return None
+        best = screen(self.metric, rest.state, [c for c in self.looked if c.of.id == DIRECTION])[0]
+        one = self.fitted((*rest.members, best), _joined(rest, best))
+        for form in self.forms_of(member.of, one.members, one.state.z) if one is not None else ():
+            self.add((*rest.members, best, form), form.start)
+        return self.found.get(h.key | {DIRECTION})
+
     def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
         """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
-        member, out = h.members[place], []
-        acts = (member.of.action, member.of.coordinate)
+        own = self.columns_of(h.state, place)
+        members = tuple(m for i, m in enumerate(h.members) if i != place)
+        return self.forms_of(h.members[place].of, members, np.delete(h.state.z, own), (place, own[0]))
+
+    def forms_of(
+        self, of: Class, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
+    ) -> list[Candidate]:
+        """Formulas of a class beside other members, each from its best starts, with where the rest of the model is.
+
+        Parameters
+        ----------
+        of : Class
+            The class.
+        members : tuple of Candidate
+            The others.
+        z : array, shape (n_law,)
+            Parameters of the model that holds these.
+        at : tuple of int, optional
+            Place of the class among the members, and of its parameters among theirs; the last by default.
+        """
+        place, first = at or (len(members), z.size)
+        acts, nothing, out = (of.action, of.coordinate), np.zeros((self.scene.used.size, 0)), []
         known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
-        keep = np.setdiff1d(np.arange(h.state.z.size), self.columns_of(h.state, place))
-        first = self.columns_of(h.state, place)[0]
         for effect in known:
             variant = Variant(None, effect, FORMS / max(len(known), 1))
-            form = replace(member, variant=variant)
-            model = self.model_of(replaced(h, place, form))
+            form = Candidate(of, variant, z, nothing, self.scene.device)
+            model = self.model_of((*members[:place], form, *members[place:]))
             values = start_values(effect)
             if effect.parameters[0].either_sign:  # a size of either sign
                 values[0] = sorted({*values[0], *(-value for value in values[0])})
             tails = [np.array(tail) for tail in product(*values)]
-            starts = np.array([np.insert(h.state.z[keep], first, tail) for tail in tails])
+            starts = np.array([np.insert(z, first, tail) for tail in tails])
             with np.errstate(all="ignore"):
                 residual = self.scene.residual(model, starts)
                 heights = np.diag(self.metric.products(np.nan_to_num(residual.T, nan=1e6)))
@@ -412,7 +451,11 @@ def search(
 
 
 def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start: NoiseSetting | None) -> Metric:
-    """Noise beside everything that smooth functions of any coordinate can take up."""
+    """Noise beside everything that smooth functions of any coordinate can take up, at most that of a load cell.
+
+    What is larger is left to the classes until the end: beside several effects that no single class makes up for, a
+    large noise would take them all.
+    """
     columns, seen = [], set()
     for c in looked:
         curve = c.variant.curve
@@ -424,7 +467,8 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
         columns.append(WIDE * c.columns)
     columns.append(FLAT * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
-    return Metric(scene, find_noise(scene, state, wide, start), state.slope)
+    setting = find_noise(scene, state, wide, start, NOISE_MOST * scene.largest_kN)
+    return Metric(scene, setting, state.slope)
 
 
 def _joined(h: Hypothesis, c: Candidate) -> FloatArray:
@@ -445,6 +489,14 @@ def replaced(h: Hypothesis, place: int, member: Candidate) -> tuple[Candidate, .
 def _is_curve(member: Candidate) -> bool:
     """Whether a class has no formula here: it is a curve, or it acts on the motion."""
     return member.variant.curve is not None or not any(v.curve is not None for v in member.of.variants)
+
+
+def second_of(member: Candidate) -> str | None:
+    """Class that a curve may hold beside its own: position and distance, or time and direction where both count."""
+    curve = member.variant.curve
+    if curve is not None and curve.sides:
+        return DIRECTION
+    return DISTANCE if curve is not None and member.of.id == POSITION else None
 
 
 def _same_twice(a: Candidate, b: Candidate) -> bool:

@@ -121,7 +121,7 @@ def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatA
     """
     used = scene.used > 0
     count, left = scene.count[used], beyond(scene, jacobian, change_kN)
-    return np.minimum(_largest(left, count), _largest(change_kN[used], count)) / scene.scale_kN
+    return np.minimum(largest(left, count), largest(change_kN[used], count)) / scene.scale_kN
 
 
 def beyond(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
@@ -137,7 +137,7 @@ def beyond(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatAr
     return np.asarray(orthogonal_to(jacobian[used] * root, change_kN[used] * root) / root)
 
 
-def _largest(columns: FloatArray, count: FloatArray) -> FloatArray:
+def largest(columns: FloatArray, count: FloatArray) -> FloatArray:
     """99th percentile of the sizes in each column over samples, so many in each row, shape (n, p) to (p,)."""
     sizes = np.abs(columns)
     order = np.argsort(sizes, axis=0)
@@ -156,7 +156,13 @@ def zero_of(metric: Metric, state: State) -> tuple[float, float]:
     return float(solved @ columns.T @ white[:, 0]), math.sqrt(float(solved @ weights))
 
 
-def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSetting | None = None) -> NoiseSetting:
+def find_noise(
+    scene: Scene,
+    state: State,
+    columns: FloatArray,
+    start: NoiseSetting | None = None,
+    most_kN: float = math.inf,
+) -> NoiseSetting:
     """Find the noise of a device beside everything that a set of columns can take up.
 
     Parameters
@@ -169,12 +175,15 @@ def find_noise(scene: Scene, state: State, columns: FloatArray, start: NoiseSett
         Further functions with standard normal coefficients.
     start : NoiseSetting, optional
         Where to begin; by default the best of a grid.
+    most_kN : float
+        Largest standard deviation of the noise, as of `NoiseSetting.size_kN`.
     """
     wide = state.beside(columns)
     unit = MODEL_ERROR * scene.scale_kN
 
     def setting(u: FloatArray) -> NoiseSetting:
-        return NoiseSetting(tuple(u[:-2].tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
+        noise = NoiseSetting(tuple(u[:-2].tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
+        return noise.at_most(scene, most_kN)
 
     def negative(u: FloatArray) -> float:
         metric = Metric(scene, setting(u), state.slope)

@@ -48,6 +48,8 @@ class Coordinate:
     lengths: Mapping[float, float] = field(default_factory=lambda: SMOOTH)
     # probability that a curve over it comes again and again: threads and clocks do, wear and heat do not
     repeats: float = 0.0
+    # probability that a capacity over it has a curve for push and one for pull: a lever or a band is clamped for one
+    sides: float = 0.0
     family: str = "slow_change"  # family of the effects that a curve over it belongs to
     symbol: str = "u"  # letter in formulas
     of_base: bool = False  # whether it depends on the base parameters: sliding begins where the elastic branch ends
@@ -161,6 +163,7 @@ ALL = (
         lambda h: (0.0, h.tested_s),
         lengths=MappingProxyType({0.05: 0.45, 0.15: 0.45, 0.5: 0.1}),
         repeats=0.2,
+        sides=0.2,
         symbol="t",
     ),
     *(

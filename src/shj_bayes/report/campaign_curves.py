@@ -65,7 +65,7 @@ def _of_fit(place: Path, fit: Path, effect: str, *, alone: bool) -> DeviceCurve 
     """Curve of a fit that holds it, from its posterior."""
     curve = curve_named(effect)
     held = {str(word) for word in read_record(fit)["model"]["effects"]}
-    if curve is None or effect not in held:
+    if curve is None or curve.sides or effect not in held:
         return None
     history = read_specimen(place, "", "").histories[0]
     draws = read_group(fit, "posterior")
@@ -80,7 +80,8 @@ def _of_diagnosis(place: Path, row: Row) -> DeviceCurve | None:
     """Curve that the diagnosis of a device found."""
     record: Mapping[str, Any] = read_json(place / "diagnosis.json", ShjError)
     for one in record["coordinates"]:
-        if (one["action"], one["coordinate"]) == (row.action, row.coordinate) and one["curve"]:
+        of = (one["action"], one["coordinate"], one.get("direction", "both"))
+        if of == (row.action, row.coordinate, "both") and one["curve"]:
             at, mean, low, high = (
                 np.array(one["curve"][key], dtype=np.float64) for key in ("at", "mean", "q05", "q95")
             )

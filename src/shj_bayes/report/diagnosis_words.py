@@ -199,7 +199,8 @@ def curve_words(c: Mapping[str, Any]) -> str:
     period = number(c.get("period"))
     over = f"every {period:.3g} {c.get('unit')}, again and again" if math.isfinite(period) else "over what was tested"
     much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if math.isfinite(size) else ""
-    return f"{what} depends on {over_words(c.get('coordinate'))}{much}."
+    way = {"push": " in push", "pull": " in pull"}.get(str(c.get("direction")), "")
+    return f"{what}{way} depends on {over_words(c.get('coordinate'))}{much}."
 
 
 def fluctuation_words(record: Mapping[str, Any]) -> list[str]:

@@ -13,13 +13,15 @@ from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes as all_classes
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
-from shj_bayes.mismatch.scene import scene_of
-from shj_bayes.mismatch.search import Search, search
+from shj_bayes.mismatch.scene import NoiseSetting, scene_of
+from shj_bayes.mismatch.search import NOISE_MOST, Search, noise_beside, search
+from shj_bayes.mismatch.state import find_noise, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.recording import Recording
+from shj_bayes.report.diagnosis_words import sentences
 
 CONTRACT = {
     "schema", "verdict", "p_value", "coordinates", "sets", "effects", "modelled", "family", "location", "unknown",
@@ -96,6 +98,39 @@ def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials
     record = look(recordings).record
     assert record["verdict"] == "named"
     assert names(record) == {"load_offset"}
+
+
+def test_clamping_that_changes_in_push_alone_is_a_curve_for_push(trials, look):
+    """A band that is tightened and loosened on one side, by up to 15 %: no formula, and nothing happens in pull."""
+
+    def clamping(history):
+        moment = (history.begun_s + history.time_s) / history.tested_s
+        change = np.interp(moment, [0.0, 0.15, 0.3, 0.5, 0.6, 0.8, 1.0], [0.0, 0.12, 0.02, 0.1, -0.05, 0.03, 0.15])
+        return 1.0 + np.where(history.direction > 0, change, 0.0)
+
+    record = look(trials.simulate({}, 62, clamping=clamping)).record
+    assert record["verdict"] == "unknown"
+    assert classes(record) == {("capacity", "time")}
+    push, pull = record["coordinates"]
+    assert (push["direction"], pull["direction"]) == ("push", "pull")
+    assert push["range_percent"] > 12.0
+    assert pull["range_percent"] < 3.0
+    assert push["curve"] != pull["curve"]
+    assert sum("depends on the time" in line for line in sentences(record)) == 2
+
+
+def test_noise_beside_what_the_law_misses_is_at_most_that_of_a_load_cell(trials):
+    """Several large effects that no single class makes up for: without a limit, noise of tens of per cent takes all."""
+    several = {"slack": {"size": 3.0}, "asymmetry": {"size": 0.25}}
+    runs = runs_of(trials.simulate(several, 63))
+    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    _, state = settle_under(scene, NoiseSetting((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
+    free = find_noise(scene, state, np.zeros((state.residual.size, 0)))
+    bound = noise_beside(scene, state, [], None).setting
+    assert free.size_kN(scene) > 2.0 * NOISE_MOST * scene.largest_kN
+    assert bound.size_kN(scene) == pytest.approx(NOISE_MOST * scene.largest_kN, rel=1e-6)
+    assert free.at_most(scene, 1e3) is free
+    assert free.at_most(scene, 0.5).size_kN(scene) == pytest.approx(0.5, rel=1e-6)
 
 
 def test_what_comes_again_is_found_with_its_period(trials, look):

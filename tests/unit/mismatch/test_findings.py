@@ -9,7 +9,7 @@ import pytest
 
 from shj_bayes.mismatch import findings
 
-ACTS = {"delay": "motion", "constant": "added"}
+ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", "bearing": "added"}
 
 
 def _hypothesis(*names):
@@ -76,6 +76,13 @@ def test_a_small_class_that_acts_where_a_large_one_does_not_is_nothing_that_this
     both = _hypothesis("delay", "wear")
     shares = findings.truly_there(search, both, both.key)
     assert shares[both.key] > 0.99
+
+
+def test_a_constant_has_no_form_that_could_miss_something(search, sized):
+    """A load cell's zero and a factor for each direction are one number each."""
+    sized({"added over constant": 0.11, "bearing": 0.03, "capacity over direction": 0.1, "heat": 0.02})
+    both = _hypothesis("added over constant", "bearing", "capacity over direction", "heat")
+    assert findings.truly_there(search, both, both.key)[both.key] == pytest.approx(1.0)
 
 
 def test_forces_are_held_beside_each_other_where_they_act():

@@ -72,6 +72,13 @@ SWING = stated_key("clamping_swing", 0.06, seed=3)
 TIME, TRAVEL = ("capacity", "time"), ("capacity", "travel")
 
 
+def test_a_dependence_with_a_curve_for_push_and_one_for_pull_counts_once():
+    two = replace(SWING, effects=(*SWING.effects, *stated_key("wear", 0.06, seed=3).effects))
+    given = placed("named", (*TIME, 0.99), (*TIME, 0.99), (*TRAVEL, 0.4))
+    assert coordinate_right(two, given) is True
+    assert [one["probability"] for one in stated(two, given) if one["of"] == "coordinate"] == [0.99, 0.4]
+
+
 @pytest.mark.parametrize(
     ("given", "right"),
     [

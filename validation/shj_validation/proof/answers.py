@@ -99,7 +99,10 @@ def _offset_N(answer: Answer) -> float | None:
 
 
 def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
-    """Compare when the clamping changed, and by how much in each direction, with the band's own columns."""
+    """Compare when the clamping changed, and by how much in each direction, with the band's own columns.
+
+    What was named is compared by its parameters, a curve over time by its means inside and outside that window.
+    """
     table = pd.read_csv(file)
     time = table["Time (s)"].to_numpy()
     moved = np.abs(table["Band position 1 (in)"].to_numpy() - table["Band position 1 (in)"].iloc[0]) > MOVED_IN
@@ -111,16 +114,35 @@ def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     size = f"push {change['push']:+.0%}, pull {change['pull']:+.0%}"
     truth = f"the band was moved from {begin:.1f} to {end:.1f} s (band force {size})"
     found = effect(answer, "tension_step")
-    if found is None:
-        return [Judged(False, f"{truth}; no change of clamping was named")]
-    test = float(time[-1])
-    low, high = found["begin"] * test, min((found["begin"] + found["length"]) * test, test)
+    if found is not None and "begin" in found:
+        test = float(time[-1])
+        low, high = found["begin"] * test, min((found["begin"] + found["length"]) * test, test)
+        own = {side: found["size"] * (1 + found["side"] * q) for side, q in (("push", 1.0), ("pull", -1.0))}
+    elif curves := _curves_over_time(answer):
+        shapes = {}
+        for which, (at, clamping) in curves.items():
+            inside, early = (at > begin) & (at < end), at < 0.1 * at[-1]
+            shapes[which] = np.where(early, 0.0, clamping / np.mean(clamping[~inside & ~early]) - 1.0)
+        own = {which: float(np.mean(shape[inside])) for which, shape in shapes.items()}
+        largest = np.abs(shapes[max(own, key=lambda name: abs(own[name]))])
+        low, high = (float(at[largest > 0.5 * largest.max()][i]) for i in (0, -1))
+    else:
+        return [Judged(False, f"{truth}; no change of clamping was found")]
     shared = max(0.0, min(end, high) - max(begin, low)) / (max(end, high) - min(begin, low))
     out = [Judged(shared >= 0.5, f"{truth}; diagnosed from {low:.1f} to {high:.1f} s ({shared:.1%} shared)")]
-    for side, q in (("push", 1.0), ("pull", -1.0)):
-        own = found["size"] * (1 + found["side"] * q)
-        near = abs(own - change[side]) <= max(0.1, 0.5 * abs(change[side]))
-        out.append(Judged(near, f"{side}: band force {change[side]:+.0%}, diagnosed clamping {own:+.0%}"))
+    for side, found_in in own.items():
+        near = abs(found_in - change[side]) <= max(0.1, 0.5 * abs(change[side]))
+        out.append(Judged(near, f"{side}: band force {change[side]:+.0%}, diagnosed clamping {found_in:+.0%}"))
+    return out
+
+
+def _curves_over_time(answer: Answer) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Give times and clamping, 1 where the law has it, of the curves over time in push and in pull, where found."""
+    out: dict[str, tuple[FloatArray, FloatArray]] = {}
+    for row in answer["coordinates"]:
+        if (row["action"], row["coordinate"]) == ("capacity", "time") and row["curve"] and not row["period"]:
+            both = (np.array(row["curve"]["at"]), 1.0 + np.array(row["curve"]["mean"]) / 100.0)
+            out |= dict.fromkeys(("push", "pull") if row["direction"] == "both" else (row["direction"],), both)
     return out
 
 

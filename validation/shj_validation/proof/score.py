@@ -142,10 +142,15 @@ def coordinate_right(key: Key, record: Mapping[str, Any], required: set[str] | N
         return None
     wanted = {one.id: set(simulators_by_id()[one.id].coordinates) for one in key.effects}
     needed = (set(wanted) & required if required else set()) or set(wanted)
-    ranked = sorted(record["coordinates"], key=lambda entry: -float(entry["probability"]))
+    ranked = sorted(_once(record["coordinates"]), key=lambda entry: -float(entry["probability"]))
     lead = [entry for i, entry in enumerate(ranked) if i < len(needed) or float(entry["probability"]) >= LIKELY]
     pairs = {(entry["action"], entry["coordinate"]) for entry in lead}
     return all(wanted[name] & pairs for name in needed) and pairs <= set.union(*wanted.values())
+
+
+def _once(entries: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Give each dependence once: one that push and pull have curves of their own for stands there twice."""
+    return list({(entry["action"], entry["coordinate"]): entry for entry in entries}.values())
 
 
 def stated(key: Key, record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -162,7 +167,7 @@ def stated(key: Key, record: Mapping[str, Any]) -> list[dict[str, Any]]:
             "probability": entry["probability"],
             "true": (entry["action"], entry["coordinate"]) in pairs,
         }
-        for entry in record.get("coordinates", [])
+        for entry in _once(record.get("coordinates", []))
     ]
     names = {one["id"]: one.get("probability") for one in [*record["effects"], *record["family"]]}
     out += [{"of": "name", "probability": p, "true": name in right} for name, p in names.items()]
