@@ -186,12 +186,16 @@ def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half:
 
 
 def _turning_noise(run: Run) -> FloatArray:
-    """Give the standard deviation of each turning point's error, mm: of a polynomial through the samples near it."""
+    """Give the standard deviation of each turning point's error, mm: of a polynomial through the samples near it.
+
+    The first half-cycle begins without a turn, where the recording does.
+    """
     motion = run.motion
     x, edges = motion.displacement_mm, motion.start
     ends = np.append(motion.turning_mm[1:], x[-1])
     stroke = np.abs(ends - motion.turning_mm)
     out = np.zeros(motion.n_half)
+    out[0] = run.start_noise_mm
     for k in range(1, motion.n_half):
         reach = NEAR * min(stroke[k - 1], stroke[k])
         near = np.abs(x[edges[k - 1] : edges[k + 1]] - motion.turning_mm[k]) <= reach

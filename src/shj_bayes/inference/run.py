@@ -15,6 +15,9 @@ from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
 
+UNLOADED = 0.1  # of the largest force: below it a device counts as unloaded
+LOADED = 0.3  # likewise: how far a first loading is followed as a straight line
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -43,18 +46,54 @@ class Run:
     def start_force_kN(self) -> float:
         """Force with which the law starts: 0 for an unloaded device, else what was measured before it moves.
 
-        A device counts as unloaded when that is below 10 % of the largest force or within the noise: taking a noisy
-        reading as the state would shift every loop that does not slide fully. A recording that begins in motion has
-        the force of its first displacement, on a straight line through its first samples.
+        A device at rest counts as unloaded when that is below 10 % of the largest force or within the noise: taking a
+        noisy reading as the state would shift every loop that does not slide fully. A recording that begins in motion
+        has the force of its first displacement, on a straight line through its first loading.
         """
         force, x = self.recording.force_kN, self.motion.displacement_mm
-        moved = np.abs(x - x[0]) > 2e-3 * np.ptp(x)
-        n_rest = max(1, int(np.argmax(moved)))
-        first = float(np.median(force[:n_rest]))
-        if n_rest > 2 and np.ptp(x[:n_rest]) > 1e-3 * np.ptp(x):
-            first = float(np.polynomial.Polynomial.fit(x[:n_rest] - x[0], force[:n_rest], 1)(0.0))
+        if self._in_motion and self._n_loading > 2:
+            some = slice(self._n_loading)
+            line = np.polynomial.Polynomial.fit(x[some], force[some], 1)
+            return float(line(self.motion.turning_mm[0]))
+        first = float(np.median(force[: self._n_rest]))
         noise = 1.4826 * float(np.median(np.abs(np.diff(force))))
-        return first if abs(first) > max(0.1 * float(np.abs(force).max()), 6 * noise) else 0.0
+        return first if abs(first) > max(UNLOADED * self._largest_kN, 6 * noise) else 0.0
+
+    @cached_property
+    def start_noise_mm(self) -> float:
+        """Standard deviation of the displacement at which the first half-cycle begins, mm; 0 for a device at rest.
+
+        Of a recording that begins in motion the force without the part that comes from the speed is not known: by as
+        much as would make a device count as loaded, at the stiffness of its first loading.
+        """
+        force, x, i = self.recording.force_kN, self.motion.displacement_mm, self._n_loading
+        if not self._in_motion or i == force.size:
+            return 0.0
+        return UNLOADED * self._largest_kN * abs(float(x[i] - x[0])) / abs(float(force[i] - force[0]))
+
+    @cached_property
+    def _largest_kN(self) -> float:
+        """Largest measured force, kN."""
+        return float(np.abs(self.recording.force_kN[self.used]).max())
+
+    @cached_property
+    def _n_loading(self) -> int:
+        """Samples before the force has changed by `LOADED`; all where it never does."""
+        force = self.recording.force_kN
+        loaded = np.abs(force - force[0]) > LOADED * self._largest_kN
+        return int(np.argmax(loaded)) if loaded.any() else int(force.size)
+
+    @cached_property
+    def _n_rest(self) -> int:
+        """Samples before the device has moved by more than noise, at least one."""
+        x = self.motion.displacement_mm
+        return max(1, int(np.argmax(np.abs(x - x[0]) > 2e-3 * np.ptp(x))))
+
+    @cached_property
+    def _in_motion(self) -> bool:
+        """Whether the recording begins in motion."""
+        x, n_rest = self.motion.displacement_mm, self._n_rest
+        return n_rest <= 2 or bool(np.ptp(x[:n_rest]) > 1e-3 * np.ptp(x))
 
     @cached_property
     def further(self) -> tuple[Channel, ...]:

@@ -12,12 +12,13 @@ from scipy import stats
 from shj_bayes.errors import InferenceError, PriorError
 from shj_bayes.inference import posterior as posterior_module
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
+from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.start import find_start
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.noise.catalogue import noise_models
 from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.priors import MAX_SPREAD, Prior, read_priors
-from shj_bayes.model.simulate import Truth
+from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.recording import Recording
 
@@ -45,8 +46,11 @@ def no_number(_noise: object, _values: object, residual: np.ndarray, _slope: obj
     return np.full((residual.shape[0], timing.half.size - 1), np.nan)
 
 
-def test_likelihood_is_law_plus_noise(make_small: Make, truth: Truth, as_vector: Callable[..., np.ndarray]) -> None:
+def test_likelihood_is_law_plus_noise(
+    make_small: Make, truth: Truth, as_vector: Callable[..., np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Blocks of one sample: all residuals under the covariance of white and slow noise and of the load cell's zero."""
+    monkeypatch.setattr(Run, "start_noise_mm", 0.0)
     small = make_small(rate_Hz=3.0)
     assert all(np.all(part.count == 1) for part in small.averages)
     theta = as_vector(small)
@@ -190,6 +194,30 @@ def test_start_force_of_a_loaded_device(make_small: Make) -> None:
     noise = np.random.default_rng(1).normal(0, 0.2, n)
     loaded = Run(Recording(run.recording.time_s, x, 55.0 + 10.0 * np.sign(x) + noise), run.motion)
     assert loaded.start_force_kN == pytest.approx(55.0, abs=12.0)
+
+
+def test_a_recording_that_begins_in_motion_gives_the_numbers_of_the_whole_one() -> None:
+    """The first 25 ms are missing, in which the device was moved by 0.25 mm and loaded to 5 % of its largest force."""
+    truth = Truth(18.0, 80.0, 10.0, 1 / 60, 0.875, sigma=1.0, phi=0.0, displacement_noise_mm=0.02, sigma_slow=0.6)
+    whole = simulate_device(truth, seed=1, rate_Hz=200.0)
+    tops = []
+    for first in (0, 5):
+        cut = [Recording(r.time_s[first:], r.displacement_mm[first:], r.force_kN[first:]) for r in whole]
+        runs = runs_of(cut)
+        assert all(0.2 < run.start_noise_mm < 0.6 for run in runs)
+        posterior, start = find_start(make_posterior(runs, DeviceModel(2, read_priors("afc"))))
+        tops.append(start)
+    sd = np.sqrt(np.diag(tops[0].covariance))
+    assert np.all(np.abs(tops[1].free - tops[0].free)[: posterior.model.n_law] < 0.3 * sd[: posterior.model.n_law])
+
+
+def test_a_device_at_rest_begins_where_it_is(make_small: Make) -> None:
+    run = make_small(n_runs=1).runs[0]
+    rest = np.concatenate([np.zeros(12), run.recording.displacement_mm])
+    force = np.concatenate([np.zeros(12), run.recording.force_kN])
+    (still,) = runs_of([Recording(np.arange(rest.size) / 6.0, rest, force)])
+    assert still.start_noise_mm == still.start_force_kN == 0.0
+    assert run.start_noise_mm > 0.0
 
 
 def test_fingerprint_names_what_differs(make_small: Make) -> None:
