@@ -1,7 +1,7 @@
-"""Make the worked stories anew: ``python docs/stories/make.py`` (about two minutes).
+"""Make the worked stories anew: ``python docs/stories/make.py`` (about three minutes).
 
 Simulates with the simulators of the proof (none of the catalogue's formulas), diagnoses, draws the pictures, and
-rewrites the figures between the marks in the two pages. ``python docs/stories/make.py FOLDER`` makes the story of the
+rewrites the figures between the marks in the three pages. ``python docs/stories/make.py FOLDER`` makes the story of the
 real damper instead, from the folder of public recordings, which are no part of the project: only results are drawn.
 """
 
@@ -37,10 +37,11 @@ DEVICE = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "ratio": 0.875}
 
 
 def main() -> None:
-    """Make both stories and print their figures."""
+    """Make the stories and print their figures."""
     stories: dict[str, Callable[[], str]] = {
         "velocity-or-prying.md": velocity_or_prying,
         "rediscovery.md": rediscovery,
+        "wear-or-heat.md": wear_or_heat,
     }
     if len(sys.argv) > 1:
         folder = Path(sys.argv[1])
@@ -89,6 +90,32 @@ def rediscovery() -> str:
         ]
     before, after = record["before"]["heldout_rmse_kN"], record["after"]["heldout_rmse_kN"]
     return "\n".join([*lines, f"| error on held-out cycles | {before:.2f} kN, then {after:.2f} kN |"])
+
+
+def wear_or_heat() -> str:
+    """Diagnose a coating that wears down to the steel: a loss that comes to an end, as heating does."""
+    key = stated_key("wear_saturating", 0.12, seed=SEED, gamma=1 / 60, **DEVICE)
+    result = diagnosed(key)
+    draw(result, HERE / "wear-or-heat.png", "travel_m", "distance slid (m)")
+    record, lost = result.record, 100 * key.effects[0].size
+    curve = next(c for c in record["coordinates"] if c["coordinate"] == "travel")
+    stated = [(f"{c['action']} over {c['coordinate']}", c["probability"]) for c in record["coordinates"]]
+    rows = {
+        "answer": f"{record['verdict']}: {names(record)}",
+        "what the force depends on": ", ".join(f"{what} {100 * p:.0f} %" for what, p in stated),
+        "how much better than the law alone": f"{curve['evidence']:.0f} nats",
+        f"loss over both runs (concealed: {lost:.0f} % at the end)": f"{curve['range_percent']:.1f} % of Fy",
+        "error on held-out cycles": (
+            f"{record['before']['heldout_rmse_kN']:.2f} kN, then {record['after']['heldout_rmse_kN']:.2f} kN"
+        ),
+    }
+    concealed = {"Fy": (key.device.Fy, "kN"), "gamma": (key.device.gamma, "s/mm"), "ratio": (key.device.ratio, "1")}
+    for name, (value, unit) in concealed.items():
+        before, after = (record["shift"][name][stage] for stage in ("before", "after"))
+        rows[f"{name} (concealed: {value:.4g} {unit})"] = (
+            f"{before['mean']:.4g} +- {before['sd']:.2g}, then {after['mean']:.4g} +- {after['sd']:.2g}"
+        )
+    return "\n".join(["| | |", "|---|---|", *(f"| {head} | {cell} |" for head, cell in rows.items())])
 
 
 def damper(folder: Path) -> str:

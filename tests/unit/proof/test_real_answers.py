@@ -62,6 +62,23 @@ def test_a_change_of_clamping_is_compared_in_time_and_size(band):
     assert [one.agrees for one in weak] == [True, False, True]
 
 
+def test_a_change_of_clamping_without_a_name_is_compared_by_its_curves(band):
+    """Pinned to 0 at the beginning, so that the level in between is anywhere: what counts is inside against outside."""
+    at = np.linspace(0.0, 15.0, 61)
+    loaded = np.where(at < 1.0, 0.0, -20.0)
+    curves = {"push": np.where((at > 4.2) & (at < 9.3), 4.0, loaded), "pull": loaded}
+    rows = [
+        {"action": "capacity", "coordinate": "time", "direction": side, "period": None}
+        | {"curve": {"at": at.tolist(), "mean": mean.tolist()}}
+        for side, mean in curves.items()
+    ]
+    judged = BY_ID["brfd step"].judge(diagnosis() | {"coordinates": rows}, band, {})
+    assert [one.agrees for one in judged] == [True, True, True]
+    assert "diagnosed from 4.2 to 9.2 s" in judged[0].words
+    pull_alone = BY_ID["brfd step"].judge(diagnosis() | {"coordinates": rows[1:]}, band, {})
+    assert not pull_alone[0].agrees
+
+
 def test_no_change_of_clamping_differs(band):
     assert [one.agrees for one in BY_ID["brfd step"].judge(diagnosis(), band, {})] == [False]
 
@@ -165,7 +182,7 @@ def test_the_diagnosis_sees_three_columns(band, tmp_path, monkeypatch):
     assert {len(line.split(",")) for line in seen[0].splitlines()} == {3}
     assert "0 of 1 comparisons agree" in result.text
     assert "DIFFERS" in result.text
-    assert "no change of clamping was named" in result.page.read_text(encoding="utf-8")
+    assert "no change of clamping was found" in result.page.read_text(encoding="utf-8")
     stored = json.loads((tmp_path / "out" / "recordings.json").read_text(encoding="utf-8"))
     assert len(stored["absent"]) == len({case.file for case in CASES}) - 1
 

@@ -139,7 +139,7 @@ def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
 def _curves_over_time(answer: Answer) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Give times and clamping, 1 where the law has it, of the curves over time in push and in pull, where found."""
     out: dict[str, tuple[FloatArray, FloatArray]] = {}
-    for row in answer["coordinates"]:
+    for row in answer.get("coordinates", []):
         if (row["action"], row["coordinate"]) == ("capacity", "time") and row["curve"] and not row["period"]:
             both = (np.array(row["curve"]["at"]), 1.0 + np.array(row["curve"]["mean"]) / 100.0)
             out |= dict.fromkeys(("push", "pull") if row["direction"] == "both" else (row["direction"],), both)
