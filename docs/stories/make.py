@@ -109,10 +109,10 @@ def wear_or_heat() -> str:
             f"{record['before']['heldout_rmse_kN']:.2f} kN, then {record['after']['heldout_rmse_kN']:.2f} kN"
         ),
     }
-    concealed = {"Fy": (key.device.Fy, "kN"), "gamma": (key.device.gamma, "s/mm"), "ratio": (key.device.ratio, "1")}
+    concealed = {"Fy": (key.device.Fy, "kN"), "gamma": (key.device.gamma, "s/mm"), "ratio": (key.device.ratio, "")}
     for name, (value, unit) in concealed.items():
         before, after = (record["shift"][name][stage] for stage in ("before", "after"))
-        rows[f"{name} (concealed: {value:.4g} {unit})"] = (
+        rows[f"{name} (concealed: {f'{value:.4g} {unit}'.strip()})"] = (
             f"{before['mean']:.4g} +- {before['sd']:.2g}, then {after['mean']:.4g} +- {after['sd']:.2g}"
         )
     return "\n".join(["| | |", "|---|---|", *(f"| {head} | {cell} |" for head, cell in rows.items())])

@@ -14,7 +14,7 @@ with without("arviz"):
     import corner as corner_package
 
 MAX_DRAWS = 8000
-CORNER = 1.0  # inches: room for the slanted numbers and titles left of and below a corner plot
+CORNER, EDGE = 1.0, 0.15  # inches: room for the slanted numbers and titles left of and below a corner plot, and right
 
 
 def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
@@ -52,7 +52,7 @@ def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
             axes[-1, i].xaxis.set_major_formatter(FuncFormatter(_gamma_and_dep))
             axes[-1, i].xaxis.set_major_locator(MaxNLocator(2, prune="lower"))
             axes[-1, i].set_xlabel(f"{name} s/mm\n(dep mm/s)", fontsize=9.5)
-    figure.subplots_adjust(left=CORNER / size, bottom=CORNER / size, right=0.99, top=0.99)
+    figure.subplots_adjust(left=CORNER / size, bottom=CORNER / size, right=1.0 - EDGE / size, top=0.99)
     return png(figure, 110)
 
 
