@@ -219,8 +219,8 @@ class NoiseSetting:
             return self
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         smaller = (
-            float(law.to_free(np.asarray(value * most_kN / size))) if law.unit == "kN" else z
-            for law, z, value in zip(laws, self.z, self.values(scene).values(), strict=True)
+            float(law.to_free(law.from_free(np.asarray(z)) * most_kN / size)) if law.unit == "kN" else z
+            for law, z in zip(laws, self.z, strict=True)
         )
         return replace(self, z=tuple(smaller))
 

@@ -45,8 +45,7 @@ def _curves(data: DiagnosisData) -> list[dict[str, Any]]:
         name = say.over_words(c["coordinate"]).removeprefix("the ")
         unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})"
         over = f"{name}{', one period' if c.get('period') else ''}"
-        what = "sliding force" if c.get("action") == "capacity" else "added force"
-        what += {"push": " in push", "pull": " in pull"}.get(str(c.get("direction")), "")
+        what = ("sliding force" if c.get("action") == "capacity" else "added force") + say.way_words(c)
         address = draw_.curve(at, mean, low, high, over + unit)
         out.append({"address": address, "of": c, "what": what, "name": name, "over": over})
     return out

@@ -192,6 +192,11 @@ def worse_words(record: Mapping[str, Any]) -> str:
     return " Larger: what was found does not carry over to cycles that it did not see." if after > before else ""
 
 
+def way_words(c: Mapping[str, Any]) -> str:
+    """Say in which direction a dependence has a curve of its own; nothing where one curve holds in both."""
+    return {"push": " in push", "pull": " in pull"}.get(str(c.get("direction")), "")
+
+
 def curve_words(c: Mapping[str, Any]) -> str:
     """Say on what the force depends, and by how much."""
     what = {"capacity": "The sliding force", "added": "An added force"}.get(str(c.get("action")), "The motion")
@@ -199,8 +204,7 @@ def curve_words(c: Mapping[str, Any]) -> str:
     period = number(c.get("period"))
     over = f"every {period:.3g} {c.get('unit')}, again and again" if math.isfinite(period) else "over what was tested"
     much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if math.isfinite(size) else ""
-    way = {"push": " in push", "pull": " in pull"}.get(str(c.get("direction")), "")
-    return f"{what}{way} depends on {over_words(c.get('coordinate'))}{much}."
+    return f"{what}{way_words(c)} depends on {over_words(c.get('coordinate'))}{much}."
 
 
 def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
