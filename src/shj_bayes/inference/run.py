@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.errors import InferenceError
+from shj_bayes.model.augmented import UNLOADED
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.measured import Measured, measured_in
 from shj_bayes.recording.further import Channel, Refusal, channel_of
@@ -15,7 +16,7 @@ from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
 
-UNLOADED = 0.1  # of the largest force: below it a device counts as unloaded
+MOVED = 2e-3  # of the largest stroke: more than noise
 LOADED = 0.3  # likewise: how far a first loading is followed as a straight line
 
 
@@ -61,14 +62,15 @@ class Run:
 
     @cached_property
     def start_noise_mm(self) -> float:
-        """Standard deviation of the displacement at which the first half-cycle begins, mm; 0 for a device at rest.
+        """Standard deviation of the displacement at which the first half-cycle begins, mm.
 
-        Of a recording that begins in motion the force without the part that comes from the speed is not known: by as
-        much as would make a device count as loaded, at the stiffness of its first loading.
+        For a device at rest that of a single reading. Of a recording that begins in motion the force without the part
+        that comes from the speed is not known: by as much as would make a device count as loaded, at the stiffness of
+        its first loading.
         """
         force, x, i = self.recording.force_kN, self.motion.displacement_mm, self._n_loading
         if not self._in_motion or i == force.size:
-            return 0.0
+            return self.motion.noise_mm
         return UNLOADED * self._largest_kN * abs(float(x[i] - x[0])) / abs(float(force[i] - force[0]))
 
     @cached_property
@@ -87,13 +89,13 @@ class Run:
     def _n_rest(self) -> int:
         """Samples before the device has moved by more than noise, at least one."""
         x = self.motion.displacement_mm
-        return max(1, int(np.argmax(np.abs(x - x[0]) > 2e-3 * np.ptp(x))))
+        return max(1, int(np.argmax(np.abs(x - x[0]) > MOVED * np.ptp(x))))
 
     @cached_property
     def _in_motion(self) -> bool:
-        """Whether the recording begins in motion."""
+        """Whether the recording begins in motion: in half the time it has gone half the way, not a quarter of it."""
         x, n_rest = self.motion.displacement_mm, self._n_rest
-        return n_rest <= 2 or bool(np.ptp(x[:n_rest]) > 1e-3 * np.ptp(x))
+        return n_rest <= 2 or bool(abs(x[n_rest // 2] - x[0]) > 0.375 * MOVED * np.ptp(x))
 
     @cached_property
     def further(self) -> tuple[Channel, ...]:

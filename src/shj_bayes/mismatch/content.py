@@ -8,6 +8,7 @@ import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.alias import Alias
+from shj_bayes.mismatch.chatter import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import HeldOut, cycles_of
@@ -62,7 +63,32 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
                 "parameters": {name: {**spread(own[name]), "unit": units.get(name, "1")} for name in own},
             }
         )
-    return found
+    return found + ([_chatter(out, answer, out.chatter)] if out.chatter else [])
+
+
+def _chattering() -> Effect:
+    """Mechanism that chatter is a face of."""
+    return next(e for e in catalogue().values() if STICK_SLIP in e.acts)
+
+
+def _chatter(out: Search, answer: Answer, chatter: Chatter) -> dict[str, Any]:
+    """Describe chatter as a mechanism: its size from stroke to stroke."""
+    effect = _chattering()
+    return {
+        "id": effect.id,
+        "form": "chatter",
+        "family": effect.family,
+        "title": effect.title,
+        "statement": STATEMENT.format(size=chatter.size, share=chatter.share),
+        "equation": EQUATION,
+        "cause": effect.cause,
+        "shows": SHOWS,
+        "partial": answer.verdict is Verdict.UNKNOWN,
+        "probability": SURE,
+        "rivals": [],
+        "size_kN": chatter.size * out.scene.scale_kN,
+        "parameters": {"size": {**spread(chatter.of_strokes), "unit": "1"}},
+    }
 
 
 def _following(
@@ -76,9 +102,12 @@ def _following(
 
 
 def modelled(answer: Answer, draws: Draws) -> dict[str, dict[str, float]]:
-    """Mean of each parameter of the effects in the model that is shown, by effect; curves are effects too."""
+    """Median of each parameter of the effects in the model that is shown, by effect; curves are effects too.
+
+    Not the mean: a length or a time that is hardly known has one far beyond what fits.
+    """
     shown = answer.shown.state.model.effects if answer.findings else ()
-    return {e.id: {p.name: float(draws[f"{e.id}.{p.name}"].mean()) for p in e.parameters} for e in shown}
+    return {e.id: {p.name: float(np.median(draws[f"{e.id}.{p.name}"])) for p in e.parameters} for e in shown}
 
 
 def rivals(out: Search, answer: Answer, finding: Finding) -> list[str]:
@@ -158,7 +187,7 @@ def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
             if band is not None
         ]
         rows += [row | own for own in drawn] or [row]
-    if answer.reason is Reason.FLUCTUATES:
+    if answer.reason is Reason.FLUCTUATES or out.chatter:
         rows.insert(0, fluctuation(out))
     return rows
 
@@ -189,14 +218,15 @@ STICK_SLIP = ("motion", "stick-slip")
 def fluctuation(out: Search) -> dict[str, Any]:
     """Describe a force that fluctuates as a dependence: of the motion, as where surfaces stick, load up and jump."""
     action, coordinate = STICK_SLIP
+    size = out.chatter.size if out.chatter else LARGEST_OF * out.metric.fluctuation
     return {
         "coordinate": coordinate,
         "unit": "1",
         "action": action,
         "direction": "both",
-        "probability": 1.0,
+        "probability": SURE if out.chatter else 1.0,
         "evidence": None,
-        "size_percent": 100 * LARGEST_OF * out.metric.fluctuation,
+        "size_percent": 100 * size,
         "range_percent": None,
         "curve": None,
         "period": None,
@@ -382,7 +412,9 @@ def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
     for key, h in out.found.items():
         if len(key) == 1:
             gains[next(iter(key))] = h.log_weight - base.log_weight
-    kept = {f.member.variant.effect.mechanism: f for f in answer.findings if f.named}
+    kept = {f.member.variant.effect.mechanism: f.size for f in answer.findings if f.named}
+    if out.chatter:
+        kept[_chattering().id] = out.chatter.size
     rows = []
     for effect in catalogue().values():
         name = next((name for name in (str(ClassId(*acts)) for acts in effect.acts) if name in gains), None)
@@ -396,7 +428,7 @@ def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
                 "score": float(gains[name]),
                 "elpd_gain": float(gains[name]),
                 "probability": float(answer.inclusion.get(name, 0.0)),
-                "size_kN": kept[effect.id].size * out.scene.scale_kN if effect.id in kept else sizes.get(name, 0.0),
+                "size_kN": kept[effect.id] * out.scene.scale_kN if effect.id in kept else sizes.get(name, 0.0),
                 "kept": effect.id in kept,
                 "reason": _why(effect, name, kept, answer, gains[name]),
             }
@@ -404,7 +436,7 @@ def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (not row["kept"], -row["score"]))
 
 
-def _why(effect: Effect, name: str, kept: Mapping[str, Finding], answer: Answer, gain: float) -> str:
+def _why(effect: Effect, name: str, kept: Mapping[str, float], answer: Answer, gain: float) -> str:
     """Why an effect is in the answer or not."""
     if effect.id in kept:
         return "kept"

@@ -21,6 +21,7 @@ from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.findings import Answer, answer_of
 from shj_bayes.mismatch.heldout import held_out
 from shj_bayes.mismatch.look import Look
+from shj_bayes.mismatch.missed import beside_missed
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.scene import Metric, Scene, scene_of
 from shj_bayes.mismatch.schema import SCHEMA
@@ -87,7 +88,7 @@ def diagnose(
     answer = answer_of(out)
     models = _models(out, answer, seed)
     if sample is None or look.quick:
-        draws: content.Draws = content.draws_of(models.after, seed) if answer.findings else models.draws_before
+        draws: content.Draws = models.draws_after
         how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": "tentative"}
     else:
         tell("sampling the posterior")
@@ -124,6 +125,7 @@ class _Models:
     before: State  # the base law in them, under the noise that was found
     after: State  # the model that was found, likewise; the base law where nothing was
     draws_before: content.Draws  # of the base law under noise of its own
+    draws_after: content.Draws  # of the model that was found, beside what its formulas may miss
 
 
 def _models(out: Search, answer: Answer, seed: int) -> _Models:
@@ -133,9 +135,12 @@ def _models(out: Search, answer: Answer, seed: int) -> _Models:
     law = settle(out.scene, Metric(out.scene, alone, base.slope), base.model, base.z)
     fine = out.scene.finer_at(shown.model, shown.z)
     before = settle_under(fine, setting, law.model, law.z)[1]
-    after = settle_under(fine, setting, shown.model, shown.z)[1] if answer.findings else before
     draws = content.draws_of(settle_under(fine, alone, law.model, law.z)[1], seed)
-    return _Models(law, fine, before, after, draws)
+    if not answer.findings:
+        return _Models(law, fine, before, before, draws, draws)
+    metric, after = settle_under(fine, setting, shown.model, shown.z)
+    wide = beside_missed(fine, metric, after, answer.findings)
+    return _Models(law, fine, before, after, draws, content.draws_of(wide, seed))
 
 
 def _said(out: Search, answer: Answer, models: _Models, draws: content.Draws) -> dict[str, Any]:

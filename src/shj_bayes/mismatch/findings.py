@@ -42,6 +42,7 @@ class Reason(StrEnum):
     NAMES = "several mechanisms have the curve that was found"
     NO_FORM = "no known mechanism has the curve that was found"
     LEFT_OVER = "beside what was found more is left than a model may miss"
+    CHATTER = "the force scatters while the connection slides, by more than noise can"
     FLUCTUATES = "the force fluctuates within a stroke by more than noise can"
     SLOW_NOISE = "what is left changes slowly and is larger than noise can be"
 
@@ -128,23 +129,30 @@ def answer_of(out: Search) -> Answer:
         top = next(key for key, _ in sets if key)
     shown = best[top]
     findings, shown = _findings(out, shown, top, inclusion)
-    largest = max((f.size for f in findings), default=0.0)
     left = discrepancy_size(out, shown.state)
-    if nothing >= DOUBT:
-        verdict, reason = Verdict.ADEQUATE, Reason.NOTHING
-    elif any(not f.named for f in findings):
-        verdict, reason = Verdict.UNKNOWN, Reason.NO_FORM
-    elif dict(sets)[top] < 1.0 - DOUBT:
-        verdict, reason = Verdict.FAMILY, Reason.SEVERAL
-    elif any(len(f.names) > 1 for f in findings):
-        verdict, reason = Verdict.FAMILY, Reason.NAMES
-    else:
-        verdict, reason = Verdict.NAMED, Reason.SURE
-    if left > out.matters and left > largest / 3.0:
-        verdict, reason = Verdict.UNKNOWN, Reason.LEFT_OVER
-    if out.is_rough:
-        verdict, reason = Verdict.UNKNOWN, Reason.SLOW_NOISE if out.metric.is_slow else Reason.FLUCTUATES
+    verdict, reason = _verdict(out, findings, dict(sets).get(top, 0.0), left)
     return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
+
+
+def _verdict(out: Search, findings: Sequence[Finding], probability: float, left: float) -> tuple[Verdict, Reason]:
+    """Give the verdict on findings of a probability, beside which so much is left, a share of Fy."""
+    largest = max((f.size for f in findings), default=0.0)
+    unknown = {
+        Reason.SLOW_NOISE: out.is_rough and not out.chatter and out.metric.is_slow,
+        Reason.FLUCTUATES: out.is_rough and not out.chatter,
+        Reason.LEFT_OVER: left > out.matters and left > largest / 3.0,
+        Reason.NO_FORM: any(not f.named and (f.size >= out.matters or f is findings[0]) for f in findings),
+    }
+    several = {
+        Reason.SEVERAL: bool(findings) and probability < 1.0 - DOUBT,
+        Reason.NAMES: any(len(f.names) > 1 for f in findings),
+    }
+    for verdict, reasons in ((Verdict.UNKNOWN, unknown), (Verdict.FAMILY, several)):
+        if any(reasons.values()):
+            return verdict, next(reason for reason, true in reasons.items() if true)
+    if findings:
+        return Verdict.NAMED, Reason.SURE
+    return (Verdict.NAMED, Reason.CHATTER) if out.chatter else (Verdict.ADEQUATE, Reason.NOTHING)
 
 
 def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
@@ -153,13 +161,14 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     A class is left out where the upper limit of its size, exceeded with a probability of `DOUBT`, is too small. What is
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
-    sizes = [float(np.quantile(sizes_of(out, h, i), 1.0 - DOUBT)) for i in range(len(h.members))]
-    if min(sizes, default=math.inf) >= out.matters:
+    limits = [float(np.quantile(sizes_of(out, h, i), 1.0 - DOUBT)) for i in range(len(h.members))]
+    sizes = [limit / out.matters_of(member.of) for limit, member in zip(limits, h.members, strict=True)]
+    if min(sizes, default=math.inf) >= 1.0:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
     if rest in out.found:
         return that_matter(out, out.found[rest])
-    return frozenset(m.of.id for m, size in zip(h.members, sizes, strict=True) if size >= out.matters)
+    return frozenset(m.of.id for m, size in zip(h.members, sizes, strict=True) if size >= 1.0)
 
 
 def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:

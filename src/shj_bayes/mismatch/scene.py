@@ -87,10 +87,13 @@ class Scene:
         """Give the same recordings in blocks as fine as those of a fit of the base model."""
         return self.finer_at(self.device, self.z)
 
-    def finer_at(self, model: DeviceModel, z: FloatArray) -> Scene:
-        """Give the same recordings in blocks as fine as those of a fit of a model, which has bends of its own."""
+    def finer_at(self, model: DeviceModel, z: FloatArray, longest_s: float | None = None) -> Scene:
+        """Give the same recordings in blocks as fine as those of a fit of a model, which has bends of its own.
+
+        With blocks of at most `longest_s`; 0 for all samples.
+        """
         theta = model.natural_of_law(z[None])[0]
-        averages = replace(self.posterior, model=model).refined(theta).averages
+        averages = replace(self.posterior, model=model).refined(theta, longest_s=longest_s).averages
         return replace(self, posterior=replace(self.posterior, averages=averages))
 
     def force(self, model: DeviceModel, z: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from shj_bayes.model.effects.kernel import limit_rise, rate_free_force
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
+UNLOADED = 0.1  # of the sliding force: a test that begins with less than this begins unloaded
 LEAST = 1e-3  # of the clamping: effects that take more than all of it leave this
 
 
@@ -69,6 +70,8 @@ def _surface(
     share, gap, stiffness, smooth = surface
     motion = history.motion
     compliance = total.compliance_mm_per_kN / max(share, 1e-12)
+    if total.slack_mm + gap > 0.0 and abs(start_force_kN) < UNLOADED * base.Fy * clamping[0]:
+        start_force_kN = 0.0  # read as a little more or less: the device is in its clearance, not beyond one end of it
     law = np.array([base.K * stiffness, base.Fy * share, base.beta])
     added = np.array([total.slack_mm + gap, total.take_up_mm, compliance, smooth, total.open_at_start])
     out, of_motion = np.empty(motion.displacement_mm.size), (motion.start, motion.turning_mm, motion.direction)

@@ -153,7 +153,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
         if (record.get("unknown") or {}).get("words"):  # files of schema 1
             out.append(str(record["unknown"]["words"]))
     gamma = record["shift"].get("gamma")
-    if gamma and found:
+    if gamma and record.get("modelled"):
         before, after = gamma["before"]["mean"], gamma["after"]["mean"]
         out.append(f"Including this changes gamma from {before:+.4f} to {after:+.4f} s/mm.")
     if record.get("next_test"):
@@ -215,7 +215,9 @@ def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
         "swings. Effects below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower "
         "the speed or stiffen the grip: stick-slip changes with both."
         for c in record.get("coordinates") or ()
-        if record["verdict"] == Verdict.UNKNOWN and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
+        if record["verdict"] == Verdict.UNKNOWN
+        and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
+        and not any(e["id"] in c.get("matches", ()) for e in record.get("effects", ()))
     ]
 
 

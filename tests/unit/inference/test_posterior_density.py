@@ -216,8 +216,20 @@ def test_a_device_at_rest_begins_where_it_is(make_small: Make) -> None:
     rest = np.concatenate([np.zeros(12), run.recording.displacement_mm])
     force = np.concatenate([np.zeros(12), run.recording.force_kN])
     (still,) = runs_of([Recording(np.arange(rest.size) / 6.0, rest, force)])
-    assert still.start_noise_mm == still.start_force_kN == 0.0
-    assert run.start_noise_mm > 0.0
+    assert still.start_force_kN == 0.0
+    assert still.start_noise_mm == still.motion.noise_mm
+    assert run.start_noise_mm > still.start_noise_mm
+
+
+@pytest.mark.parametrize(("power", "in_motion"), [(1.0, True), (2.0, False), (3.0, False)])
+def test_a_test_that_starts_gently_begins_at_rest(power: float, in_motion: bool) -> None:
+    """At full speed from the first reading, or at a constant acceleration, or one that grows."""
+    time = np.arange(400) / 100.0
+    out = np.where(time < 1.0, time**power / power, time - 1.0 + 1.0 / power)
+    x = 20.0 * np.minimum(out, np.maximum(2.0 * out[200] - out, -out[200]))
+    (run,) = runs_of([Recording(time, x, 50.0 * np.tanh(x / 4.0))])
+    assert (run.start_noise_mm > run.motion.noise_mm) == in_motion
+    assert (run.start_force_kN == 0.0) or in_motion
 
 
 def test_fingerprint_names_what_differs(make_small: Make) -> None:

@@ -35,7 +35,7 @@ def search(monkeypatch):
         return sizes[tuple(m.of.id for m in h.members)][place] * np.array([1.0] * 9 + [1.5])
 
     monkeypatch.setattr(findings, "sizes_of", draws)
-    return SimpleNamespace(found=found | {frozenset(): _hypothesis()}, matters=0.01)
+    return SimpleNamespace(found=found | {frozenset(): _hypothesis()}, matters=0.01, matters_of=lambda of: 0.01)
 
 
 def test_of_two_classes_that_stand_in_for_each_other_one_stays(search):

@@ -64,6 +64,17 @@ def test_a_reversal_within_the_slack_leads_back_over_what_was_crossed(start: flo
     assert free.max() == pytest.approx(3.0 * start, abs=0.06)
 
 
+def test_a_test_that_begins_unloaded_but_for_noise_begins_in_the_clearance():
+    """A reading of a few kN before the first motion is no contact with one end of the clearance."""
+    h = ramps([0.0, 2.0, -2.0, 30.0])
+    acting = [(catalogue()["slack"], {"size": 3.0, "softness": 0.02, "start": 0.5})]
+    unloaded, read, loaded = (
+        force_with_effects(h, BASE, acting, start_force_kN=f) for f in (0.0, -0.05 * FY, 0.5 * FY)
+    )
+    np.testing.assert_array_equal(read, unloaded)
+    assert np.abs(loaded - unloaded).max() > 0.2 * FY
+
+
 def test_slack_opens_only_where_the_force_passes_zero():
     h = ramps([0.0, 30.0, 29.0, 40.0])  # a small reversal under load: 80 kN down to 60 kN and up again
     f = run(h, slack={"size": 3.0, "softness": 0.02, "start": 0.5})

@@ -14,6 +14,12 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     )
 
 
+def _track(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 - c exp(-|x/w|^m)."""
+    away = np.abs(history.normal_position) / values["width"]
+    return Contribution(clamping=1.0 - values["size"] * np.exp(-(away ** values["edge"])))
+
+
 EFFECT = Effect(
     id="centre_wear",
     family="even_in_position",
@@ -32,4 +38,16 @@ EFFECT = Effect(
     acts=(("capacity", "distance"),),
     source="Assumed form: a bell around mid-stroke, where every cycle passes.",
     start={"size": (0.08,), "width": (0.25, 0.6)},
+).with_form(
+    "track",
+    statement="Sliding force is {size:.0%} lower on a track of even depth around mid-stroke.",
+    equation="Fy -> Fy (1 - c exp(-|x/(w L)|^m))",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 0.6, "As of the bell."),
+        Prior("width", "1", "loguniform", 0.1, 1.0, "Half width as a share of the half stroke: 10 to 95 mm of 95 mm."),
+        Prior("edge", "1", "loguniform", 2.0, 20.0, "From the bell to a track with a step; pads round it."),
+    ),
+    act=_track,
+    source="Assumed form: a track that the small cycles of a test have rubbed, under a pad that rounds its ends.",
+    start={"size": (0.08,), "width": (0.25, 0.5), "edge": (5.0,)},
 )

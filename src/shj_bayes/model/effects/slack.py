@@ -31,6 +31,6 @@ EFFECT = Effect(
     act=act,
     acts=(("motion", "slack"),),
     source="The paper's brass shim ('slid rigidly back to zero').",
-    start={"size": (0.5, 2.0), "softness": (0.1, 1.0), "start": (0.2, 0.8)},
+    start={"size": (0.5, 2.0, 6.0), "softness": (0.1, 1.0, 4.0), "start": (0.2, 0.8)},
     initial=("start",),
 )

@@ -1,0 +1,83 @@
+"""Teeth on the plateaus are chatter; noise, however rough, and what a model misses are not."""
+
+import numpy as np
+import pytest
+
+from shj_bayes.inference.run import runs_of
+from shj_bayes.mismatch.chatter import SURE, chatter_of
+from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.look import Look
+from shj_bayes.mismatch.scene import NoiseSetting, scene_of
+from shj_bayes.mismatch.search import NOISE_MOST
+from shj_bayes.mismatch.state import settle_under
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.priors import read_priors
+from shj_bayes.recording.recording import Recording
+from shj_bayes.report.diagnosis_words import sentences
+
+TOOTH_KN = 6.0
+
+
+def toothed(recordings, *, everywhere=False, height_kN=TOOTH_KN):
+    """Teeth that come and go on the plateaus, or on the elastic branches too."""
+    out = []
+    for r in recordings:
+        plateau = np.abs(r.force_kN) > 0.85 * np.percentile(np.abs(r.force_kN), 95)
+        burst = np.sin(2 * np.pi * r.time_s / 31.0) > 0.0
+        teeth = height_kN * np.sin(2 * np.pi * 2.1 * r.time_s) * burst
+        out.append(Recording(r.time_s, r.displacement_mm, r.force_kN + np.where(plateau | everywhere, teeth, 0.0)))
+    return out
+
+
+def beside_the_law(recordings):
+    """Chatter beside the base law."""
+    runs = runs_of(recordings)
+    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    _, state = settle_under(scene, NoiseSetting((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
+    return scene, chatter_of(scene, state, NOISE_MOST * scene.largest_kN)
+
+
+def test_teeth_on_the_plateaus_are_chatter_of_their_size(trials):
+    scene, found = beside_the_law(toothed(trials.simulate({}, 3, noise="white")))
+    assert found is not None
+    assert found.size * scene.scale_kN == pytest.approx(TOOTH_KN, rel=0.35)
+    assert 0.2 < found.share < 0.6
+    assert found.of_strokes.max() >= found.size
+
+
+@pytest.mark.parametrize("noise", ["white", "ar1 0.8", "student", "heteroscedastic", "quantised"])
+def test_noise_is_no_chatter(noise, trials):
+    assert beside_the_law(trials.simulate({}, 4, noise=noise))[1] is None
+
+
+def test_what_scatters_on_the_elastic_branches_too_is_no_chatter(trials):
+    assert beside_the_law(toothed(trials.simulate({}, 3, noise="white"), everywhere=True))[1] is None
+
+
+def test_what_the_law_misses_is_no_chatter(trials):
+    missed = {"slack": {"size": 2.0}, "breakaway": {"size": 0.3, "decay": 2.0, "growth": 0.0}}
+    assert beside_the_law(trials.simulate(missed, 3, noise="white"))[1] is None
+
+
+@pytest.fixture(scope="module")
+def chattering(trials):
+    return toothed(trials.simulate({}, 3))
+
+
+def test_chatter_is_named_and_hides_no_larger_effect_and_no_law(chattering, look):
+    record = look(chattering).record
+    assert record["verdict"] == "named", record["reason"]
+    (effect,) = record["effects"]
+    assert (effect["id"], effect["form"], effect["probability"]) == ("stick_slip", "chatter", SURE)
+    row = record["coordinates"][0]
+    assert (row["action"], row["coordinate"], row["matches"]) == ("motion", "stick-slip", ["stick_slip"])
+    assert record["modelled"] == {}
+    (said,) = sentences(record)
+    assert "it sticks and jumps" in said
+    assert next(c for c in record["candidates"] if c["id"] == "stick_slip")["kept"]
+
+
+def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
+    runs = runs_of(chattering)
+    record = diagnose(runs, DeviceModel(2, read_priors("afc")), Look(quick=True, without=("stick_slip",))).record
+    assert "stick_slip" not in {effect["id"] for effect in record["effects"]}

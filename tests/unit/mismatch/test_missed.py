@@ -1,0 +1,43 @@
+"""What the formulas of an answer may miss widens the intervals of a first look."""
+
+import numpy as np
+import pytest
+
+from shj_bayes.inference.run import runs_of
+from shj_bayes.mismatch.classes import classes
+from shj_bayes.mismatch.findings import answer_of
+from shj_bayes.mismatch.missed import beside_missed
+from shj_bayes.mismatch.scene import scene_of
+from shj_bayes.mismatch.search import search
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.priors import read_priors
+
+
+def answered(recordings, *coordinates):
+    runs = runs_of(recordings)
+    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    out = search(scene, [one for one in classes() if one.coordinate in coordinates])
+    return out, answer_of(out)
+
+
+@pytest.fixture(scope="module")
+def prying(trials):
+    return answered(trials.simulate({"prying": {"size": 0.17, "power": 2.0}}, 1), "distance")
+
+
+def test_what_a_formula_may_miss_widens_the_parameters_that_it_could_be(prying):
+    out, answer = prying
+    state = answer.shown.state
+    wide = beside_missed(out.scene, out.metric, state, answer.findings)
+    ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
+    assert np.all(ratio > 1.0 - 1e-9)
+    names = state.model.law_names
+    assert ratio[names.index("Fy")] > 1.1
+    assert ratio[names.index("ratio")] < 1.1  # prying is alike in both runs
+    assert wide.z is state.z
+
+
+def test_what_acts_on_the_motion_has_no_curve_that_it_could_miss(trials):
+    out, answer = answered(trials.simulate({"slack": {"size": 0.8}}, 4), "slack")
+    assert [f.member.of.coordinate for f in answer.findings] == ["slack"]
+    assert beside_missed(out.scene, out.metric, answer.shown.state, answer.findings) is answer.shown.state
