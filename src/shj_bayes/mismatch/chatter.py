@@ -26,10 +26,11 @@ SURE = 0.99  # probability with which what is called chatter is no noise
 ROUGHEST = math.exp(float(ndtri(SURE)) * ROUGHER)  # of noise at low speed over that at speed, with that probability
 SLIDING, ELASTIC = 0.9, 0.6  # of the largest modelled force of a run: above it slides, below it is elastic
 LEAST = 0.05  # of the sliding time: less is no chatter
+FEWEST_STROKES = 2  # that chatter: what happens once says nothing of the next stroke
 
 STATEMENT = (
-    "While it slides the force scatters by up to {size:.0%} of Fy to either side, in {share:.0%} of that time: it "
-    "sticks and jumps. The model is its mean; the largest force is higher by as much."
+    "While it slides the force scatters by up to {size:.0%} of Fy to either side of the model, in {share:.0%} of that "
+    "time: it sticks and jumps. The model gives the mean; the largest force is that much higher."
 )
 EQUATION = "|F - model| < a Fy while it slides"
 SHOWS = "Scatter from reading to reading that comes and goes on the plateaus, and none on the elastic branches."
@@ -83,7 +84,7 @@ def _half_cycles(fine: Scene, state: State, together: int) -> Iterator[tuple[Flo
 
 
 def _at_scale(half_cycles: list[tuple[FloatArray, FloatArray]], scale_kN: float, most_kN: float) -> Chatter | None:
-    """Compare the scatter while sliding with that on the elastic branches; None where either is missing."""
+    """Compare the scatter while sliding with that on the elastic branches; None where there is no chatter to be seen."""
     products, sliding, elastic, local, away, stroke = [], [], [], [], [], []
     for i, (residual, load) in enumerate(half_cycles):
         bends = np.diff(residual, 2)
@@ -104,4 +105,6 @@ def _at_scale(half_cycles: list[tuple[FloatArray, FloatArray]], scale_kN: float,
     distance, of = np.concatenate(away)[slides] / scale_kN, np.concatenate(stroke)[slides]
     largest = np.zeros(len(half_cycles))
     np.maximum.at(largest, of[loud], distance[loud])
+    if np.count_nonzero(largest) < FEWEST_STROKES:
+        return None
     return Chatter(float(np.percentile(distance, 99)), float(loud.mean()), largest[largest > 0.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.chatter import SURE, chatter_of
+from shj_bayes.mismatch.chatter import SURE, _at_scale, chatter_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import NoiseSetting, scene_of
@@ -57,6 +57,18 @@ def test_what_scatters_on_the_elastic_branches_too_is_no_chatter(trials):
 def test_what_the_law_misses_is_no_chatter(trials):
     missed = {"slack": {"size": 2.0}, "breakaway": {"size": 0.3, "decay": 2.0, "growth": 0.0}}
     assert beside_the_law(trials.simulate(missed, 3, noise="white"))[1] is None
+
+
+@pytest.mark.parametrize("n_strokes", [1, 2])
+def test_what_happens_in_one_stroke_is_no_chatter(n_strokes):
+    rng = np.random.default_rng(3)
+    load = np.repeat([0.2, 1.0], [40, 60])
+    strokes = [(0.05 * rng.standard_normal(100), load) for _ in range(3)]
+    for residual, _ in strokes[:n_strokes]:
+        residual[60:] += 4.0 * (-1.0) ** np.arange(40)
+    found = _at_scale(strokes, 50.0, 1.0)
+    assert (found is None) == (n_strokes == 1)
+    assert found is None or found.of_strokes.size == n_strokes
 
 
 @pytest.fixture(scope="module")
