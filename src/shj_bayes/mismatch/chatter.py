@@ -84,7 +84,7 @@ def _half_cycles(fine: Scene, state: State, together: int) -> Iterator[tuple[Flo
 
 
 def _at_scale(half_cycles: list[tuple[FloatArray, FloatArray]], scale_kN: float, most_kN: float) -> Chatter | None:
-    """Compare the scatter while sliding with that on the elastic branches; None where there is no chatter to be seen."""
+    """Compare the scatter while sliding with that on the elastic branches; None where there is no chatter."""
     products, sliding, elastic, local, away, stroke = [], [], [], [], [], []
     for i, (residual, load) in enumerate(half_cycles):
         bends = np.diff(residual, 2)
