@@ -64,12 +64,12 @@ class Run:
     def start_noise_mm(self) -> float:
         """Standard deviation of the displacement at which the first half-cycle begins, mm.
 
-        For a device at rest that of a single reading. Of a recording that begins in motion the force without the part
-        that comes from the speed is not known: by as much as would make a device count as loaded, at the stiffness of
-        its first loading.
+        For a device that rests unloaded that of a single reading. Of a recording that begins loaded or in motion the
+        force without the part that comes from the speed is not known: by as much as would make a device count as
+        loaded, at the stiffness of its first loading.
         """
         force, x, i = self.recording.force_kN, self.motion.displacement_mm, self._n_loading
-        if not self._in_motion or i == force.size:
+        if (not self._in_motion and not self.start_force_kN) or i == force.size:
             return self.motion.noise_mm
         return UNLOADED * self._largest_kN * abs(float(x[i] - x[0])) / abs(float(force[i] - force[0]))
 

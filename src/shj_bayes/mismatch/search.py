@@ -36,6 +36,7 @@ FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = str(ClassId("added", "constant"))
+TEETH = str(ClassId("motion", "stick-slip"))
 OF_STROKES = ("slip", "speed", "acceleration")  # coordinates that take the same way in every stroke
 POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
@@ -71,8 +72,7 @@ class Search:
     curves: dict[frozenset[str], Hypothesis] = field(default_factory=dict)  # the same with curves only, no formulas
     # what could be added to each, best first
     screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
-    chattered: bool = False  # whether there is chatter beside the base law
-    chatter: Chatter | None = None  # chatter beside the best hypothesis; known in the end
+    chatter: Chatter | None = None  # scatter that the sliding makes, beside the best hypothesis; known in the end
 
     @property
     def classes(self) -> dict[str, Class]:
@@ -82,9 +82,8 @@ class Search:
     @property
     def matters(self) -> float:
         """Size that a class must have, as a share of Fy: beside a force that fluctuates a fifth of what that makes."""
-        fluctuates = LARGEST_OF * self.metric.fluctuation if self.is_rough else 0.0
-        chatter = self.chatter.size if self.chatter else 0.0
-        return max(MATTERS, (1.0 - EXPLAINED) * max(fluctuates, chatter))
+        fluctuates = (1.0 - EXPLAINED) * LARGEST_OF * self.metric.fluctuation if self.is_rough else 0.0
+        return max(MATTERS, fluctuates)
 
     def matters_of(self, of: Class) -> float:
         """Size that a class must have: each stroke begins the teeth anew, so their mean is a curve within strokes."""
@@ -414,7 +413,7 @@ class Search:
     def retune(self) -> None:
         """Find the noise beside the best hypothesis and everything that could be added; fit the best anew."""
         h = self.best
-        self.metric = noise_beside(self.scene, h.state, self.screen(h), self.metric.setting, self.chattered)
+        self.metric = noise_beside(self.scene, h.state, self.screen(h), self.metric.setting)
         kept = [*self.found.values(), *self.curves.values()]
         self.found, self.curves, self.screened = {}, {}, {}
         for one in kept:
@@ -450,9 +449,8 @@ def search(
         metric, rough = settle_under(scene, start, scene.device, scene.z)
     looked = candidates(scene, rough, tuple(classes))
     again = [w for of in classes for w in waves(scene, metric, rough, of)]
-    chattered = "stick_slip" not in hidden and chatter_of(scene, rough, NOISE_MOST * scene.largest_kN) is not None
-    metric = noise_beside(scene, rough, [*looked, *again], None, chattered)
-    out = Search(scene, looked, metric, hidden, tell, chattered=chattered)
+    metric = noise_beside(scene, rough, [*looked, *again], None)
+    out = Search(scene, looked, metric, hidden, tell)
     base = out.add((), scene.z)
     assert base is not None
     out.try_constant()
@@ -462,18 +460,16 @@ def search(
             break
     out.exchange()
     out.finish()
-    if "stick_slip" not in hidden:
+    if "stick_slip" not in hidden and TEETH not in out.best.key:
         out.chatter = chatter_of(scene, out.best.state, out.noise_most_kN)
     return out
 
 
-def noise_beside(
-    scene: Scene, state: State, looked: Sequence[Candidate], start: NoiseSetting | None, chattered: bool = False
-) -> Metric:
+def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start: NoiseSetting | None) -> Metric:
     """Noise beside everything that smooth functions of any coordinate can take up, at most that of a load cell.
 
     What is larger is left to the classes until the end: beside several effects that no single class makes up for, a
-    large noise would take them all. Chatter, which no class takes up, is noise.
+    large noise would take them all.
     """
     columns, seen = [], set()
     for c in looked:
@@ -486,7 +482,7 @@ def noise_beside(
         columns.append(WIDE * c.columns)
     columns.append(FLAT * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
-    setting = find_noise(scene, state, wide, start, math.inf if chattered else NOISE_MOST * scene.largest_kN)
+    setting = find_noise(scene, state, wide, start, NOISE_MOST * scene.largest_kN)
     return Metric(scene, setting, state.slope)
 
 
