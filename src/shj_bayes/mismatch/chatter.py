@@ -24,7 +24,7 @@ TOGETHER = 8  # readings in a row that must scatter: a jump of the force is none
 ALTERNATE, MEAN = 1.482, 4.0
 SURE = 0.99  # probability with which what is called chatter is no noise
 ROUGHEST = math.exp(float(ndtri(SURE)) * ROUGHER)  # of noise at low speed over that at speed, with that probability
-SLIDING, ELASTIC = 0.9, 0.6  # of the largest modelled force of a run: above it slides, below it is elastic
+SLIDING, ELASTIC = 0.9, 0.6  # of the largest force of the law alone: above it slides, below it is elastic
 LEAST = 0.05  # of the sliding time: less is no chatter
 FEWEST_STROKES = 2  # that chatter: what happens once says nothing of the next stroke
 
@@ -68,10 +68,11 @@ def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
 
 
 def _half_cycles(fine: Scene, state: State, together: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Residual of each half-cycle, kN, and the size of the modelled force over the largest, in means of readings."""
+    """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of readings."""
     residual, _ = fine.residual_and_slope(state.model, state.z[None])
-    modelled = np.abs(fine.measured_kN - residual[0])
-    rows = np.stack([residual[0], modelled / modelled.max()])
+    law = state.z[np.isin(state.model.law_names, fine.device.law_names)]
+    loaded = np.abs(fine.force(fine.device, law[None])[0])
+    rows = np.stack([residual[0], loaded / loaded.max()])
     first = 0
     for part in fine.posterior.averages:
         for a, b in zip(part.timing.half[:-1], part.timing.half[1:], strict=True):

@@ -135,11 +135,14 @@ def _models(out: Search, answer: Answer, seed: int) -> _Models:
     law = settle(out.scene, Metric(out.scene, alone, base.slope), base.model, base.z)
     fine = out.scene.finer_at(shown.model, shown.z)
     before = settle_under(fine, setting, law.model, law.z)[1]
-    draws = content.draws_of(settle_under(fine, alone, law.model, law.z)[1], seed)
+    under, first = settle_under(fine, alone, law.model, law.z)
+    draws = content.draws_of(first, seed)
     if not answer.findings:
-        return _Models(law, fine, before, before, draws, draws)
+        wide = beside_missed(fine, under, first, (), tuple(out.classes.values()))
+        return _Models(law, fine, before, before, draws, content.draws_of(wide, seed))
     metric, after = settle_under(fine, setting, shown.model, shown.z)
-    wide = beside_missed(fine, metric, after, answer.findings)
+    others = tuple(one for name, one in out.classes.items() if name not in answer.shown.key)
+    wide = beside_missed(fine, metric, after, [(f.member, f.size) for f in answer.findings], others)
     return _Models(law, fine, before, after, draws, content.draws_of(wide, seed))
 
 

@@ -258,9 +258,12 @@ def sizes_of(out: Search, h: Hypothesis, place: int) -> FloatArray:
 def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
     """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,).
 
-    What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long.
+    What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long. A
+    constant is as large as it is: the law makes none, also where it begins loaded by it.
     """
     scene = out.scene
+    if h.members[place].of.id == CONSTANT:
+        return np.asarray(np.abs(_change(out, h, place, z, scene)[:, scene.used > 0]).max(axis=1) / scene.scale_kN)
     if h.members[place].of.action == MOTION:
         scene = scene.finer_at(h.state.model, h.state.z)
     return visible(scene, _law_slopes(h, scene), _change(out, h, place, z, scene).T)

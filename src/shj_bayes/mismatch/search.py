@@ -191,7 +191,8 @@ class Search:
                 continue
             if len(followed) >= MOST and c.of.id not in followed:
                 continue
-            if visible(self.scene, h.state.jacobian, c.change[:, None])[0] < PROMISING * self.matters:
+            # How far a change of the motion goes is not known to first order.
+            if not motion and visible(self.scene, h.state.jacobian, c.change[:, None])[0] < PROMISING * self.matters:
                 continue
             tried[kind] = tried.get(kind, 0) + 1
             followed.add(c.of.id)

@@ -12,6 +12,7 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes as all_classes
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.findings import answer_of
 from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import NoiseSetting, scene_of
 from shj_bayes.mismatch.search import NOISE_MOST, Search, noise_beside, search
@@ -98,6 +99,15 @@ def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials
     record = look(recordings).record
     assert record["verdict"] == "named"
     assert names(record) == {"load_offset"}
+
+
+def test_a_constant_of_many_times_the_friction_is_as_large_as_it_is(trials):
+    """The first loading of a test that begins under it may stand for a part of it in the law, and must not."""
+    pressed = [Recording(r.time_s, r.displacement_mm, r.force_kN + 1500.0) for r in trials.simulate({}, 52)]
+    scene = scene_of(runs_of(pressed), DeviceModel(2, read_priors("general")))
+    out = search(scene, [one for one in all_classes() if one.coordinate == "constant"])
+    (finding,) = answer_of(out).findings
+    assert finding.size * scene.scale_kN == pytest.approx(1500.0, rel=0.02)
 
 
 def test_clamping_that_changes_in_push_alone_is_a_curve_for_push(trials, look):

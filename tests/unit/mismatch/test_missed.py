@@ -6,7 +6,7 @@ import pytest
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.findings import answer_of
-from shj_bayes.mismatch.missed import beside_missed
+from shj_bayes.mismatch.missed import beside_missed, curves_of
 from shj_bayes.mismatch.scene import scene_of
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.device import DeviceModel
@@ -20,6 +20,10 @@ def answered(recordings, *coordinates):
     return out, answer_of(out)
 
 
+def found(answer):
+    return [(f.member, f.size) for f in answer.findings]
+
+
 @pytest.fixture(scope="module")
 def prying(trials):
     return answered(trials.simulate({"prying": {"size": 0.17, "power": 2.0}}, 1), "distance")
@@ -28,7 +32,7 @@ def prying(trials):
 def test_what_a_formula_may_miss_widens_the_parameters_that_it_could_be(prying):
     out, answer = prying
     state = answer.shown.state
-    wide = beside_missed(out.scene, out.metric, state, answer.findings)
+    wide = beside_missed(out.scene, out.metric, state, found(answer))
     ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
     assert np.all(ratio > 1.0 - 1e-9)
     names = state.model.law_names
@@ -40,4 +44,21 @@ def test_what_a_formula_may_miss_widens_the_parameters_that_it_could_be(prying):
 def test_what_acts_on_the_motion_has_no_curve_that_it_could_miss(trials):
     out, answer = answered(trials.simulate({"slack": {"size": 0.8}}, 4), "slack")
     assert [f.member.of.coordinate for f in answer.findings] == ["slack"]
-    assert beside_missed(out.scene, out.metric, answer.shown.state, answer.findings) is answer.shown.state
+    assert curves_of(out.scene, answer.shown.state, answer.shown.members[0]) is None
+
+
+def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials):
+    out, answer = answered(trials.simulate({"prying": {"size": 0.007, "power": 2.0}}, 2), "distance")
+    assert not answer.findings
+    state = out.found[frozenset()].state
+    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.classes.values()))
+    ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
+    assert np.all(ratio > 1.0 - 1e-6)
+    assert ratio.max() > 1.2
+
+
+def test_a_class_that_is_not_there_widens_nothing(trials):
+    out, _ = answered(trials.simulate({}, 3), "position")
+    state = out.found[frozenset()].state
+    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.classes.values()))
+    assert np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance)).max() < 1.1
