@@ -238,11 +238,12 @@ def ratios(forces: FloatArray, count: FloatArray) -> FloatArray:
     -------
     array, shape (p, p)
         Root mean square of the row's force over that of the column's, both weighted by the square of the column's: 1
-        on the diagonal, and the ratio of the sizes of two forces that act alike.
+        on the diagonal, and the ratio of the sizes of two forces that act alike; 0 beside a force of 0.
     """
     squares = forces**2
     products = (squares * count[:, None]).T @ squares
-    return np.asarray(np.sqrt(products / np.diag(products)))
+    own = np.diag(products)
+    return np.asarray(np.sqrt(np.divide(products, own, out=np.zeros_like(products), where=own > 0.0)))
 
 
 def size_of(out: Search, h: Hypothesis, place: int) -> float:

@@ -25,6 +25,7 @@ MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
 NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load cell
 EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
 PROMISING = 0.7  # of what matters, to first order; less is not followed
+ROUGHLY = 2.0  # factor by which the size of an effect on the motion may be larger than it is to first order
 DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
 BEAM = 2
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
@@ -191,8 +192,8 @@ class Search:
                 continue
             if len(followed) >= MOST and c.of.id not in followed:
                 continue
-            # How far a change of the motion goes is not known to first order.
-            if not motion and visible(self.scene, h.state.jacobian, c.change[:, None])[0] < PROMISING * self.matters:
+            size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if motion else 1.0)
+            if size < PROMISING * self.matters:
                 continue
             tried[kind] = tried.get(kind, 0) + 1
             followed.add(c.of.id)

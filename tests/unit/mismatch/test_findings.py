@@ -92,6 +92,8 @@ def test_forces_are_held_beside_each_other_where_they_act():
     beside = findings.ratios(np.column_stack([ends, middle, all_over]), np.ones(at.size))
     assert beside[0] == pytest.approx([1.0, 0.0, 3.0 / 2.0 * np.sqrt(np.mean(ends > 0))])
     assert beside[2] == pytest.approx([2.0 / 3.0, 2.0, 1.0])
+    nothing = np.zeros(at.size)
+    assert findings.ratios(np.column_stack([ends, nothing]), np.ones(at.size))[:, 1] == pytest.approx([0.0, 0.0])
 
 
 def test_a_small_class_beside_a_large_one_may_be_what_the_form_of_that_one_misses(search, sized):
