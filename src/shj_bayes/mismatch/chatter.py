@@ -58,21 +58,20 @@ def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
         Largest standard deviation that the noise of a load cell may have, kN.
     """
     fine = scene.finer_at(state.model, state.z, longest_s=0.0)
+    residual, _ = fine.residual_and_slope(state.model, state.z[None])
+    loaded = np.abs(fine.force(fine.device, state.of_law(fine.device)[None]))
+    rows = np.concatenate([residual, loaded / loaded.max()])
     longest = AVERAGED_S / scene.step_s
     found = None
     for together in (2**i for i in range(1 + max(0, int(math.log2(longest))))):
-        one = _at_scale(list(_half_cycles(fine, state, together)), scene.scale_kN, most_kN)
+        one = _at_scale(list(_half_cycles(fine, rows, together)), scene.scale_kN, most_kN)
         if one is not None and one.share > max(LEAST, found.share if found else 0.0):
             found = one
     return found
 
 
-def _half_cycles(fine: Scene, state: State, together: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of readings."""
-    residual, _ = fine.residual_and_slope(state.model, state.z[None])
-    law = state.z[np.isin(state.model.law_names, fine.device.law_names)]
-    loaded = np.abs(fine.force(fine.device, law[None])[0])
-    rows = np.stack([residual[0], loaded / loaded.max()])
+def _half_cycles(fine: Scene, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of so many readings."""
     first = 0
     for part in fine.posterior.averages:
         for a, b in zip(part.timing.half[:-1], part.timing.half[1:], strict=True):

@@ -150,6 +150,12 @@ def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candid
     return out
 
 
+def unit_columns(c: Candidate) -> FloatArray:
+    """Columns of a candidate of the size that fits best, for coefficients with standard normal priors."""
+    curve = c.variant.curve  # its columns are of the size with which every class states its curves
+    return c.columns if curve is None else np.asarray(c.columns * (curve.size / Curve.size))
+
+
 def sized(curve: Curve, size: float) -> Curve:
     """Give the same curve the standard deviation of `SIZES` that is nearest to a size, as a share of Fy."""
     nearest = min(SIZES, key=lambda one: abs(np.log(one / size)))

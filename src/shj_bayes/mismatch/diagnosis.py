@@ -125,7 +125,7 @@ class _Models:
     before: State  # the base law in them, under the noise that was found
     after: State  # the model that was found, likewise; the base law where nothing was
     draws_before: content.Draws  # of the base law under noise of its own
-    draws_after: content.Draws  # of the model that was found, beside what its formulas may miss
+    draws_after: content.Draws  # of the model that was found, beside what it leaves out: `missed`
 
 
 def _models(out: Search, answer: Answer, seed: int) -> _Models:

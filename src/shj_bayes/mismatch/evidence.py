@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from shj_bayes.mismatch.classes import Candidate
+from shj_bayes.mismatch.classes import Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.scene import beside
 from shj_bayes.mismatch.screen import log_gain
@@ -107,7 +107,7 @@ class _FirstOrder:
     """Candidates beside a hypothesis to first order, each of the size that fits best."""
 
     def __init__(self, out: Search, h: Hypothesis, candidates: Sequence[Candidate]) -> None:
-        self.columns = [_unit_columns(c) for c in candidates]
+        self.columns = [unit_columns(c) for c in candidates]
         self._along, self._inner = beside(out.metric.products(h.state.beside(*self.columns)), h.state.z.size)
         ends = np.cumsum([0, *(c.shape[1] for c in self.columns)])
         self._places = [np.arange(a, b) for a, b in pairwise(ends)]
@@ -154,13 +154,3 @@ def _averaged(own: list[Candidate]) -> float:
         word = c.variant.effect.id if curve is None else f"{curve.coordinate} {curve.length} {curve.sides}"
         starts.setdefault(word, []).append(c.gain)
     return float(logsumexp([logsumexp(gains) - np.log(len(gains)) for gains in starts.values()]))
-
-
-def _unit_columns(c: Candidate) -> FloatArray:
-    """Columns of a candidate of the size that fits best, for coefficients with standard normal priors."""
-    curve = c.variant.curve
-    if curve is None:
-        return c.columns
-    alike = (v.curve for v in c.of.variants if v.curve)  # the columns are those of the size that the class states
-    stated = next(one.size for one in alike if (one.coordinate, one.length) == (curve.coordinate, curve.length))
-    return np.asarray(c.columns * (curve.size / stated))

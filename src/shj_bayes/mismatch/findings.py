@@ -283,8 +283,7 @@ def _law_slopes(h: Hypothesis, scene: Scene) -> FloatArray:
 
     Beside a constant of many times Fy, a change of Fy is a change of the constant.
     """
-    device = scene.device
-    law = h.state.z[np.isin(h.state.model.law_names, device.law_names)]
+    device, law = scene.device, h.state.of_law(scene.device)
     return scene.jacobian(device, law, scene.residual(device, law[None])[0])
 
 

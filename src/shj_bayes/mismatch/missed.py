@@ -1,4 +1,4 @@
-"""What a formula may miss: it is near the truth, not the truth. A curve over its coordinate stands for the rest."""
+"""Parameters beside what an answer leaves out: what its formulas may miss, and the classes that it does not hold."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit
 
-from shj_bayes.mismatch.classes import Candidate, Class, candidates
+from shj_bayes.mismatch.classes import Candidate, Class, candidates, unit_columns
 from shj_bayes.mismatch.scene import Metric, Scene, solve
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.search import EXPLAINED, ODDS
@@ -16,10 +16,10 @@ from shj_bayes.model.parameters import FloatArray
 
 
 def curves_of(scene: Scene, state: State, member: Candidate) -> FloatArray | None:
-    """Give the curves that stand for a class, kN by unit of normal coefficients, shape (n, p); None where none do.
+    """Give the curves of a class, kN by unit of normal coefficients, shape (n, p); None where it has none.
 
-    To first order, with the standard deviation of `Curve.size`; where several stand for it, as heat that decays sooner
-    or later, all of them. What acts on the motion has no curve.
+    To first order, with the standard deviation of `Curve.size`. A class may have several: heat decays sooner or later.
+    What acts on the motion has none.
     """
     curves = [v for v in member.of.variants if v.curve is not None and not v.curve.sides]
     if not curves:
@@ -36,11 +36,11 @@ def beside_missed(
     found: Sequence[tuple[Candidate, float]],
     others: Sequence[Class] = (),
 ) -> State:
-    """Give a state with the covariance that it has beside what the formulas of an answer may miss, and beside the rest.
+    """Give a state with a covariance that counts what its formulas may miss, and the classes that it does not hold.
 
-    The rest are the classes that are not in the answer, each with its probability: too small to matter for the force,
-    or too weak to be seen, they move the parameters by more than noise does. All to first order. The parameters stay
-    those of the answer; how far they would go counts as uncertainty.
+    A formula may miss a curve with a standard deviation of 1 - `EXPLAINED` of its size. Each class that is not held
+    counts with its probability: one that is too small to matter for the force may still move the parameters by more
+    than noise does. All to first order. The parameters stay as they are; how far they would move is uncertainty.
 
     Parameters
     ----------
@@ -63,13 +63,12 @@ def beside_missed(
     ]
     if missed:
         covariance = _spread(metric, state, *missed)
-    seen: set[str] = set()
+    best: dict[str, Candidate] = {}
     for c in screen(metric, state, candidates(scene, state, tuple(others))):
-        if c.of.id not in seen:
-            seen.add(c.of.id)
-            curve = c.variant.curve
-            column = c.change[:, None] if curve is None else c.columns * (curve.size / Curve.size)
-            covariance += expit(c.gain + ODDS) * (_spread(metric, state, column) - state.covariance)
+        best.setdefault(c.of.id, c)
+    for c in best.values():
+        column = c.change[:, None] if c.variant.curve is None else unit_columns(c)
+        covariance += expit(c.gain + ODDS) * (_spread(metric, state, column) - state.covariance)
     return replace(state, covariance=covariance)
 
 

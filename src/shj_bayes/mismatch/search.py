@@ -25,7 +25,7 @@ MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
 NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load cell
 EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
 PROMISING = 0.7  # of what matters, to first order; less is not followed
-ROUGHLY = 2.0  # factor by which the size of an effect on the motion may be larger than it is to first order
+ROUGHLY = 2.0  # factor by which an effect may be larger than it is to first order where its search begins
 DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
 BEAM = 2
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
@@ -185,14 +185,14 @@ class Search:
         followed: set[str] = set()
         for c in listed:
             enough = c.gain + ODDS > -1.0 and c.gain > 0.5 * best - 20.0
-            motion = c.variant.curve is None and c.gain > 10.0
+            effect = c.variant.curve is None and c.gain > 10.0
             allowed = 2 if c.variant.curve is None else 1
             kind = (c.of.id, c.variant.curve is None)
-            if not (enough or motion) or tried.get(kind, 0) >= allowed:
+            if not (enough or effect) or tried.get(kind, 0) >= allowed:
                 continue
             if len(followed) >= MOST and c.of.id not in followed:
                 continue
-            size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if motion else 1.0)
+            size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
             if size < PROMISING * self.matters:
                 continue
             tried[kind] = tried.get(kind, 0) + 1

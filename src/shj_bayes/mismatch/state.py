@@ -31,6 +31,10 @@ class State:
     covariance: FloatArray  # shape (n_law, n_law): of the parameters
     evidence: float  # log density of the data, parameters integrated out (Laplace)
 
+    def of_law(self, device: DeviceModel) -> FloatArray:
+        """Give the parameters of a smaller model, those of the law alone for instance, where they are in this one."""
+        return self.z[np.isin(self.model.law_names, device.law_names)]
+
     def beside(self, *columns: FloatArray) -> FloatArray:
         """Give the linearised data, the derivatives and further columns, shape (n, 1 + n_law + p), for a product."""
         return np.column_stack([self.residual + self.jacobian @ self.z, self.jacobian, *columns])

@@ -102,7 +102,7 @@ def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials
 
 
 def test_a_constant_of_many_times_the_friction_is_as_large_as_it_is(trials):
-    """The first loading of a test that begins under it may stand for a part of it in the law, and must not."""
+    """A test that begins under it begins far beyond what the law alone could carry."""
     pressed = [Recording(r.time_s, r.displacement_mm, r.force_kN + 1500.0) for r in trials.simulate({}, 52)]
     scene = scene_of(runs_of(pressed), DeviceModel(2, read_priors("general")))
     out = search(scene, [one for one in all_classes() if one.coordinate == "constant"])

@@ -52,6 +52,17 @@ def test_sizes_are_those_there_are_where_the_smaller_set_was_not_fitted(search):
     assert findings.that_matter(search, search.found[frozenset({"delay", "wear"})]) == {"delay"}
 
 
+def test_a_constant_is_as_large_as_it_is_also_where_the_law_could_make_up_for_it(monkeypatch):
+    """The law makes no constant, but where it begins loaded its slopes may look like one."""
+    scene = SimpleNamespace(used=np.ones(40), count=np.ones(40), scale_kN=10.0)
+    monkeypatch.setattr(findings, "_change", lambda *_: np.full((1, 40), -3.0))
+    monkeypatch.setattr(findings, "_law_slopes", lambda *_: np.ones((40, 1)))
+    for name, size in (("added over constant", 0.3), ("taper", 0.0)):
+        h = _hypothesis(name)
+        h.state = SimpleNamespace(z=np.zeros(1))
+        assert findings.size_of(SimpleNamespace(scene=scene), h, 0) == pytest.approx(size, abs=1e-12)
+
+
 def test_a_class_matters_when_the_upper_limit_of_its_size_does(search):
     assert findings.that_matter(search, search.found[frozenset({"taper"})]) == {"taper"}
 
