@@ -32,6 +32,7 @@ def test_every_verdict_renders_in_words(pages: dict[str, Page], verdict: str, ho
     assert sentence in first
     assert first.count("<img") == 2
     assert ("First look: intervals are approximate." in page.text) == (verdict == "adequate")
+    assert ("it counts effects that may be there and were not found" in page.text) == (verdict == "adequate")
     check_safe(page)
     assert page.outside == []
     assert len(page.raw) < 3_000_000
