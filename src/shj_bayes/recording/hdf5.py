@@ -70,7 +70,9 @@ def child(path: str) -> None:
     out.write(json.dumps({"items": listing}).encode() + b"\n")
     for _, values, _ in items:
         if values is not None:
-            np.save(out, np.ascontiguousarray(values), allow_pickle=False)
+            whole = io.BytesIO()  # numpy asks a buffered file where it stands, which a pipe does not know
+            np.save(whole, np.ascontiguousarray(values), allow_pickle=False)
+            out.write(whole.getbuffer())
     out.flush()
 
 
