@@ -11,7 +11,7 @@ from shj_bayes.inference.squares import extended, start_values
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.state import State
-from shj_bayes.model.coordinates import coordinate_named
+from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
@@ -111,11 +111,13 @@ def classes(
             shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)
             out.append(Class(action, name, "1", variants))
-    return (*out, *(_following(name, one.unit) for name, one in measured.items() if name not in hidden))
+    units = {name: one.unit for name, one in coordinates().items() if one.times is not None}
+    units |= {name: one.unit for name, one in measured.items() if name not in hidden}
+    return (*out, *(_without_formula(name, unit) for name, unit in units.items()))
 
 
-def _following(name: str, unit: str) -> Class:
-    """Class of a sliding force that follows a further channel: no formula beyond its curve is known."""
+def _without_formula(name: str, unit: str) -> Class:
+    """Class of a sliding force over a coordinate for which no formula beyond its curve is known."""
     curves = [(Curve("capacity", name, length), weight) for length, weight in coordinate_named(name).lengths.items()]
     return Class("capacity", name, unit, tuple(Variant(curve, curve.effect(), weight) for curve, weight in curves))
 

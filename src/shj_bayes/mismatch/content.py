@@ -145,7 +145,7 @@ def family(out: Search, answer: Answer) -> list[dict[str, Any]]:
     sure = frozenset.intersection(*(key for key, _ in rivals_of(answer)))
     for key, probability in rivals_of(answer):
         for name in key - sure:
-            for effect in mechanisms(out, answer, name):
+            for effect in mechanisms(out, answer, name) or [out.classes[name].coordinate]:
                 listed[effect] = listed.get(effect, 0.0) + probability
     for finding in answer.findings:
         if finding.member.of.id in sure and len(finding.names) > 1:
@@ -389,9 +389,7 @@ def next_test(out: Search, answer: Answer, *, quick: bool) -> str | None:
     """Give the cheapest change of the test that would tell the leading rivals apart, and the command that plans one."""
     if answer.verdict is not Verdict.FAMILY:
         return None
-    known = catalogue() | {
-        c.of.coordinate: c.variant.effect for c in out.looked if c.of.coordinate in out.scene.measured
-    }
+    known = {c.of.coordinate: c.variant.effect for c in out.looked} | catalogue()
     members = [member["id"] for member in family(out, answer)]
     said = list(dict.fromkeys(known[name].next_test for name in members[:2]))
     if answer.reason is Reason.SEVERAL:  # a plan weighs sets of coordinates, not formulas over one

@@ -359,8 +359,9 @@ def _split(out: Search, h: Hypothesis) -> Hypothesis:
 
 
 def _may_miss(out: Search, h: Hypothesis, place: int) -> float:
-    """How far a formula may be from a curve that it is the name of, a share of Fy."""
-    return max(MATTERS, (1.0 - EXPLAINED) * size_of(out, h, place))
+    """How far a formula may be from a curve that it is the name of, a share of Fy: less than it explains of it."""
+    size = size_of(out, h, place)
+    return min(max(MATTERS, (1.0 - EXPLAINED) * size), 0.5 * size)
 
 
 def _away(out: Search, a: Hypothesis, b: Hypothesis) -> float:

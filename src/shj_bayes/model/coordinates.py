@@ -54,6 +54,9 @@ class Coordinate:
     symbol: str = "u"  # letter in formulas
     of_base: bool = False  # whether it depends on the base parameters: sliding begins where the elastic branch ends
     measured: bool = False  # whether it is a further channel of the recordings: its unit is that of `History.measured`
+    # ``times(history)`` gives what a curve over it is multiplied by at the points of a history, shape (n,); a curve is
+    # stated where that is 1. None: a curve over it is not multiplied.
+    times: Callable[[History], FloatArray] | None = None
 
     def share(self, history: History, base: Base) -> FloatArray:
         """Coordinate as a share of its range on its scale, 0 to 1, shape (n,)."""
@@ -145,6 +148,20 @@ ALL = (
         lengths=MappingProxyType({0.15: 0.2, 0.5: 0.8}),
         symbol="s",
         of_base=True,
+    ),
+    # A film of debris grows as the device slides, and makes the friction depend on speed more or less.
+    Coordinate(
+        "speed_by_travel",
+        "m",
+        "the distance slid, at peak speed",
+        slid_m,
+        lambda h: (0.0, h.tested_m),
+        scale=FIRST_SLID,
+        lengths=EITHER,
+        family="low_speed",
+        symbol="s",
+        of_base=True,
+        times=lambda h: h.speed_mm_s / h.peak_speed_mm_s,
     ),
     Coordinate(
         "passes",

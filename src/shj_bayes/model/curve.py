@@ -76,7 +76,7 @@ def harmonics(length: float) -> FloatArray:
 
 
 IDS = re.compile(
-    rf"({'|'.join(ACTIONS)})_over_([a-z]+[0-9]?)(_by_direction)?(?:_every_([0-9]{{1,9}}))?_([0-9]{{2}})_([0-9]{{2}})"
+    rf"({'|'.join(ACTIONS)})_over_([a-z]+(?:_by_travel)?[0-9]?)(_by_direction)?(?:_every_([0-9]{{1,9}}))?_([0-9]{{2}})_([0-9]{{2}})"
 )
 MEASURED_IDS = re.compile(rf"({'|'.join(ACTIONS)})_over_({PREFIX}\w+)_([0-9]{{2}})_([0-9]{{2}})")
 
@@ -152,6 +152,8 @@ class Curve:
             f = np.where(history.direction > 0, self._at(history, base, push), self._at(history, base, pull))
         else:
             f = self._at(history, base, coefficients)
+        if self.over.times is not None:
+            f = f * self.over.times(history)
         if self.action == "capacity":
             return Contribution(clamping=1.0 + f)
         return Contribution(added_kN=base.Fy_first * f)

@@ -52,6 +52,7 @@ COORDINATES = {
     "amplitude": "the amplitude",
     "slip": "the distance slid since the reversal",
     "speed": "the speed",
+    "speed_by_travel": "the speed, in a way that changes with the distance slid",
     "acceleration": "the acceleration",
     "direction": "the direction of motion",
     "constant": "nothing that was varied: it is constant",
@@ -69,9 +70,9 @@ SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a norm
 
 def title_of(name: Any) -> str:
     """Plain name of an effect, the id itself where the catalogue does not know it."""
-    effect = catalogue().get(str(name))
-    if effect is None and str(name).startswith(PREFIX):
-        return f"Sliding force follows {over_words(name)}"
+    effect, over = catalogue().get(str(name)), over_words(name)
+    if effect is None and over != str(name):
+        return f"Sliding force follows {over}"
     return effect.title if effect else str(name)
 
 

@@ -316,6 +316,20 @@ def test_an_effect_outside_the_catalogue_is_unknown(trials, look):
     assert len(record["unknown"]["shape"]) > 10
 
 
+def test_a_speed_coefficient_that_changes_with_the_distance_slid_is_a_curve_over_it(trials, look):
+    """A film of debris: by speed alone, or by the distance slid alone, it would be two or three classes."""
+
+    def clamping(history):
+        grown = 1.0 - np.exp(-history.travel_m / 2.0)
+        return 1.0 + 0.1 * history.speed_mm_s / history.peak_speed_mm_s * grown
+
+    record = look(trials.simulate({}, 64, clamping=clamping)).record
+    assert record["verdict"] == "unknown"
+    assert classes(record) == {("capacity", "speed_by_travel")}
+    assert record["coordinates"][0]["range_percent"] == pytest.approx(10.0, abs=2.0)
+    assert any("depends on the speed, in a way that changes with the distance slid" in s for s in sentences(record))
+
+
 def test_a_misfit_that_follows_the_clock_is_seen(trials, look):
     record = look(trials.simulate({}, 10, shape=trials.OUTSIDE["mains wave, 40 s"])).record
     assert record["verdict"] == "unknown"

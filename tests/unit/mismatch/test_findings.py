@@ -128,3 +128,18 @@ def test_an_added_force_is_nothing_that_a_form_of_the_capacity_misses(search, si
     shares = findings.truly_there(search, both, both.key)
     assert all({"taper", "constant"} <= key for key in shares)
     assert sum(p for key, p in shares.items() if "wear" in key) < 0.5
+
+
+@pytest.mark.parametrize(("size", "away", "is_name"), [
+    (0.0136, 0.0098, False),  # within what matters, but it leaves more of the curve than it explains
+    (0.0136, 0.0060, True),
+    (0.08, 0.0150, True),  # within a fifth
+    (0.08, 0.0170, False),
+])  # fmt: skip
+def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(size, away, is_name, monkeypatch):
+    form = SimpleNamespace(of=SimpleNamespace(id="taper", action="capacity"), start=np.zeros(1))
+    as_curve, as_form = _hypothesis("taper"), SimpleNamespace(members=(form,), log_weight=-50.0)
+    out = SimpleNamespace(forms=lambda h, place: [form], fitted=lambda *_: as_form, best_within=lambda key: -100.0)
+    monkeypatch.setattr(findings, "size_of", lambda out, h, place: size)
+    monkeypatch.setattr(findings, "_away", lambda out, a, b: away)
+    assert (findings._followed(out, as_curve, 0) is as_form) == is_name

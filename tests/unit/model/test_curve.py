@@ -146,6 +146,16 @@ def test_a_history_forgets_what_it_recalled_when_it_is_too_much(history: History
     assert calls[-1] == 0
 
 
+def test_what_the_speed_does_may_change_with_the_distance_slid(history: History) -> None:
+    """A curve over the distance slid, as large as it is drawn at peak speed, and nothing at rest."""
+    changing, plain = (Curve("capacity", name, 0.5, size=0.1) for name in ("speed_by_travel", "travel"))
+    c = some(changing)
+    drawn = np.asarray(plain.act(history, values(c), BASE).clamping) - 1.0
+    done = np.asarray(changing.act(history, values(c), BASE).clamping) - 1.0
+    np.testing.assert_allclose(done, drawn * history.speed_mm_s / history.peak_speed_mm_s, rtol=0, atol=1e-12)
+    assert np.abs(done).max() > 0.01
+
+
 def test_push_and_pull_have_curves_of_their_own(history: History) -> None:
     curve = Curve("added", "position", 0.15, True, 0.1)
     assert curve.n == 2 * Curve("added", "position", 0.15, False, 0.1).n

@@ -223,7 +223,7 @@ SIMULATORS = (
     Simulator(
         "powder",
         None,
-        (("capacity", "speed"), ("capacity", "travel")),
+        (("capacity", "speed"), ("capacity", "travel"), ("capacity", "speed_by_travel")),
         "share at 10 mm/s",
         (0.01, 0.25),
         _powder,

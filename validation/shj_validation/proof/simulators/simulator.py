@@ -26,6 +26,7 @@ COORDINATES = (
     "amplitude",
     "slip",
     "speed",
+    "speed_by_travel",
     "rest",
     "acceleration",
     "direction",
