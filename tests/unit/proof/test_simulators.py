@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 
 from shj_bayes.errors import ModelError
+from shj_bayes.mismatch.search import MATTERS
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
@@ -98,6 +99,16 @@ def test_a_mass_cannot_follow_the_jump():
         rate_free(
             drives([course("paper", 5.0, 1)], DEVICE, 95.0, 600.0, 1e3)[0], DEVICE, Acts(mass_t=1.0), 1e3, "published"
         )
+
+
+def test_a_mass_on_a_spring_whose_friction_does_not_weaken_is_no_effect():
+    """With 20 % of critical damping the damper leads by 11 ms, 2 % of Fy, and nothing sticks and slips."""
+    drive = drives([course("paper", 20.0, 1)], DEVICE, 95.0, 600.0, 1e3)[0]
+    spring = 1.2 * DEVICE.K
+    mass = spring / (2 * np.pi * 5.5) ** 2 * 1000.0
+    driven = rate_free(drive, DEVICE, Acts(mass_t=mass, spring_kN_mm=spring), 1e3)
+    held = rate_free(drive, DEVICE, Acts(), spring)
+    assert np.percentile(np.abs(driven - held), 99) < MATTERS * DEVICE.Fy
 
 
 @pytest.mark.parametrize("kind", NOISES)

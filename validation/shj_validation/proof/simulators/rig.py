@@ -15,6 +15,7 @@ from shj_validation.proof.simulators.branch import STILL_MM, branches
 from shj_validation.proof.simulators.iwan import elements, in_series, move, try_move
 
 RULES = ("published", "continuous")  # at a reversal: jump as Eq. (1) does, or unload from the force there is
+DAMPING = 0.05  # of critical, of the spring that drives a mass: bolted steel (Newmark and Hall 1982)
 SLIP_MEMORY_S = 0.004  # contacts notice a change of the slip speed after some micrometres, not at once
 
 
@@ -161,7 +162,7 @@ def rate_free(drive: Drive, device: Device, acts: Acts, frame_kN_mm: float, rule
     own = 1.0 / (1.0 / device.K - 1.0 / spring)  # so that K is what the gauges see
     if acts.mass_t:
         stiffness, limits = elements(own, drive.capacity_kN, device.beta)
-        damping = 0.4 * np.sqrt(spring * acts.mass_t * 1e-3)
+        damping = 2.0 * DAMPING * np.sqrt(spring * acts.mass_t * 1e-3)
         _with_mass(
             out,
             x,
