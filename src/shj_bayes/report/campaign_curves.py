@@ -13,7 +13,7 @@ from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.model.curve import curve_named
 from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
-from shj_bayes.report.diagnosis_words import over_words
+from shj_bayes.report.diagnosis_words import along_words
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
@@ -41,7 +41,7 @@ def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, 
 
 def _picture(parts: Sequence[tuple[Row, list[DeviceCurve]]]) -> Picture:
     first = parts[0][0]
-    name = over_words(first.coordinate).removeprefix("the ")
+    name = along_words(first.coordinate).removeprefix("the ")
     unit = "" if first.unit == "1" else f" ({first.unit})"
     what = class_words(first.id)
     drawn = figures.curves([(row.set_name, curves) for row, curves in parts], f"{name}{unit}")

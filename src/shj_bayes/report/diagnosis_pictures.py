@@ -42,7 +42,7 @@ def _curves(data: DiagnosisData) -> list[dict[str, Any]]:
         if not table:
             continue
         at, mean, low, high = (np.array([number(v) for v in table[key]]) for key in ("at", "mean", "q05", "q95"))
-        name = say.over_words(c["coordinate"]).removeprefix("the ")
+        name = say.along_words(c["coordinate"]).removeprefix("the ")
         unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})"
         over = f"{name}{', one period' if c.get('period') else ''}"
         what = ("sliding force" if c.get("action") == "capacity" else "added force") + say.way_words(c)

@@ -9,7 +9,7 @@ import numpy as np
 
 from shj_bayes.errors import ModelError
 from shj_bayes.mismatch.schema import Verdict
-from shj_bayes.model.coordinates import coordinate_named
+from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.measured import PREFIX
@@ -42,18 +42,9 @@ FAMILIES = {
     "oscillation": "oscillation",
 }
 DIRECTIONS = {"push": "push", "pull": "pull", "both": "push and pull alike"}
-COORDINATES = {
-    "position": "the position",
-    "distance": "the distance from mid-stroke",
-    "travel": "the distance slid",
-    "passes": "the number of passes over the place",
-    "time": "the time",
-    "heat": "the heat that sliding has left",
-    "amplitude": "the amplitude",
-    "slip": "the distance slid since the reversal",
-    "speed": "the speed",
+COORDINATES = {  # where what is said of a dependence is not the title of a coordinate
     "speed_by_travel": "the speed, in a way that changes with the distance slid",
-    "acceleration": "the acceleration",
+    "heat": "the heat that sliding has left",
     "direction": "the direction of motion",
     "constant": "nothing that was varied: it is constant",
     "slack": "a clearance",
@@ -84,7 +75,15 @@ def titles(names: Any) -> str:
 def over_words(name: Any) -> str:
     """Say on what the force depends: a coordinate, or a further channel; the word itself where neither is known."""
     word = str(name)
-    return coordinate_named(word).title if word.startswith(PREFIX) else COORDINATES.get(word, word)
+    if word in COORDINATES:
+        return COORDINATES[word]
+    return coordinate_named(word).title if word in coordinates() or word.startswith(PREFIX) else word
+
+
+def along_words(name: Any) -> str:
+    """Say along what the curve of a dependence is drawn."""
+    one = coordinates().get(str(name))
+    return one.title if one else over_words(name)
 
 
 def channel_words(record: Mapping[str, Any]) -> list[str]:
