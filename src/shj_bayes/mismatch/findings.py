@@ -31,6 +31,7 @@ from shj_bayes.model.parameters import FloatArray
 T = TypeVar("T")
 MOTION = "motion"
 N_SIZES = 60  # draws from which the upper limit of a size is taken
+NO_FORCE = 1e6  # size of a draw whose force is not finite
 
 
 class Reason(StrEnum):
@@ -252,8 +253,11 @@ def size_of(out: Search, h: Hypothesis, place: int) -> float:
 
 
 def sizes_of(out: Search, h: Hypothesis, place: int) -> FloatArray:
-    """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy."""
-    return _sizes_at(out, h, place, drawn_from(h.state, N_SIZES))
+    """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy.
+
+    Far from what fits a model may have no force at all; nothing says that the member is small there.
+    """
+    return np.nan_to_num(_sizes_at(out, h, place, drawn_from(h.state, N_SIZES)), nan=NO_FORCE, posinf=NO_FORCE)
 
 
 def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:

@@ -67,6 +67,17 @@ def test_a_class_matters_when_the_upper_limit_of_its_size_does(search):
     assert findings.that_matter(search, search.found[frozenset({"taper"})]) == {"taper"}
 
 
+def test_a_draw_without_a_force_does_not_make_a_class_small(monkeypatch):
+    """One of 60 that overflows leaves the upper limit to the others."""
+    h = _hypothesis("delay", "wear")
+    h.state = SimpleNamespace(z=np.zeros(1))
+    forces = {0: np.where(np.arange(60) == 7, np.nan, 0.2), 1: np.full(60, 0.002)}
+    monkeypatch.setattr(findings, "drawn_from", lambda state, n: np.zeros((n, 1)))
+    monkeypatch.setattr(findings, "_sizes_at", lambda out, h, place, z: forces[place])
+    out = SimpleNamespace(found={}, matters_of=lambda of: 0.01)
+    assert findings.that_matter(out, h) == {"delay"}
+
+
 @pytest.fixture
 def sized(monkeypatch):
     """Sizes of classes that act alike everywhere, or each where the others do not."""
