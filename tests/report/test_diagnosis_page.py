@@ -14,7 +14,17 @@ from shj_bayes.commands.pipeline import diagnosis_text
 from shj_bayes.errors import ReportError
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.diagnosis_numbers import profile
-from shj_bayes.report.diagnosis_words import VERDICTS, curve_words, fluctuation_words, per_cent, shape_columns, spaced
+from shj_bayes.report.diagnosis_words import (
+    VERDICTS,
+    along_words,
+    curve_words,
+    fluctuation_words,
+    over_words,
+    per_cent,
+    shape_columns,
+    spaced,
+    title_of,
+)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +96,7 @@ def test_family_and_unknown_say_their_own(pages: dict[str, Page]) -> None:
     assert "61 %" in family
     assert "39 %" in family
     assert "Repeat one amplitude at a fifth of the speed." in family
-    assert "17.3 mm of position" in unknown
+    assert "17.3 mm of the position" in unknown
     assert "up to" not in unknown.partition("What no effect explains")[0]
     assert "4.32 kN" in unknown
 
@@ -236,3 +246,10 @@ def test_forces_of_a_small_device_are_in_newtons(tmp_path: Path) -> None:
     assert "up to 1.19 N, 15 % of the sliding force" in shown
     viewer = page.raw.partition('<script type="application/json" id="loops-data">')[2].partition("</script>")[0]
     assert json.loads(viewer)["unit"] == "N"
+
+
+def test_a_speed_coefficient_that_changes_is_said_of_the_speed_and_drawn_along_the_distance() -> None:
+    assert over_words("speed_by_travel") == "the speed, in a way that changes with the distance slid"
+    assert along_words("speed_by_travel") == "the distance slid, at peak speed"
+    assert over_words("heat") == along_words("heat") == "the heat that sliding has left"
+    assert title_of("speed_by_travel") == f"Sliding force follows {over_words('speed_by_travel')}"
