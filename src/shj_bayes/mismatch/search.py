@@ -38,7 +38,7 @@ RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = str(ClassId("added", "constant"))
 TEETH = str(ClassId("motion", "stick-slip"))
-OF_STROKES = ("slip", "speed", "acceleration")  # coordinates that take the same way in every stroke
+OF_STROKES = ("slip", "speed", "speed_by_travel", "acceleration")  # coordinates that take the same way in every stroke
 POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 

@@ -1,5 +1,7 @@
 """Teeth on the plateaus are chatter; noise, however rough, and what a model misses are not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from shj_bayes.mismatch.chatter import SURE, _at_scale, chatter_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import NoiseSetting, scene_of
-from shj_bayes.mismatch.search import NOISE_MOST
+from shj_bayes.mismatch.search import NOISE_MOST, Search
 from shj_bayes.mismatch.state import settle_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -93,3 +95,9 @@ def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
     runs = runs_of(chattering)
     record = diagnose(runs, DeviceModel(2, read_priors("afc")), Look(quick=True, without=("stick_slip",))).record
     assert "stick_slip" not in {effect["id"] for effect in record["effects"]}
+
+
+@pytest.mark.parametrize(("coordinate", "size"), [("speed", 0.1), ("speed_by_travel", 0.1), ("travel", 0.01)])
+def test_beside_chatter_what_goes_on_within_a_stroke_must_be_larger_than_it(coordinate, size):
+    out = SimpleNamespace(chatter=SimpleNamespace(size=0.1), matters=0.01)
+    assert Search.matters_of(out, SimpleNamespace(coordinate=coordinate)) == size
