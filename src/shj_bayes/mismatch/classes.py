@@ -111,15 +111,19 @@ def classes(
             shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)
             out.append(Class(action, name, "1", variants))
-    units = {name: one.unit for name, one in coordinates().items() if one.times is not None}
-    units |= {name: one.unit for name, one in measured.items() if name not in hidden}
-    return (*out, *(_without_formula(name, unit) for name, unit in units.items()))
+    both = [name for name, one in coordinates().items() if one.times is not None]
+    rest = [_without_formula(name, coordinate_named(name).unit, PRESENT * (1.0 - FORMS)) for name in both]
+    return (*out, *rest, *(_without_formula(name, one.unit) for name, one in measured.items() if name not in hidden))
 
 
-def _without_formula(name: str, unit: str) -> Class:
-    """Class of a sliding force over a coordinate for which no formula beyond its curve is known."""
-    curves = [(Curve("capacity", name, length), weight) for length, weight in coordinate_named(name).lengths.items()]
-    return Class("capacity", name, unit, tuple(Variant(curve, curve.effect(), weight) for curve, weight in curves))
+def _without_formula(name: str, unit: str, weight: float = 1.0) -> Class:
+    """Class of a sliding force over a coordinate for which no formula beyond its curve is known.
+
+    What needs two coordinates at once has the probabilities of both, and of a class without a formula (`weight`).
+    """
+    curves = [(Curve("capacity", name, length), share) for length, share in coordinate_named(name).lengths.items()]
+    variants = tuple(Variant(curve, curve.effect(), weight * share) for curve, share in curves)
+    return Class("capacity", name, unit, variants)
 
 
 def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candidate]:

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from shj_bayes.mismatch.classes import Class, candidates, classes, size_weights, sized
+from shj_bayes.mismatch.classes import FORMS, PRESENT, Class, candidates, classes, size_weights, sized
 from shj_bayes.mismatch.heldout import cycles_of, held_out
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
 from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
@@ -231,6 +231,12 @@ def test_weights_of_sizes_and_variants_are_probabilities() -> None:
         weights = [v.weight for v in one.variants]
         assert min(weights) > 0.0, one.id
         assert sum(weights) <= 1.0 + 1e-12, one.id
+
+
+def test_what_needs_two_coordinates_has_the_probability_of_both() -> None:
+    """With the probability of one, weak wear would be taken for a speed coefficient that changes."""
+    (one,) = (c for c in classes() if c.coordinate == "speed_by_travel")
+    assert sum(v.weight for v in one.variants) == pytest.approx(PRESENT * (1.0 - FORMS))
 
 
 def test_a_class_goes_when_all_its_mechanisms_are_hidden() -> None:
