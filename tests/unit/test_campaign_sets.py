@@ -2,19 +2,23 @@
 
 import json
 import os
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from shj_bayes.commands.campaign import read_manifest, run_campaign
 from shj_bayes.commands.summary import summarise_campaign
-from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block
+from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.history import histories
+from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.writer import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 3), Block(24.0, 0.067, 3), Block(12.0, 0.13, 2))
-WEAR = 0.08  # of the force, over the test
+WORN = (("capacity", "travel"), ("capacity", "heat"))
+WEAR = 0.1  # 1/m: 5 % of the force over the test
 
 
 @pytest.fixture(scope="module")
@@ -22,11 +26,15 @@ def campaign(tmp_path_factory):
     """A set of two devices that wear, run once; one of another set that is not diagnosed."""
     folder = tmp_path_factory.mktemp("campaign")
     text = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'
+    time, motion = exact_motion(BLOCKS, 4.0)
+    (history,) = histories([time], [motion])
     for number, set_name in enumerate(("bare", "bare", "other"), start=1):
-        runs = simulate_device(Truth(phi=0.0, sigma=0.4), seed=number, rate_Hz=4.0, blocks=BLOCKS, n_runs=1)
-        x = runs[0].displacement_mm
-        travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))])
-        worn = replace(runs[0], force_kN=runs[0].force_kN * (1.0 - WEAR * travel / travel[-1]))
+        rng = np.random.default_rng(min(number, 2))
+        stiffness, capacity = rng.uniform(12, 20), rng.uniform(50, 90)
+        base = Base(stiffness, capacity, 10.0, 0.0, capacity)
+        force = force_with_effects(history, base, [(catalogue()["wear"], {"size": WEAR})])
+        wobble, noise = rng.standard_normal(time.size), rng.standard_normal(time.size)
+        worn = Recording(time, motion.displacement_mm + 0.01 * wobble, force + 0.4 * noise)
         name = write_csv(folder / f"d{number}.csv", worn).name
         text += f'[[set]]\nname = "{set_name}"\n' if number != 2 else ""
         text += f'[[set.device]]\nname = "device {number}"\nrecordings = ["{name}"]\n'
@@ -52,8 +60,9 @@ def test_what_a_set_has_enters_models_and_margins(campaign):
     first = together["classes"][0]
     assert together["set"] == "bare"
     assert first["enters"]
-    assert first["coordinate"] in ("travel", "time", "heat")
-    assert min(first["of_devices"]) > 0.95
+    assert first["coordinate"] in ("travel", "heat")  # which of both, a steady test cannot tell
+    likely = [c["of_devices"] for c in together["classes"] if (c["action"], c["coordinate"]) in WORN]
+    assert min(np.sum(likely, axis=0)) > 0.95
     result = summarise_campaign(manifest, outcomes, out, seed=1)
     assert "devices of set bare" in result.text
     assert "What sets have in common" in (out / "report.html").read_text(encoding="utf-8")
