@@ -111,8 +111,8 @@ def classes(
             shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)
             out.append(Class(action, name, "1", variants))
-    both = [name for name, one in coordinates().items() if one.times is not None]
-    rest = [_without_formula(name, coordinate_named(name).unit, PRESENT * (1.0 - FORMS)) for name in both]
+    both = {name: one.unit for name, one in coordinates().items() if one.times is not None}
+    rest = [_without_formula(name, unit, PRESENT * (1.0 - FORMS)) for name, unit in both.items()]
     return (*out, *rest, *(_without_formula(name, one.unit) for name, one in measured.items() if name not in hidden))
 
 

@@ -363,7 +363,10 @@ def _split(out: Search, h: Hypothesis) -> Hypothesis:
 
 
 def _may_miss(out: Search, h: Hypothesis, place: int) -> float:
-    """How far a formula may be from a curve that it is the name of, a share of Fy: less than it explains of it."""
+    """How far a formula may be from a curve that it is the name of, a share of Fy.
+
+    At most half of the curve: a formula that leaves more than it explains says nothing.
+    """
     size = size_of(out, h, place)
     return min(max(MATTERS, (1.0 - EXPLAINED) * size), 0.5 * size)
 

@@ -374,28 +374,28 @@ class Search:
             new = self._with_own_noise(h, first.metric.setting) if rival else None
             if new is not None and new.log_weight > h.log_weight:
                 found[h.key] = new
-        self._without_each(found)
+        self.found = found
+        self._without_each()
         for h in list(found.values()):
             found |= self._zero_apart(h, found)
-        self.found = found
         self.metric = self.best.metric or search_metric
         self.screened = {}
 
-    def _without_each(self, found: dict[frozenset[str], Hypothesis]) -> None:
-        """Weigh the best hypothesis without each of its classes: under another noise another one was the best."""
-        best = max(found.values(), key=lambda h: h.log_weight)
+    def _without_each(self) -> None:
+        """Weigh the best hypothesis without each of its classes: another one may have been the best before."""
+        best = self.best
         assert best.metric is not None
-        self.found, self.metric = found, best.metric
+        self.metric = best.metric
         self.shrink(best)
-        for key, h in list(found.items()):
+        for key, h in list(self.found.items()):
             if h.metric is None:
                 new = self._with_own_noise(h, best.metric.setting)
                 if new is None:
-                    del found[key]
+                    del self.found[key]
                 else:
-                    found[key] = new
-        if max(found.values(), key=lambda h: h.log_weight).key < best.key:
-            self._without_each(found)
+                    self.found[key] = new
+        if self.best.key < best.key:
+            self._without_each()
 
     def _zero_apart(
         self, h: Hypothesis, found: Mapping[frozenset[str], Hypothesis]
