@@ -214,18 +214,19 @@ def no_u_turn(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draw
         K, Fy, beta, gamma, ratio, white, slow, tau = natural(z)
         decay = np_.exp(-posterior.step_s / tau)
         total = 0.0
-        for number, (since, speed, measured, lengths, legs, _) in enumerate(posterior.runs):
+        for number, run in enumerate(posterior.runs):
             capacity = Fy * (ratio if number else 1.0)
 
             def turn(reset: Any, leg: Any, capacity: Any = capacity) -> Any:
                 after = own.saturated(K * leg + reset, capacity, beta)
                 return after, after
 
-            _, later = jax.lax.scan(turn, 0.0, np_.asarray(legs))
-            resets = np_.concatenate([np_.zeros(1), later])
-            half = np.repeat(np.arange(lengths.size), lengths)
-            r = measured - own.saturated(K * since + resets[half], capacity, beta) * (1 + gamma * speed)
-            total -= own.log_noise(r, white**2, slow**2, decay)
+            _, later = jax.lax.scan(turn, run.start_force_kN, np_.asarray(run.legs_mm))
+            resets = np_.concatenate([np_.full(1, run.start_force_kN), later])
+            half = np.repeat(np.arange(run.lengths.size), run.lengths)
+            force = own.saturated(K * run.since_mm + resets[half], capacity, beta) * (1 + gamma * run.speed_mm_s)
+            columns = own.columns_of(run.measured_kN, force, posterior.zero_kN, run.start_noise_mm, run.around_mm)
+            total -= own.log_noise(columns, white**2, slow**2, decay)
         total += 0.5 * np_.sum(z**2)
         return total
 
