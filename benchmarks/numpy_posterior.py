@@ -9,6 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.reduction import IntArray
 from shj_bayes.model.parameters import FloatArray
 
 _LOG_2PI = math.log(2 * math.pi)
@@ -38,7 +39,7 @@ class _Run:
     since_mm: FloatArray  # displacement since the turning point, shape (n,)
     speed_mm_s: FloatArray  # shape (n,)
     measured_kN: FloatArray  # shape (n,)
-    lengths: FloatArray  # samples of each half-cycle
+    lengths: IntArray  # samples of each half-cycle
     legs_mm: list[float]  # from each turning point to the next
     start_force_kN: float  # rate-free force at the first sample
     start_noise_mm: float  # standard deviation of the displacement at which the run begins
@@ -146,7 +147,8 @@ def _log_noise(columns: FloatArray, n_first: int, white: float, slow: float, dec
             log_det += (n - i) * math.log(spread)
             scale, back = 1 / math.sqrt(spread), [1.0, -decay * (1 - gain)]
             for row, end in enumerate((n, n, n_first)):
-                new[row, i:end] = lfilter([scale, -decay * scale], back, columns[row, i:end], zi=[-state[row] * scale])[0]
+                began = [-state[row] * scale]
+                new[row, i:end] = lfilter([scale, -decay * scale], back, columns[row, i:end], zi=began)[0]
             break
         log_det += math.log(spread)
         news = columns[:, i] - state
@@ -157,4 +159,4 @@ def _log_noise(columns: FloatArray, n_first: int, white: float, slow: float, dec
     c = 1 + float(start @ start)
     with_zero, with_start, both = float(zero @ residual), float(start @ residual[:n_first]), a * c - b * b
     left = (c * with_zero**2 - 2 * b * with_zero * with_start + a * with_start**2) / both
-    return -0.5 * (float(residual @ residual) - left + log_det + math.log(both) + n * _LOG_2PI)
+    return -0.5 * float(residual @ residual - left + log_det + math.log(both) + n * _LOG_2PI)

@@ -3,8 +3,8 @@
 The law, the noise and the priors are written a second time, in JAX and numpyro, from the equations; NUTS samples them.
 First both log densities are compared at random points, ours with every sample a block of its own and theirs with the
 noise as the Kalman filter that NUTS uses (the differences must be one constant) and as one multivariate normal of a run
-(the same but for what our recursion leaves out). Then the posteriors are, ours as a fit gives it, in the unbounded space: means to 0.1 posterior
-standard deviation, standard deviations to 10 %. Exit status 1 if they differ by more.
+(the same but for what our recursion leaves out). Then the posteriors are, ours as a fit gives it, in the unbounded
+space: means to 0.1 posterior standard deviation, standard deviations to 10 %. Exit status 1 if they differ by more.
 """
 
 from __future__ import annotations
@@ -148,10 +148,8 @@ def main() -> int:
     whole = posterior.refined(draws.mean(axis=0), longest_s=0.0).rougher(0.0)
     some = draws[:: draws.shape[0] // 20]
     apart, exact = same_density(whole, some, dense=False), same_density(whole, some, dense=True)
-    print(
-        f"log densities differ by one constant to {apart:.1e} at 20 points, from the multivariate normal to {exact:.1e};"
-        f" our fit is {ours.verdict.word}"
-    )
+    print(f"log densities differ by one constant to {apart:.1e} at 20 points")
+    print(f"and from the multivariate normal to {exact:.1e}; our fit is {ours.verdict.word}")
     sampler = MCMC(
         NUTS(model, dense_mass=True, target_accept_prob=0.9, init_strategy=init_to_median),
         num_warmup=asked.warmup,
