@@ -162,8 +162,7 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     A class is left out where the upper limit of its size, exceeded with a probability of `DOUBT`, is too small. What is
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
-    limits = [float(np.quantile(sizes_of(out, h, i), 1.0 - DOUBT)) for i in range(len(h.members))]
-    sizes = [limit / out.matters_of(member.of) for limit, member in zip(limits, h.members, strict=True)]
+    sizes = [largest_size_of(out, h, i) / out.matters_of(member.of) for i, member in enumerate(h.members)]
     if min(sizes, default=math.inf) >= 1.0:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
@@ -173,13 +172,15 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
 
 
 def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:
-    """Split the probability of a hypothesis: a class far smaller than the largest may be what that one's form misses.
+    """Split the probability of a hypothesis: a class far smaller than another one may be what that one's form misses.
 
     What a form misses is a share of the force that it makes, half-normal with standard deviation 1 - `EXPLAINED`; a
     class by itself has the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the
-    densities at the size that was found decide. A form misses something only where it makes a force, so its force
-    counts where the smaller class acts. What a form of the capacity misses turns its sign with the motion, what one of
-    an added force misses does not: neither looks like the other.
+    densities at what was found decide. A share of a force is that share where the smaller class acts, and at most that
+    share of all that the data show of the larger one: the square root of the ratio of their evidences, where both
+    are known. What a form of
+    the capacity misses turns its sign with the motion, what one of an added force misses does not: neither looks like
+    the other.
 
     Parameters
     ----------
@@ -193,18 +194,26 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
     Returns
     -------
     dict of frozenset to float
-        Share of the probability for each set of classes; the largest class is in all of them.
+        Share of the probability for each set of classes; the one with the most evidence is in all of them.
     """
     places = [i for i, m in enumerate(h.members) if m.of.id in key]
     sizes = {i: size_of(out, h, i) for i in places}
-    places.sort(key=lambda i: (-sizes[i], h.members[i].of.id))
+    rest = {i: h.key - {h.members[i].of.id} for i in places}
+    gains = {i: max(h.log_weight - out.best_within(rest[i]), 0.0) for i in places if rest[i] in out.found}
+    order = gains if len(gains) == len(places) else sizes
+    places.sort(key=lambda i: (-order[i], h.members[i].of.id))
     beside = forces_beside(out, h) if len(places) > 1 else np.zeros((0, 0))
     shares = {frozenset[str](): 1.0}
     for rank, i in enumerate(places):
-        one, larger = h.members[i].of, [j for j in places[:rank] if _may_look_alike(h.members[i].of, h.members[j].of)]
-        by_itself, missed = float(lognorm.pdf(sizes[i], SPREAD, scale=TYPICAL)), 0.0
-        if larger and (largest := max(float(beside[j, i]) for j in larger)) > 0.0:
-            missed = float(halfnorm.pdf(sizes[i], scale=(1.0 - EXPLAINED) * largest * sizes[i]))
+        one, missed = h.members[i].of, 0.0
+        for j in places[:rank]:
+            if not _may_look_alike(one, h.members[j].of) or beside[j, i] == 0.0:
+                continue
+            share = 1.0 / float(beside[j, i])
+            if i in gains and gains.get(j, 0.0) > 0.0:
+                share = max(share, math.sqrt(gains[i] / gains[j]))
+            missed = max(missed, share * float(halfnorm.pdf(share, scale=1.0 - EXPLAINED)))
+        by_itself = sizes[i] * float(lognorm.pdf(sizes[i], SPREAD, scale=TYPICAL))
         there = by_itself / (by_itself + missed)
         split = {own | {one.id}: p * there for own, p in shares.items()}
         shares = split if there == 1.0 else split | {own: p * (1.0 - there) for own, p in shares.items()}
@@ -250,6 +259,11 @@ def ratios(forces: FloatArray, count: FloatArray) -> FloatArray:
 def size_of(out: Search, h: Hypothesis, place: int) -> float:
     """Size of a member at the most probable parameters: its force that the base law could not make, a share of Fy."""
     return float(_sizes_at(out, h, place, h.state.z[None])[0])
+
+
+def largest_size_of(out: Search, h: Hypothesis, place: int) -> float:
+    """Upper limit of the size of a member, exceeded with a probability of `DOUBT`, a share of Fy."""
+    return float(np.quantile(sizes_of(out, h, place), 1.0 - DOUBT))
 
 
 def sizes_of(out: Search, h: Hypothesis, place: int) -> FloatArray:
@@ -342,7 +356,7 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
         new = out.fitted(replaced(h, place, form), form.start)
         if new is None:
             continue
-        if _away(out, h, new) <= allowed and new.log_weight > score and size_of(out, new, place) >= MATTERS:
+        if _away(out, h, new) <= allowed and new.log_weight > score and largest_size_of(out, new, place) >= MATTERS:
             best, score = new, new.log_weight
     return best
 
@@ -393,7 +407,7 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
         new, name = out.fitted(replaced(h, place, form), form.start), form.variant.effect.id
         if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
             continue
-        if name in forms or size_of(out, new, place) >= MATTERS:
+        if name in forms or largest_size_of(out, new, place) >= MATTERS:
             forms[name] = new
     whole = float(logsumexp([one.log_weight for one in forms.values()]))
     by_mechanism: dict[str, list[Hypothesis]] = {}
