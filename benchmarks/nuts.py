@@ -68,18 +68,23 @@ def log_noise(columns: Any, white: Any, slow: Any, decay: Any) -> Any:
     half-cycle only: both are integrated out.
     """
 
-    def step(before: Any, values: Any) -> Any:
-        state, variance = before
-        spread, new = variance + white, values - state
-        state = decay * (state + variance / spread * new)
+    def step(before: Any, values: Any) -> Any:  # numbers, not short arrays, which the compiled loop would allocate
+        states, variance, sums = before
+        spread = variance + white
+        new = [value - state for value, state in zip(values, states, strict=True)]
+        states = tuple(decay * (state + variance / spread * one) for state, one in zip(states, new, strict=True))
+        r, zero, start = new[0], new[1], jnp.where(values[2] == 0.0, 0.0, new[2])
+        pairs = (r * r, zero * zero, start * start, zero * start, zero * r, start * r)
+        shares = [*(pair / spread for pair in pairs), jnp.log(spread)]
+        sums = tuple(total + share for total, share in zip(sums, shares, strict=True))
         variance = decay**2 * variance * white / spread + slow * (1 - decay**2)
-        return (state, variance), (new / jnp.sqrt(spread), jnp.log(spread))
+        return (states, variance, sums), None
 
-    news, log_spread = jax.lax.scan(step, (jnp.zeros(3), slow), columns)[1]
-    residual, errors = news[:, 0], jnp.where(columns[:, 1:] == 0.0, 0.0, news[:, 1:])
-    information, gain = jnp.eye(2) + errors.T @ errors, errors.T @ residual
-    left = residual @ residual - gain @ jnp.linalg.solve(information, gain)
-    return -0.5 * (left + log_spread.sum() + jnp.linalg.slogdet(information)[1])
+    begin = ((0.0, 0.0, 0.0), slow, (0.0,) * 7)
+    own, a, c, b, with_zero, with_start, log_det = jax.lax.scan(step, begin, tuple(columns.T))[0][2]
+    a, c = 1 + a, 1 + c
+    left = own - (c * with_zero**2 - 2 * b * with_zero * with_start + a * with_start**2) / (a * c - b * b)
+    return -0.5 * (left + log_det + jnp.log(a * c - b * b))
 
 
 def columns_of(measured: Any, modelled: Any, zero_kN: float, start_mm: float, around_mm: Any) -> Any:

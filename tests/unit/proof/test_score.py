@@ -117,6 +117,16 @@ def test_clamping_that_swings_may_be_left_without_a_name_when_its_coordinate_is_
     assert outcome(SWING, answer("named", "tension_step")) == "right"
 
 
+@pytest.mark.parametrize(("found", "word"), [
+    (("wear",), "right"),
+    ((), "unknown"),  # the wear has a name
+    (("wear", "stick_slip"), "unknown"),
+])  # fmt: skip
+def test_beside_clamping_that_swings_the_other_effect_must_be_named(found, word):
+    two = replace(SWING, effects=(*SWING.effects, *stated_key("wear", 0.06, seed=3).effects))
+    assert outcome(two, placed("unknown", (*TIME, 0.99), (*TRAVEL, 0.99), found=found)) == word
+
+
 def test_of_two_effects_only_those_that_can_be_told_from_the_noise_must_be_named():
     assert outcome(TWO, answer("named", FIRST), {FIRST}) == "right"
     assert outcome(TWO, answer("named", FIRST, SECOND), {FIRST}) == "right"

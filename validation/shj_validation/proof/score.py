@@ -85,7 +85,8 @@ def outcome(key: Key, record: Mapping[str, Any], required: set[str] | None = Non
     Any form of an effect is right under its name, and so are the names that a simulator ``holds``.
     ``right family`` is the verdict "family" whose short list holds everything that is concealed, ``vague`` the same
     with a long list; ``part`` is one of two effects rightly named and nothing wrong beside it; ``sibling`` is a wrong
-    name from the right family. ``unknown`` is right where a simulator says so and the coordinate is right.
+    name from the right family. ``unknown`` is right where a simulator says so, the coordinates are right, and what is
+    concealed beside it is named.
     """
     wanted = {one.id: simulators_by_id()[one.id] for one in key.effects}
     needed = (set(wanted) & required if required else set()) or set(wanted)
@@ -94,29 +95,32 @@ def outcome(key: Key, record: Mapping[str, Any], required: set[str] | None = Non
         return "quiet" if verdict == "adequate" else "false alarm"
     if verdict == "adequate":
         return "missed"
+    names = {name: one.names for name, one in wanted.items()}
     if verdict == "unknown":
-        open_ = all(wanted[name].may_be_unknown for name in needed)
-        return "right" if open_ and coordinate_right(key, record, required) else "unknown"
-    return _of_names({name: one.names for name, one in wanted.items()}, needed, record)
+        named = _meant((effect["id"] for effect in record["effects"]), names)
+        closed = {name for name in needed if not wanted[name].may_be_unknown}
+        right = closed < needed and closed <= named <= set(wanted) and coordinate_right(key, record, required)
+        return "right" if right else "unknown"
+    return _of_names(names, needed, record)
+
+
+def _meant(names: Iterable[str], wanted: Mapping[str, frozenset[str]]) -> set[str]:
+    """List the simulators that names stand for, and the names that stand for none."""
+    names = set(names)
+    hit = {one for one, right in wanted.items() if right & names}
+    return hit | {name for name in names if not any(name in right for right in wanted.values())}
 
 
 def _of_names(wanted: Mapping[str, frozenset[str]], needed: set[str], record: Mapping[str, Any]) -> str:
     """Judge the names given under the verdicts ``named`` and ``family``; `wanted` has the right names by simulator."""
-
-    def meant(names: Iterable[str]) -> set[str]:
-        """List the simulators that names stand for, and the names that stand for none."""
-        names = set(names)
-        hit = {one for one, right in wanted.items() if right & names}
-        return hit | {name for name in names if not any(name in right for right in wanted.values())}
-
-    found = meant(effect["id"] for effect in record["effects"])
+    found = _meant((effect["id"] for effect in record["effects"]), wanted)
     members = {member["id"] for member in record["family"]}
     rivals = {rival for effect in record["effects"] for rival in effect["rivals"]}
-    listed = meant({effect["id"] for effect in record["effects"]} | members | rivals)
+    listed = _meant({effect["id"] for effect in record["effects"]} | members | rivals, wanted)
     if record["verdict"] == "named" and needed <= found <= set(wanted):
         return "right"
     if record["verdict"] == "family" and needed <= listed and len(needed) <= len(found) <= len(wanted):
-        backed = all(meant([e["id"], *e["rivals"]]) & set(wanted) for e in record["effects"])
+        backed = all(_meant([e["id"], *e["rivals"]], wanted) & set(wanted) for e in record["effects"])
         if backed or len(found) == 1:
             return "right family" if len(listed) <= SHORT_LIST * len(found) else "vague"
     if found and found < set(wanted):
