@@ -61,41 +61,42 @@ def saturated(e: Any, capacity: Any, beta: Any) -> Any:
     return e * jnp.exp(-jnp.logaddexp(0.0, beta * jnp.log(ratio)) / beta)
 
 
-def log_noise(columns: Any, white: Any, slow: Any, decay: Any) -> Any:
+def whitened(column: Any, white: Any, slow: Any, decay: Any) -> Any:
+    """Give what is new in each sample beside noise of given variances, in its standard deviations, and their logs."""
+
+    def step(before: Any, value: Any) -> Any:
+        state, variance = before
+        spread, new = variance + white, value - state
+        state = decay * (state + variance / spread * new)
+        variance = decay**2 * variance * white / spread + slow * (1 - decay**2)
+        return (state, variance), (new / jnp.sqrt(spread), jnp.log(spread))
+
+    return jax.lax.scan(step, (0.0, slow), column)[1]
+
+
+def log_noise(columns: tuple[Any, Any, Any], white: Any, slow: Any, decay: Any) -> Any:
     """Log density of white and slow noise of given variances, evenly sampled, up to a constant.
 
-    Columns, shape (n, 3), are the residual and what two errors of unit variance add to it, the second one to the first
-    half-cycle only: both are integrated out.
+    Columns are the residual and what two errors of unit variance add to it, the second one to its first samples only:
+    both are integrated out.
     """
-
-    def step(before: Any, values: Any) -> Any:  # numbers, not short arrays, which the compiled loop would allocate
-        states, variance, sums = before
-        spread = variance + white
-        new = [value - state for value, state in zip(values, states, strict=True)]
-        states = tuple(decay * (state + variance / spread * one) for state, one in zip(states, new, strict=True))
-        r, zero, start = new[0], new[1], jnp.where(values[2] == 0.0, 0.0, new[2])
-        pairs = (r * r, zero * zero, start * start, zero * start, zero * r, start * r)
-        shares = [*(pair / spread for pair in pairs), jnp.log(spread)]
-        sums = tuple(total + share for total, share in zip(sums, shares, strict=True))
-        variance = decay**2 * variance * white / spread + slow * (1 - decay**2)
-        return (states, variance, sums), None
-
-    begin = ((0.0, 0.0, 0.0), slow, (0.0,) * 7)
-    own, a, c, b, with_zero, with_start, log_det = jax.lax.scan(step, begin, tuple(columns.T))[0][2]
-    a, c = 1 + a, 1 + c
-    left = own - (c * with_zero**2 - 2 * b * with_zero * with_start + a * with_start**2) / (a * c - b * b)
-    return -0.5 * (left + log_det + jnp.log(a * c - b * b))
+    (own, logs), (zero, _), (start, _) = (whitened(column, white, slow, decay) for column in columns)
+    n = start.size
+    a, b, c = 1 + zero @ zero, zero[:n] @ start, 1 + start @ start
+    with_zero, with_start, both = zero @ own, start @ own[:n], a * c - b * b
+    left = own @ own - (c * with_zero**2 - 2 * b * with_zero * with_start + a * with_start**2) / both
+    return -0.5 * (left + logs.sum() + jnp.log(both))
 
 
-def columns_of(measured: Any, modelled: Any, zero_kN: float, start_mm: float, around_mm: Any) -> Any:
+def columns_of(measured: Any, modelled: Any, zero_kN: float, start_mm: float, around_mm: Any) -> tuple[Any, Any, Any]:
     """Residual, kN, and what one standard deviation of the zero and of the displacement at the start add to it.
 
-    `around_mm` is the displacement from the sample before to the one after, in the first half-cycle.
+    The last one in the first half-cycle, in which `around_mm` is the displacement from the sample before to the one
+    after.
     """
     first = modelled[: around_mm.size]
     slope = (jnp.diff(first, prepend=first[:1]) + jnp.diff(first, append=first[-1:])) / around_mm
-    start = jnp.zeros(modelled.size).at[: around_mm.size].set(start_mm * slope)
-    return jnp.stack([measured - modelled, jnp.full(modelled.size, zero_kN), start], axis=1)
+    return measured - modelled, jnp.full(modelled.size, zero_kN), start_mm * slope
 
 
 def model(posterior: Posterior, dense: bool = False) -> None:
@@ -121,7 +122,8 @@ def model(posterior: Posterior, dense: bool = False) -> None:
         white, slow = p["sigma_white"] ** 2, p["sigma_slow"] ** 2
         if dense:
             memory = jnp.exp(-np.abs(time[:, None] - time) / p["tau_slow"])
-            noise = slow * memory + white * jnp.eye(time.size) + columns[:, 1:] @ columns[:, 1:].T
+            zero, start = columns[1], jnp.pad(columns[2], (0, time.size - columns[2].size))
+            noise = slow * memory + white * jnp.eye(time.size) + jnp.outer(zero, zero) + jnp.outer(start, start)
             law = dist.MultivariateNormal(modelled, noise)
             numpyro.sample(f"force {number}", law, obs=measured)
         else:

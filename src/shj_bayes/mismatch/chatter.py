@@ -43,6 +43,7 @@ class Chatter:
     size: float  # 99th percentile of its distance from its local mean while sliding, as a share of Fy
     share: float  # of the sliding time in which it is larger than noise
     of_strokes: FloatArray  # shape (n,): largest distance in each stroke that chatters, as a share of Fy
+    apart: float  # largest less smallest of these over all strokes that slide, 0 for those that do not chatter
 
 
 def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
@@ -107,4 +108,5 @@ def _at_scale(half_cycles: list[tuple[FloatArray, FloatArray]], scale_kN: float,
     np.maximum.at(largest, of[loud], distance[loud])
     if np.count_nonzero(largest) < FEWEST_STROKES:
         return None
-    return Chatter(float(np.percentile(distance, 99)), float(loud.mean()), largest[largest > 0.0])
+    size, apart = float(np.percentile(distance, 99)), float(np.ptp(largest[np.unique(of)]))
+    return Chatter(size, float(loud.mean()), largest[largest > 0.0], apart)

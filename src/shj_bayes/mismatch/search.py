@@ -38,7 +38,9 @@ RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = str(ClassId("added", "constant"))
 TEETH = str(ClassId("motion", "stick-slip"))
-OF_STROKES = ("slip", "speed", "speed_by_travel", "acceleration")  # coordinates that take the same way in every stroke
+# Coordinates that take the same way in every stroke, and those that go from stroke to stroke.
+OF_STROKES = ("slip", "speed", "speed_by_travel", "acceleration")
+OF_TEST = ("time", "travel", "heat", "passes", "amplitude")
 POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
@@ -87,8 +89,16 @@ class Search:
         return max(MATTERS, fluctuates)
 
     def matters_of(self, of: Class) -> float:
-        """Size that a class must have: each stroke begins the teeth anew, so their mean is a curve within strokes."""
-        return self.chatter.size if self.chatter and of.coordinate in OF_STROKES else self.matters
+        """Size that a class must have.
+
+        Teeth lower the mean of the sliding force by up to their size: within strokes, which begin them anew, and from
+        stroke to stroke by as much as they differ.
+        """
+        if self.chatter and of.coordinate in OF_STROKES:
+            return self.chatter.size
+        if self.chatter and of.coordinate in OF_TEST and of.action == "capacity":
+            return max(self.matters, self.chatter.apart)
+        return self.matters
 
     @property
     def is_rough(self) -> bool:

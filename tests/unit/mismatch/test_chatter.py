@@ -70,7 +70,7 @@ def test_what_happens_in_one_stroke_is_no_chatter(n_strokes):
         residual[60:] += 4.0 * (-1.0) ** np.arange(40)
     found = _at_scale(strokes, 50.0, 1.0)
     assert (found is None) == (n_strokes == 1)
-    assert found is None or found.of_strokes.size == n_strokes
+    assert found is None or (found.of_strokes.size == n_strokes and found.apart == found.of_strokes.max())
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,14 @@ def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
     assert "stick_slip" not in {effect["id"] for effect in record["effects"]}
 
 
-@pytest.mark.parametrize(("coordinate", "size"), [("speed", 0.1), ("speed_by_travel", 0.1), ("travel", 0.01)])
-def test_beside_chatter_what_goes_on_within_a_stroke_must_be_larger_than_it(coordinate, size):
-    out = SimpleNamespace(chatter=SimpleNamespace(size=0.1), matters=0.01)
-    assert Search.matters_of(out, SimpleNamespace(coordinate=coordinate)) == size
+@pytest.mark.parametrize(("action", "coordinate", "size"), [
+    ("capacity", "speed", 0.1),
+    ("capacity", "speed_by_travel", 0.1),
+    ("capacity", "travel", 0.06),
+    ("capacity", "position", 0.01),
+    ("added", "time", 0.01),
+])  # fmt: skip
+def test_beside_chatter_what_its_mean_may_be_must_be_larger_than_it(action, coordinate, size):
+    """Within a stroke than the teeth, from stroke to stroke than these differ; an added force is no friction."""
+    out = SimpleNamespace(chatter=SimpleNamespace(size=0.1, apart=0.06), matters=0.01)
+    assert Search.matters_of(out, SimpleNamespace(action=action, coordinate=coordinate)) == size

@@ -111,6 +111,13 @@ def test_a_small_class_that_acts_where_a_large_one_does_not_is_nothing_that_this
     assert shares[both.key] > 0.99
 
 
+@pytest.mark.parametrize(("left", "verdict"), [(0.03, findings.Verdict.NAMED), (0.12, findings.Verdict.UNKNOWN)])
+def test_what_is_left_within_strokes_that_chatter_is_no_more_than_the_teeth(left, verdict):
+    """Smooth functions within a stroke take up the mean of the teeth, too."""
+    out = SimpleNamespace(chatter=SimpleNamespace(size=0.1), matters=0.01, is_rough=False)
+    assert findings._verdict(out, (), 1.0, left)[0] == verdict
+
+
 @pytest.mark.parametrize(("gain", "there"), [(10.0, False), (950.0, True)])
 def test_what_a_form_misses_is_no_larger_a_share_of_what_the_data_show(gain, there, sized):
     """A restoring force of a fifth of a drift: slow noise makes up for most of a drift, not for a force over position.
