@@ -10,7 +10,7 @@ from shj_bayes.recording import limits
 from shj_bayes.recording.motion import BoolArray, IntArray, Motion
 from shj_bayes.recording.noise import noise_of, resolution_of
 from shj_bayes.recording.recording import FloatArray, Recording
-from shj_bayes.recording.reversals import first_direction, hysteresis, place
+from shj_bayes.recording.reversals import first_direction, hysteresis, least_return, place
 from shj_bayes.recording.smoothing import smooth
 
 
@@ -113,7 +113,7 @@ def blind_stretches(recording: Recording, motion: Motion) -> list[tuple[int, int
     """
     time, x, start = recording.time_s, recording.displacement_mm, motion.start
     gaps = np.flatnonzero(recording.restarts[1:])
-    least = max(limits.REVERSAL_NOISE * motion.noise_mm, limits.REVERSAL_RANGE * float(np.ptp(x)))
+    least = least_return(x, motion.noise_mm)
     moved, lasted = x[gaps + 1] - x[gaps], time[gaps + 1] - time[gaps]
     spare = float(np.max(motion.speed_mm_s)) * lasted - np.abs(moved)
     way = motion.direction[motion.half_cycle]
