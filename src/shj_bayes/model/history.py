@@ -98,24 +98,26 @@ class History:
     def _recalled(self) -> dict[Hashable, FloatArray]:
         return {}
 
-    def reduced(self, rows: FloatArray, motion: Motion, kept: NDArray[np.int64] | None = None) -> History:
+    def reduced(self, rows: FloatArray, start: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> History:
         """Give the history at fewer points, which need not be samples.
 
-        `rows`, shape (9, n), are channels there in the order of `course.ROWS`, `motion` is that of the points; `kept`
-        are samples of this history that are among the points.
+        `rows`, shape (9, n), are channels there in the order of `course.ROWS`, `start` is where in them each half-cycle
+        begins, and the last ends; `kept` are samples of this history that are among the points.
         """
         way, begins = self.way
-        left_out = np.setdiff1d(_near_turning(self.motion), np.zeros(0, dtype=np.int64) if kept is None else kept)
-        half = np.concatenate([np.repeat(np.arange(motion.n_half), np.diff(begins)), self.motion.half_cycle[left_out]])
+        whole = self.motion
+        left_out = np.setdiff1d(_near_turning(whole), np.zeros(0, dtype=np.int64) if kept is None else kept)
+        half = np.concatenate([np.repeat(np.arange(whole.n_half), np.diff(begins)), whole.half_cycle[left_out]])
         both = np.concatenate([way, self.rows[:, left_out]], axis=1)
         order = np.lexsort((both[0], half))
-        turns = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(motion.n_half + 1)))
-        middle = self.motion.displacement_mm[0] - self.position_mm[0]
+        turns = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(whole.n_half + 1)))
+        middle = whole.displacement_mm[0] - self.position_mm[0]
+        motion = Motion(rows[1], rows[2], start, whole.turning_mm, whole.direction)
         return replace(self, motion=motion, near_turns=turns, position_mm=rows[1] - middle, **_channels(rows))
 
-    def thinned(self, keep: NDArray[np.int64], motion: Motion) -> History:
-        """History at some of its samples; `motion` is that of these."""
-        return self.reduced(self.rows[:, keep], motion, keep)
+    def thinned(self, keep: NDArray[np.int64]) -> History:
+        """History at some of its samples, of which each half-cycle has one at least."""
+        return self.reduced(self.rows[:, keep], np.searchsorted(keep, self.motion.start), keep)
 
     @cached_property
     def course(self) -> FloatArray:
