@@ -59,11 +59,6 @@ MEANINGS = {  # unit and meaning of what is not a parameter, by name
 AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the record's cycles, widening is above 1"
 
 
-def natural_chains(posterior: Posterior, chains: FloatArray) -> FloatArray:
-    """Draws of shape (..., d) from the unbounded space to natural units."""
-    return posterior.natural(chains.reshape(-1, chains.shape[-1])).reshape(chains.shape)
-
-
 def inference_data(
     posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int
 ) -> xr.DataTree:
@@ -79,9 +74,7 @@ def inference_data(
     """
     n_ensembles, n_steps, n_walkers, d = shown.shape
     step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED)))
-    draws, own = (
-        natural_chains(posterior, chains[:, ::step].reshape(n_ensembles, -1, d)) for chains in (shown, sampled)
-    )
+    draws, own = (posterior.natural(chains[:, ::step].reshape(n_ensembles, -1, d)) for chains in (shown, sampled))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
     laws = posterior.model.laws_of_parameters
     prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
