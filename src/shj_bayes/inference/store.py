@@ -301,12 +301,10 @@ def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict
         }
         for number, run in enumerate(posterior.runs, start=1)
     ]
-    nowhere = [np.full(run.recording.n_samples, np.nan) for run in posterior.runs]
-    for name in extra_names(posterior):
-        for channels, run, missing in zip(of_runs, posterior.runs, nowhere, strict=True):
-            own = {extra.name: extra.values for extra in run.recording.extras}
-            channels[f"{EXTRA}{name}"] = own.get(name, missing)
-    for channels, measured in zip(of_runs, measured_of(posterior.runs), strict=True):
+    for channels, run, measured in zip(of_runs, posterior.runs, measured_of(posterior.runs), strict=True):
+        own = {extra.name: extra.values for extra in run.recording.extras}
+        nowhere = np.full(run.recording.n_samples, np.nan)
+        channels |= {f"{EXTRA}{name}": own.get(name, nowhere) for name in extra_names(posterior)}
         since = channels["time_s"] - channels["time_s"][0]
         channels |= {name: one.at(since) for name, one in measured.items()}
     pairs = list(zip(of_runs, points, strict=True))
