@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages
@@ -12,8 +11,8 @@ from shj_bayes.inference.run import Run
 from shj_bayes.model.noise.filter import Timing, density_and_zero, table_of
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import IntArray
 
-IntArray = NDArray[np.int64]
 PIECE = 50  # parameter sets at a time, so that memory stays small
 
 

@@ -12,15 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import IntArray
 from shj_bayes.recording.reversals import NEAR, degree_for
 
-IntArray = NDArray[np.int64]
 Force = Callable[[History, float], FloatArray]
 PER_STROKE = 64.0  # blocks that a whole stroke is divided into at least
 # Standard deviation of the load cell's zero, of the largest force: testing machines of class 1 may be off by 0.1 % of

@@ -7,9 +7,9 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
-from shj_bayes.recording.motion import BoolArray, IntArray, Motion
+from shj_bayes.recording.motion import IntArray, Motion
 from shj_bayes.recording.noise import noise_of, resolution_of
-from shj_bayes.recording.recording import FloatArray, Recording
+from shj_bayes.recording.recording import BoolArray, FloatArray, Recording
 from shj_bayes.recording.reversals import first_direction, hysteresis, least_return, place
 from shj_bayes.recording.smoothing import smooth
 

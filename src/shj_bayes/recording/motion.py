@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.frozen_arrays import freeze, frozen
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording.recording import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
