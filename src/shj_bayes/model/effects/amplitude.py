@@ -44,7 +44,6 @@ EFFECT = Effect(
     shows="A step in the plateau from block to block, none within a block.",
     next_test="Repeat the smallest blocks at the end of the run: an amplitude effect comes back, wear does not.",
     parameters=(SIZE,),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "amplitude"),),
     source="Assumed form: one change for each doubling, because most blocks of Table 1 double the one before.",
