@@ -187,9 +187,7 @@ def _turning_noise(run: Run) -> FloatArray:
     The first half-cycle begins without a turn, where the recording does.
     """
     motion = run.motion
-    x, edges = motion.displacement_mm, motion.start
-    ends = np.append(motion.turning_mm[1:], x[-1])
-    stroke = np.abs(ends - motion.turning_mm)
+    x, edges, stroke = motion.displacement_mm, motion.start, motion.stroke_mm
     out = np.zeros(motion.n_half)
     out[0] = run.start_noise_mm
     for k in range(1, motion.n_half):

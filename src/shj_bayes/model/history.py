@@ -204,8 +204,7 @@ def histories(
     for run, (time, motion, own) in enumerate(zip(times_s, motions, further, strict=True), start=1):
         index = motion.half_cycle
         sign = motion.direction[index].astype(np.float64)
-        ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
-        stroke = np.abs(ends - motion.turning_mm)
+        stroke = motion.stroke_mm
         if motion.n_half > 2:  # the first half-cycle starts mid-stroke: its block is that of the next one
             stroke[0], stroke[-1] = max(stroke[0], stroke[1]), max(stroke[-1], stroke[-2])
         travel = motion.travel_mm / 1000
@@ -277,10 +276,8 @@ def _rest(time: FloatArray, motion: Motion, peak: float) -> FloatArray:
     step = np.append(np.diff(time), 0.0)
     slow = np.concatenate([[0.0], np.cumsum(np.where(motion.speed_mm_s < STANDING * peak, step, 0.0))])
     # From mid-stroke to mid-stroke, counted in displacement: half of the samples of a half-cycle may lie in one pause.
-    ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
-    passed = np.abs(motion.displacement_mm - motion.turning_mm[motion.half_cycle]) >= (
-        np.abs(ends - motion.turning_mm)[motion.half_cycle] / 2
-    )
+    half = motion.half_cycle
+    passed = np.abs(motion.displacement_mm - motion.turning_mm[half]) >= motion.stroke_mm[half] / 2
     middle = [a + int(np.argmax(passed[a:b])) for a, b in zip(motion.start[:-1], motion.start[1:], strict=True)]
     edges = np.concatenate([[0], middle])
     return np.asarray(slow[edges[1:]] - slow[edges[:-1]])
