@@ -23,18 +23,13 @@ class LawOnly:
 
     posterior: Posterior  # what is fitted
 
-    @property
-    def model(self) -> DeviceModel:
-        """Model that is fitted."""
-        return self.posterior.model
-
     def residual(self, z: FloatArray) -> FloatArray:
         """Residual of all blocks, shape (n,), kN."""
         return np.asarray(self.residuals(z[None])[0])
 
     def residuals(self, z: FloatArray) -> FloatArray:
         """Residual of all blocks beside a constant of each run, for many parameter sets, (m, n_law) to (m, n), kN."""
-        theta = self.model.natural_of_law(z)
+        theta = self.posterior.model.natural_of_law(z)
         out = []
         for run, part in enumerate(self.posterior.averages, start=1):
             own = self.posterior.residual_and_slope(theta, run)[0]
@@ -110,7 +105,7 @@ def promising(law: LawOnly, before: FloatArray, slopes: FloatArray, starts: Sequ
     changes = np.stack([before - law.residual(z) for z in starts], axis=1)
     own = orthogonal_to(slopes, changes)
     along = own.T @ before / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    size = law.model.effects[-1].parameters[0]
+    size = law.posterior.model.effects[-1].parameters[0]
     score = np.abs(along) if size.either_sign else along  # a size of one sign must go along
     return [starts[i] for i in np.argsort(-score, kind="stable")[:N_STARTS]]
 
