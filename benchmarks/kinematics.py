@@ -8,9 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.motion import FloatArray
 from shj_bayes.recording.protocol import exact_motion, table_1
-from shj_bayes.recording.recording import Recording, Source
+from shj_bayes.recording.recording import FloatArray, Recording, Source
 
 COUNT_MM = 0.195  # 10 bits over 200 mm
 ROWS = [(rate, noise) for rate in (20.0, 100.0) for noise in (0.02, 0.1, None)] + [(1000.0, 0.1), (1000.0, None)]

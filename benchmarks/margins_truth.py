@@ -29,10 +29,10 @@ from one_set import draws_of_one_set
 
 from shj_bayes.inference.posterior import make_posterior
 from shj_bayes.inference.run import Run, runs_of
-from shj_bayes.inference.squares import descend
-from shj_bayes.inference.start import LawOnly, find_start
+from shj_bayes.inference.squares import LawOnly, descend
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
+from shj_bayes.inference.start import find_start
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.delivered import NONE, delivered

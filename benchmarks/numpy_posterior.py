@@ -9,8 +9,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.reduction import IntArray
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import IntArray
 
 _LOG_2PI = math.log(2 * math.pi)
 

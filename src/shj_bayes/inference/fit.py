@@ -78,7 +78,7 @@ def fit(
     converged = judge(figures)
     verdict = with_floor(converged, floor)
     shown = floor.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
-    natural = store.natural_chains(posterior, shown)
+    natural = posterior.natural(shown)
     table = store.summary(posterior.model, figures, natural)
     heights = np.stack([state.log_posterior[figures.n_burn :] for state in states])
     data = store.inference_data(posterior, shown, kept, heights, plan.seed)

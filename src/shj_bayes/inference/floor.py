@@ -11,6 +11,7 @@ freedom (Satterthwaite 1946, Biometrics Bulletin 2, 110-114). The score of a var
 numbers, two or so of a slow noise in a cycle: its square scatters four times as much as that of a normal one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +58,7 @@ def floor_of(posterior: Posterior, start: Start) -> Floor:
     law = start.covariance[:n_law, :n_law]
     scatter, factor = np.zeros(sd.size), np.ones(sd.size)
     n_pieces = 0
-    for pieces in (_cycles(posterior), _stretches(posterior)):
+    for pieces in (cycles_through([run.motion.n_half for run in posterior.runs]), _stretches(posterior)):
         n = int(pieces[-1]) + 1
         if n < FEWEST:
             continue
@@ -106,11 +107,14 @@ def _information(posterior: Posterior, start: Start) -> FloatArray:
     return np.concatenate(out)
 
 
-def _cycles(posterior: Posterior) -> NDArray[np.int64]:
-    """Cycle of each half-cycle of all runs; the first half-cycle of a run is a quarter and joins the cycle after it."""
+def cycles_through(n_half: Sequence[int], width: int = 2) -> NDArray[np.int64]:
+    """Cycle of each half-cycle of runs that have so many, a cycle being `width` of them, numbered through all runs.
+
+    The first half-cycle of a run is a quarter and joins the cycle after it.
+    """
     out, count = [], 0
-    for run in posterior.runs:
-        own = np.maximum(np.arange(run.motion.n_half) - 1, 0) // 2
+    for n in n_half:
+        own = np.maximum(np.arange(n) - 1, 0) // width
         out.append(count + own)
         count += int(own[-1]) + 1
     return np.concatenate(out)

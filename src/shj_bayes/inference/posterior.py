@@ -61,7 +61,7 @@ class Posterior:
         return sum(part.n for part in self.averages)
 
     def natural(self, z: FloatArray) -> FloatArray:
-        """Unbounded vectors, shape (m, d), to parameters in natural units, shape (m, d)."""
+        """Unbounded vectors, shape (..., d), to parameters in natural units, shape (..., d)."""
         return self.model.natural(z)
 
     def refined(self, theta: FloatArray, *, longest_s: float | None = None, coarser: float = 1.0) -> Posterior:

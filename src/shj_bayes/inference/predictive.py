@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages
@@ -12,9 +11,8 @@ from shj_bayes.inference.run import Run
 from shj_bayes.model.noise.filter import Timing, density_and_zero, table_of
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import IntArray
 
-IntArray = NDArray[np.int64]
 PIECE = 50  # parameter sets at a time, so that memory stays small
 
 
@@ -35,17 +33,15 @@ def force_at_points(
     model, values = posterior.model, posterior.model.noise_values(theta)
     clean, noise = [], []
     for run, course, keep in zip(posterior.runs, posterior.histories, points, strict=True):
-        whole, recording = run.motion, run.recording
-        place = np.searchsorted(keep, whole.start)
-        motion = Motion(whole.displacement_mm[keep], whole.speed_mm_s[keep], place, whole.turning_mm, whole.direction)
-        history = course if keep.size == recording.n_samples else course.thinned(keep, motion)
+        recording = run.recording
+        history = course if keep.size == recording.n_samples else course.thinned(keep)
         clean.append(model.force(theta, history, run.start_force_kN))
         step, anew = 1.0 / recording.rate_Hz, np.diff(np.cumsum(recording.restarts)[keep]) > 0
         gap = np.where(anew, np.inf, np.round(np.diff(recording.time_s[keep]) / step, 3) * step)
         gaps, kind = np.unique(np.append(np.inf, gap), return_inverse=True)
         kinds = np.stack([np.ones(gaps.size), np.full(gaps.size, step), gaps], axis=1)
         rough = posterior.rough(history)
-        timing = Timing(kind, kinds, place, step, 0.0, np.zeros(whole.n_half), rough=rough)
+        timing = Timing(kind, kinds, history.motion.start, step, 0.0, np.zeros(run.motion.n_half), rough=rough)
         drawn = draw_noise(model.noise, values, np.zeros((theta.shape[0], keep.size)), timing, rng)
         noise.append(drawn + rng.normal(*zero_of_run(posterior, theta, len(clean)))[:, None])
     law = np.concatenate(clean, axis=1)

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import IntArray
 from shj_bayes.recording.reversals import NEAR, degree_for
 
-IntArray = NDArray[np.int64]
 Force = Callable[[History, float], FloatArray]
 PER_STROKE = 64.0  # blocks that a whole stroke is divided into at least
 # Standard deviation of the load cell's zero, of the largest force: testing machines of class 1 may be off by 0.1 % of
@@ -105,9 +103,8 @@ def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> li
         x, start = run.motion.displacement_mm, run.motion.start
         keep = np.empty(x.size, dtype=np.int64)
         keep = keep[: _spaced(keep, x, run.motion.turning_mm, start, float(np.ptp(x)) / FINEST)]
-        place = np.searchsorted(keep, start)
-        motion = Motion(x[keep], run.motion.speed_mm_s[keep], place, run.motion.turning_mm, run.motion.direction)
-        force = force_at(history.thinned(keep, motion), run.start_force_kN)
+        thinned = history.thinned(keep)
+        force, place = force_at(thinned, run.start_force_kN), thinned.motion.start
         along = np.empty(keep.size)
         _bend_along(along, force, x[keep], place)
         totals.append(along[place[1:] - 1])
@@ -153,8 +150,7 @@ def _reduce(
     sign = np.where(double[of_point], np.where(later, 1.0, -1.0) * sense[of_point], 0.0)
     points = centre[:, of_point] + sign * lean[:, of_point]
     points[2] = np.maximum(points[2], 0.0)
-    place = np.searchsorted(half[of_point], np.arange(n_half + 1))
-    reduced = history.reduced(points, Motion(points[1], points[2], place, motion.turning_mm, motion.direction))
+    reduced = history.reduced(points, np.searchsorted(half[of_point], np.arange(n_half + 1)))
     timing = _timing(run, order, begin, count, np.searchsorted(half, np.arange(n_half + 1)), zero_kN)
     force = np.where(count > 0, mean(recording.force_kN), 0.0)
     return Averages(reduced, first, force, count, timing, run.start_force_kN)
@@ -191,9 +187,7 @@ def _turning_noise(run: Run) -> FloatArray:
     The first half-cycle begins without a turn, where the recording does.
     """
     motion = run.motion
-    x, edges = motion.displacement_mm, motion.start
-    ends = np.append(motion.turning_mm[1:], x[-1])
-    stroke = np.abs(ends - motion.turning_mm)
+    x, edges, stroke = motion.displacement_mm, motion.start, motion.stroke_mm
     out = np.zeros(motion.n_half)
     out[0] = run.start_noise_mm
     for k in range(1, motion.n_half):

@@ -1,12 +1,13 @@
 """Least squares of the force, held by the priors: where every search for the most probable parameters begins."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from shj_bayes.inference.posterior import Posterior
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
@@ -16,20 +17,28 @@ Z_LIMIT = 12.0  # of the standardised parameters
 N_STARTS = 5
 
 
-class Scene(Protocol):
-    """What least squares needs: the residual of a model at parameters of its law."""
+@dataclass(frozen=True, eq=False)
+class LawOnly:
+    """A posterior as least squares sees it: the parameters of its law, and the residual of its blocks."""
 
-    @property
-    def model(self) -> DeviceModel:
-        """Model that is fitted."""
-        ...
+    posterior: Posterior  # what is fitted
 
     def residual(self, z: FloatArray) -> FloatArray:
-        """Measured less modelled force at unbounded law parameters, shape (n_law,) to (n,), kN; 0 without evidence."""
-        ...
+        """Residual of all blocks, shape (n,), kN."""
+        return np.asarray(self.residuals(z[None])[0])
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        """Residual of all blocks beside a constant of each run, for many parameter sets, (m, n_law) to (m, n), kN."""
+        theta = self.posterior.model.natural_of_law(z)
+        out = []
+        for run, part in enumerate(self.posterior.averages, start=1):
+            own = self.posterior.residual_and_slope(theta, run)[0]
+            share = part.count / max(float(part.count.sum()), 1.0)
+            out.append(np.where(part.count > 0, own - (own @ share)[:, None], 0.0))
+        return np.concatenate(out, axis=1)
 
 
-def descend(scene: Scene, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
+def descend(law: LawOnly, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
     """Go from `z` (unbounded, shape (n_law,)) to where squares and priors are least, in so many rounds at most.
 
     `sigma_kN` is the noise scale against which the priors count.
@@ -37,10 +46,10 @@ def descend(scene: Scene, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -
 
     def misfit(z: FloatArray) -> FloatArray:
         inside = np.clip(z, -Z_LIMIT, Z_LIMIT)
-        return np.concatenate([scene.residual(inside) / sigma_kN, z])
+        return np.concatenate([law.residual(inside) / sigma_kN, z])
 
     def slope(z: FloatArray) -> FloatArray:
-        return np.vstack([jacobian(scene, np.clip(z, -Z_LIMIT, Z_LIMIT)) / -sigma_kN, np.eye(z.size)])
+        return np.vstack([jacobian(law, np.clip(z, -Z_LIMIT, Z_LIMIT)) / -sigma_kN, np.eye(z.size)])
 
     with np.errstate(over="ignore", invalid="ignore"):
         if not np.isfinite(misfit(z)).all():
@@ -49,14 +58,14 @@ def descend(scene: Scene, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -
     return np.clip(found.x, -Z_LIMIT, Z_LIMIT) if np.isfinite(found.cost) else z
 
 
-def jacobian(scene: Scene, z: FloatArray) -> FloatArray:
+def jacobian(law: LawOnly, z: FloatArray) -> FloatArray:
     """Give the derivatives of the force after the unbounded law parameters, shape (n, n_law), 0 without evidence."""
-    before = scene.residual(z)
+    before = law.residual(z)
     columns = []
     for i in range(z.size):
         moved = z.copy()
         moved[i] += STEP
-        columns.append((before - scene.residual(moved)) / STEP)
+        columns.append((before - law.residual(moved)) / STEP)
     return np.stack(columns, axis=1)
 
 
@@ -66,12 +75,12 @@ def cost(residual: FloatArray, z: FloatArray, sigma_kN: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def best_of(scene: Scene, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
+def best_of(law: LawOnly, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
     """Descend from several starts: all for a few steps, the best two to the end; give the better end."""
-    short = [descend(scene, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
-    costs = [cost(scene.residual(z), z, sigma_kN) for z in short]
-    ends = [descend(scene, short[i], sigma_kN, rounds=40) for i in np.argsort(costs, kind="stable")[:2]]
-    return ends[int(np.argmin([cost(scene.residual(end), end, sigma_kN) for end in ends]))]
+    short = [descend(law, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
+    costs = [cost(law.residual(z), z, sigma_kN) for z in short]
+    ends = [descend(law, short[i], sigma_kN) for i in np.argsort(costs, kind="stable")[:2]]
+    return ends[int(np.argmin([cost(law.residual(end), end, sigma_kN) for end in ends]))]
 
 
 def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: Effect) -> list[FloatArray]:
@@ -84,19 +93,19 @@ def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: E
     ]
 
 
-def promising(scene: Scene, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]) -> list[FloatArray]:
+def promising(law: LawOnly, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]) -> list[FloatArray]:
     """Choose at most `N_STARTS` starts, shape (n_law,): those whose change of the force goes best with the residual.
 
     A moment in time or a wave length has a narrow basin; its grid is scanned to first order, not descended from. The
-    last effect of `scene` is the new one. What the parameters without it can follow, by their `slopes`, shape (n, k),
+    last effect of `law` is the new one. What the parameters without it can follow, by their `slopes`, shape (n, k),
     counts for none in the residual `before`, shape (n,), kN.
     """
     if len(starts) <= N_STARTS:
         return list(starts)
-    changes = np.stack([before - scene.residual(z) for z in starts], axis=1)
+    changes = np.stack([before - law.residual(z) for z in starts], axis=1)
     own = orthogonal_to(slopes, changes)
     along = own.T @ before / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    size = scene.model.effects[-1].parameters[0]
+    size = law.posterior.model.effects[-1].parameters[0]
     score = np.abs(along) if size.either_sign else along  # a size of one sign must go along
     return [starts[i] for i in np.argsort(-score, kind="stable")[:N_STARTS]]
 

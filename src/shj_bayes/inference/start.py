@@ -11,8 +11,7 @@ from scipy.optimize import minimize
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.shared import Density, Shared, n_threads
-from shj_bayes.inference.squares import best_of, descend, extended, jacobian, promising
-from shj_bayes.model.device import DeviceModel
+from shj_bayes.inference.squares import LawOnly, best_of, descend, extended, jacobian, promising
 from shj_bayes.model.noise.filter import log_density
 from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
@@ -29,32 +28,6 @@ class Start:
     free: FloatArray  # shape (d,): MAP in the unbounded space
     covariance: FloatArray  # shape (d, d): inverse of the negative Hessian there
     log_posterior: float  # log posterior density there (unbounded space)
-
-
-@dataclass(frozen=True, eq=False)
-class LawOnly:
-    """A posterior as least squares sees it: the parameters of its law, and the residual of its blocks."""
-
-    posterior: Posterior  # what is fitted
-
-    @property
-    def model(self) -> DeviceModel:
-        """Model that is fitted."""
-        return self.posterior.model
-
-    def residual(self, z: FloatArray) -> FloatArray:
-        """Residual of all blocks, shape (n,), kN."""
-        return np.asarray(self.residuals(z[None])[0])
-
-    def residuals(self, z: FloatArray) -> FloatArray:
-        """Residual of all blocks beside a constant of each run, for many parameter sets, (m, n_law) to (m, n), kN."""
-        theta = self.model.natural_of_law(z)
-        out = []
-        for run, part in enumerate(self.posterior.averages, start=1):
-            own = self.posterior.residual_and_slope(theta, run)[0]
-            share = part.count / max(float(part.count.sum()), 1.0)
-            out.append(np.where(part.count > 0, own - (own @ share)[:, None], 0.0))
-        return np.concatenate(out, axis=1)
 
 
 def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatArray] = ()) -> tuple[Posterior, Start]:

@@ -59,11 +59,6 @@ MEANINGS = {  # unit and meaning of what is not a parameter, by name
 AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the record's cycles, widening is above 1"
 
 
-def natural_chains(posterior: Posterior, chains: FloatArray) -> FloatArray:
-    """Draws of shape (..., d) from the unbounded space to natural units."""
-    return posterior.natural(chains.reshape(-1, chains.shape[-1])).reshape(chains.shape)
-
-
 def inference_data(
     posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int
 ) -> xr.DataTree:
@@ -79,9 +74,7 @@ def inference_data(
     """
     n_ensembles, n_steps, n_walkers, d = shown.shape
     step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED)))
-    draws, own = (
-        natural_chains(posterior, chains[:, ::step].reshape(n_ensembles, -1, d)) for chains in (shown, sampled)
-    )
+    draws, own = (posterior.natural(chains[:, ::step].reshape(n_ensembles, -1, d)) for chains in (shown, sampled))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
     laws = posterior.model.laws_of_parameters
     prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
@@ -308,12 +301,10 @@ def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict
         }
         for number, run in enumerate(posterior.runs, start=1)
     ]
-    nowhere = [np.full(run.recording.n_samples, np.nan) for run in posterior.runs]
-    for name in extra_names(posterior):
-        for channels, run, missing in zip(of_runs, posterior.runs, nowhere, strict=True):
-            own = {extra.name: extra.values for extra in run.recording.extras}
-            channels[f"{EXTRA}{name}"] = own.get(name, missing)
-    for channels, measured in zip(of_runs, measured_of(posterior.runs), strict=True):
+    for channels, run, measured in zip(of_runs, posterior.runs, measured_of(posterior.runs), strict=True):
+        own = {extra.name: extra.values for extra in run.recording.extras}
+        nowhere = np.full(run.recording.n_samples, np.nan)
+        channels |= {f"{EXTRA}{name}": own.get(name, nowhere) for name in extra_names(posterior)}
         since = channels["time_s"] - channels["time_s"][0]
         channels |= {name: one.at(since) for name, one in measured.items()}
     pairs = list(zip(of_runs, points, strict=True))

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes.inference.floor import cycles_through
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.parameters import FloatArray
@@ -29,15 +30,10 @@ class HeldOut:
 
 def cycles_of(scene: Scene) -> NDArray[np.int64]:
     """Cycle of each block, counted through all runs; half-cycles where there are few cycles."""
-    halves = [np.repeat(np.arange(p.timing.half.size - 1), np.diff(p.timing.half)) for p in scene.posterior.averages]
-    n_half = sum(p.timing.half.size - 1 for p in scene.posterior.averages)
-    width = 2 if n_half // 2 >= FEW_CYCLES else 1
-    out, count = [], 0
-    for half in halves:
-        own = np.maximum(half - 1, 0) // width  # the first half-cycle is a quarter and joins the cycle after it
-        out.append(count + own)
-        count += int(own[-1]) + 1
-    return np.concatenate(out)
+    blocks = [np.diff(part.timing.half) for part in scene.posterior.averages]  # of each half-cycle
+    n_half = [own.size for own in blocks]
+    cycle = cycles_through(n_half, 2 if sum(n_half) // 2 >= FEW_CYCLES else 1)
+    return np.repeat(cycle, np.concatenate(blocks))
 
 
 def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:

@@ -103,8 +103,8 @@ class DeviceModel:
         return self.names.index(name)
 
     def natural(self, z: FloatArray) -> FloatArray:
-        """Unbounded vectors, shape (m, d), to parameters in natural units, shape (m, d)."""
-        return np.stack([prior.from_free(z[:, i]) for i, prior in enumerate(self.laws_of_parameters)], axis=1)
+        """Unbounded vectors, shape (..., d), to parameters in natural units, shape (..., d)."""
+        return np.stack([prior.from_free(z[..., i]) for i, prior in enumerate(self.laws_of_parameters)], axis=-1)
 
     def natural_of_law(self, z: FloatArray) -> FloatArray:
         """Unbounded vectors of the law alone, shape (m, n_law), to all, shape (m, d), noise at its median."""

@@ -98,24 +98,26 @@ class History:
     def _recalled(self) -> dict[Hashable, FloatArray]:
         return {}
 
-    def reduced(self, rows: FloatArray, motion: Motion, kept: NDArray[np.int64] | None = None) -> History:
+    def reduced(self, rows: FloatArray, start: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> History:
         """Give the history at fewer points, which need not be samples.
 
-        `rows`, shape (9, n), are channels there in the order of `course.ROWS`, `motion` is that of the points; `kept`
-        are samples of this history that are among the points.
+        `rows`, shape (9, n), are channels there in the order of `course.ROWS`, `start` is where in them each half-cycle
+        begins, and the last ends; `kept` are samples of this history that are among the points.
         """
         way, begins = self.way
-        left_out = np.setdiff1d(_near_turning(self.motion), np.zeros(0, dtype=np.int64) if kept is None else kept)
-        half = np.concatenate([np.repeat(np.arange(motion.n_half), np.diff(begins)), self.motion.half_cycle[left_out]])
+        whole = self.motion
+        left_out = np.setdiff1d(_near_turning(whole), np.zeros(0, dtype=np.int64) if kept is None else kept)
+        half = np.concatenate([np.repeat(np.arange(whole.n_half), np.diff(begins)), whole.half_cycle[left_out]])
         both = np.concatenate([way, self.rows[:, left_out]], axis=1)
         order = np.lexsort((both[0], half))
-        turns = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(motion.n_half + 1)))
-        middle = self.motion.displacement_mm[0] - self.position_mm[0]
+        turns = (frozen(both[:, order]), np.searchsorted(half[order], np.arange(whole.n_half + 1)))
+        middle = whole.displacement_mm[0] - self.position_mm[0]
+        motion = Motion(rows[1], rows[2], start, whole.turning_mm, whole.direction)
         return replace(self, motion=motion, near_turns=turns, position_mm=rows[1] - middle, **_channels(rows))
 
-    def thinned(self, keep: NDArray[np.int64], motion: Motion) -> History:
-        """History at some of its samples; `motion` is that of these."""
-        return self.reduced(self.rows[:, keep], motion, keep)
+    def thinned(self, keep: NDArray[np.int64]) -> History:
+        """History at some of its samples, of which each half-cycle has one at least."""
+        return self.reduced(self.rows[:, keep], np.searchsorted(keep, self.motion.start), keep)
 
     @cached_property
     def course(self) -> FloatArray:
@@ -202,8 +204,7 @@ def histories(
     for run, (time, motion, own) in enumerate(zip(times_s, motions, further, strict=True), start=1):
         index = motion.half_cycle
         sign = motion.direction[index].astype(np.float64)
-        ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
-        stroke = np.abs(ends - motion.turning_mm)
+        stroke = motion.stroke_mm
         if motion.n_half > 2:  # the first half-cycle starts mid-stroke: its block is that of the next one
             stroke[0], stroke[-1] = max(stroke[0], stroke[1]), max(stroke[-1], stroke[-2])
         travel = motion.travel_mm / 1000
@@ -275,10 +276,8 @@ def _rest(time: FloatArray, motion: Motion, peak: float) -> FloatArray:
     step = np.append(np.diff(time), 0.0)
     slow = np.concatenate([[0.0], np.cumsum(np.where(motion.speed_mm_s < STANDING * peak, step, 0.0))])
     # From mid-stroke to mid-stroke, counted in displacement: half of the samples of a half-cycle may lie in one pause.
-    ends = np.append(motion.turning_mm[1:], motion.displacement_mm[-1])
-    passed = np.abs(motion.displacement_mm - motion.turning_mm[motion.half_cycle]) >= (
-        np.abs(ends - motion.turning_mm)[motion.half_cycle] / 2
-    )
+    half = motion.half_cycle
+    passed = np.abs(motion.displacement_mm - motion.turning_mm[half]) >= motion.stroke_mm[half] / 2
     middle = [a + int(np.argmax(passed[a:b])) for a, b in zip(motion.start[:-1], motion.start[1:], strict=True)]
     edges = np.concatenate([[0], middle])
     return np.asarray(slow[edges[1:]] - slow[edges[:-1]])

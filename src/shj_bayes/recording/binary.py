@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.hdf5 import apart, shaped
+from shj_bayes.recording.hdf5 import Item, apart, shaped
 from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.limits import CHUNK_BYTES
 from shj_bayes.recording.tables import Column, Table, as_floats, left_out, refuse_large
@@ -69,7 +69,7 @@ def _columns(name: str, values: np.ndarray[Any, Any], unit: str | None) -> Itera
         yield Column(f"{plain}[{i + 1}]", as_floats(values[:, i]), unit or own, f"{name}[{i + 1}]")
 
 
-def _from_mat(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any] | None, str | None]]:
+def _from_mat(path: Path) -> Iterator[Item]:
     """Variables of a MAT file up to v7; only the numeric classes are loaded at all."""
     from scipy.io import loadmat, whosmat  # noqa: PLC0415
 

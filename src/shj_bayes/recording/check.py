@@ -1,5 +1,6 @@
 """What ``shj-bayes check`` says about a recording, as text and as a dictionary."""
 
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
@@ -87,9 +88,7 @@ def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
         "displacement_mm": [float(recording.displacement_mm.min()), float(recording.displacement_mm.max())],
         "force_kN": [float(recording.force_kN.min()), float(recording.force_kN.max())],
         "force_noise_kN": noise_of(recording.force_kN),
-        "findings": [
-            {"code": f.code, "severity": f.severity, "message": f.message, "count": f.count} for f in recording.findings
-        ],
+        "findings": [asdict(finding) for finding in recording.findings],
     }
     if motion is not None:
         result["motion"] = {

@@ -199,13 +199,12 @@ def _no(table: Table, role: Role, asked: dict[str, str]) -> Value:
     """Refuse a file in which a channel cannot be found; say what would name all that are missing at once."""
     if role == "time" and "wf_increment" in table.scalars:
         return Value(np.asarray(table.scalars["wf_increment"]))
-    what = "no time column" if role == "time" else f"no {role} column"
-    header = "" if table.has_header else " and no header"
+    missing = f"no {role} column{'' if table.has_header else ' and no header'}"
     step = ", or name the single number that is the interval" if table.scalars else ""
     rate = f"; if it was sampled at a constant rate, give it with --rate HZ{step}" if role == "time" else ""
     likely = [f"{r}={n}" for r in ROLES if r not in asked and not _named(table, r) and (n := _by_unit(table, r))]
     perhaps = f"; going by the units, perhaps --columns {','.join(likely)}" if likely else ""
-    raise RecordingError(f"{table.name}: {what}{header} found; {table.summary}; name it with {_HOW}{rate}{perhaps}")
+    raise RecordingError(f"{table.name}: {missing} found; {table.summary}; name it with {_HOW}{rate}{perhaps}")
 
 
 def _named(table: Table, role: Role) -> bool:

@@ -56,18 +56,17 @@ def child(path: str) -> None:
     """Read a file and write what it holds to standard output: a line of names and units, then the arrays."""
     end_with_input()
     faulthandler.dump_traceback_later(HDF5_SECONDS, exit=True)  # also where the library holds every other thread up
-    out = sys.stdout.buffer
+    items: list[Item] = []
     try:
-        items = list(from_hdf5(Path(path)))
+        items = from_hdf5(Path(path))
+        answer: dict[str, Any] = {"items": [(name, unit, values is not None) for name, values, unit in items]}
     except RecordingError as error:
-        out.write(json.dumps({"error": str(error)}).encode() + b"\n")
-        return
+        answer = {"error": str(error)}
     except Exception as error:  # the library raises many kinds of errors for damaged files; all mean the same
         reason = f"{Path(path).name}: cannot be read as HDF5 ({type(error).__name__}: {str(error)[:160]})"
-        out.write(json.dumps({"error": f"{reason}; check that the file is complete"}).encode() + b"\n")
-        return
-    listing = [(name, unit, values is not None) for name, values, unit in items]
-    out.write(json.dumps({"items": listing}).encode() + b"\n")
+        answer = {"error": f"{reason}; check that the file is complete"}
+    out = sys.stdout.buffer
+    out.write(json.dumps(answer).encode() + b"\n")
     for _, values, _ in items:
         if values is not None:
             whole = io.BytesIO()  # numpy asks a buffered file where it stands, which a pipe does not know
@@ -87,7 +86,7 @@ def shaped(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
     return None
 
 
-def from_hdf5(path: Path) -> Iterator[Item]:
+def from_hdf5(path: Path) -> list[Item]:
     """Numeric datasets and tables of an HDF5 file; links to other files are never followed."""
     import h5py  # noqa: PLC0415
 
@@ -118,7 +117,7 @@ def from_hdf5(path: Path) -> Iterator[Item]:
                 found.append((name, shaped(item[()]), _unit(item)))
         numbers = ((k, v) for k, v in file.attrs.items() if isinstance(v, int | float | np.integer | np.floating))
         found.extend((key, np.asarray(value), None) for key, value in numbers)
-    return iter(found)
+    return found
 
 
 def _safe(item: Any) -> bool:

@@ -7,10 +7,10 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
-from shj_bayes.recording.motion import BoolArray, IntArray, Motion
+from shj_bayes.recording.motion import IntArray, Motion
 from shj_bayes.recording.noise import noise_of, resolution_of
-from shj_bayes.recording.recording import FloatArray, Recording
-from shj_bayes.recording.reversals import first_direction, hysteresis, place
+from shj_bayes.recording.recording import BoolArray, FloatArray, Recording
+from shj_bayes.recording.reversals import first_direction, hysteresis, least_return, place
 from shj_bayes.recording.smoothing import smooth
 
 
@@ -96,8 +96,7 @@ def _unsure(
             abs(along[after]) / (time[after] - moment + step), abs(along[before]) / (moment - time[before] + step)
         )
         spread = limits.UNSURE_SD * float(velocity_sd[i]) / max(rise, 1e-12)
-        limit = max(reach * step, step)
-        out |= np.abs(time - moment) <= min(max(spread, step), limit)
+        out |= np.abs(time - moment) <= min(max(spread, step), reach * step)
     return out
 
 
@@ -113,7 +112,7 @@ def blind_stretches(recording: Recording, motion: Motion) -> list[tuple[int, int
     """
     time, x, start = recording.time_s, recording.displacement_mm, motion.start
     gaps = np.flatnonzero(recording.restarts[1:])
-    least = max(limits.REVERSAL_NOISE * motion.noise_mm, limits.REVERSAL_RANGE * float(np.ptp(x)))
+    least = least_return(x, motion.noise_mm)
     moved, lasted = x[gaps + 1] - x[gaps], time[gaps + 1] - time[gaps]
     spare = float(np.max(motion.speed_mm_s)) * lasted - np.abs(moved)
     way = motion.direction[motion.half_cycle]
@@ -140,16 +139,10 @@ def _boundaries(time: FloatArray, turn_s: FloatArray) -> IntArray:
 
 def _between(values: FloatArray, turning: FloatArray, start: IntArray) -> FloatArray:
     """Keep each half-cycle between its turning points: slip against its direction is noise."""
-    begin = np.repeat(turning, np.diff(start))
-    end = np.repeat(np.append(turning[1:], np.nan), np.diff(start))
-    low, high = np.fmin(begin, end), np.fmax(begin, end)
+    if turning.size < 2:
+        return values
     # The first half-cycle may start with a rest and the last ends nowhere in particular: only their reversal binds.
-    low[: start[1]] = -np.inf if turning.size > 1 and turning[1] > turning[0] else low[: start[1]]
-    high[: start[1]] = np.inf if turning.size > 1 and turning[1] < turning[0] else high[: start[1]]
-    last = slice(int(start[-2]), int(start[-1]))
-    if turning.size > 1:
-        downward = turning[-1] > turning[-2]
-        low[last], high[last] = (-np.inf, turning[-1]) if downward else (turning[-1], np.inf)
-    else:
-        low[last], high[last] = -np.inf, np.inf
-    return np.clip(values, low, high)
+    away = np.copysign(np.inf, np.diff(turning))
+    ends = np.concatenate([-away[:1], turning[1:], -away[-1:]])
+    n = np.diff(start)
+    return np.clip(values, np.repeat(np.minimum(ends[:-1], ends[1:]), n), np.repeat(np.maximum(ends[:-1], ends[1:]), n))

@@ -9,7 +9,7 @@ from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.recording import Finding, FloatArray, Recording
 from shj_bayes.recording.resampled import resampled_findings
-from shj_bayes.recording.reversals import hysteresis
+from shj_bayes.recording.reversals import hysteresis, least_return
 
 
 def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
@@ -76,8 +76,7 @@ def roughness(values: FloatArray) -> float:
 
 def half_cycles(values: FloatArray) -> int:
     """Count the half-cycles of a channel, shape (n_samples,), with the threshold that the displacement has."""
-    threshold = max(limits.REVERSAL_NOISE * noise_of(values), limits.REVERSAL_RANGE * float(np.ptp(values)))
-    return len(hysteresis(values, threshold)) + 1
+    return len(hysteresis(values, least_return(values, noise_of(values)))) + 1
 
 
 def exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:

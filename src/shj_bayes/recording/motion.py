@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.frozen_arrays import freeze, frozen
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording.recording import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +63,12 @@ class Motion:
         return np.repeat(np.arange(self.n_half), np.diff(self.start))
 
     @property
+    def stroke_mm(self) -> FloatArray:
+        """Distance from where each half-cycle starts to where the next does, or to the end, shape (n_half,), mm."""
+        return np.abs(np.diff(self.turning_mm, append=self.displacement_mm[-1]))
+
+    @property
     def travel_mm(self) -> FloatArray:
         """Cumulative distance moved, from turning point to turning point, shape (n_samples,), mm."""
         within = np.abs(self.displacement_mm - self.turning_mm[self.half_cycle])
-        legs = np.abs(np.diff(self.turning_mm))
-        return np.asarray(within + np.concatenate([[0.0], np.cumsum(legs)])[self.half_cycle], dtype=np.float64)
+        return np.asarray(within + np.append(0.0, np.cumsum(self.stroke_mm[:-1]))[self.half_cycle], dtype=np.float64)

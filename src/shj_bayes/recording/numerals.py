@@ -46,8 +46,7 @@ class _Column:
 
     def skip(self, n_rows: int) -> None:
         """Take a block of words without looking at it."""
-        self.pieces.append(np.full(n_rows, np.nan))
-        self.n_rows += n_rows
+        self.take(np.full(n_rows, np.nan))
         self.n_words += n_rows
 
     def add(self, raw: pd.Series[Any]) -> None:

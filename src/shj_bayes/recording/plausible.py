@@ -36,20 +36,16 @@ def plausibility_findings(
     )
     findings = []
     for role, value, words, (low, high), unit in measures:
+        read = channels.units[role]
+        more = (
+            f"(usual is {low:g} to {high:g} {unit}); state it: --units {role}={read} if it is right, else the unit "
+            f"that is{_usual(role, value, low, high, read)}"
+        )
         if role in channels.assumed and not low <= value <= high:
-            message = (
-                f"nobody stated the unit of the {role}, and {words.format(value)} is unusual in {TARGET[role]} (usual "
-                f"is {low:g} to {high:g} {unit}); state it: --units {role}={TARGET[role]} if it is right, else the "
-                f"unit that is{_usual(role, value, low, high, TARGET[role])}"
-            )
+            message = f"nobody stated the unit of the {role}, and {words.format(value)} is unusual in {read} {more}"
             findings.append(Finding("unit-unlikely", "unusable", message))
         elif role in channels.told and (value > high or (role != "time" and value < low)):
-            told = channels.units[role]
-            message = (
-                f"the file says {told} for the {role}, and {words.format(value)} is unusual (usual is {low:g} to "
-                f"{high:g} {unit}); state it: --units {role}={told} if it is right, else the unit that is"
-                f"{_usual(role, value, low, high, told)}"
-            )
+            message = f"the file says {read} for the {role}, and {words.format(value)} is unusual {more}"
             findings.append(Finding("unit-unusual", "warning", message))
     if "time" not in channels.assumed and speed < limits.ASSUMED_SPEED_MM_S[0] and duration > limits.LONG_TEST_S:
         message = (

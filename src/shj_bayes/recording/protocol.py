@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.motion import FloatArray, Motion
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.recording import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from shj_bayes.recording import limits
 from shj_bayes.recording.polynomial import hermite
 from shj_bayes.recording.recording import FloatArray
 
@@ -21,6 +22,11 @@ _AT_REST = 5.0  # standard deviations of a sample from the level of a rest
 _STILL = 1e-5  # of the whole stroke: less is no motion, however exact the samples are
 _MOST = 0.5  # share of the samples near an extreme that stand still when it is a rest
 _POOR = 1.5  # a fit whose residual is this many times the noise is no smooth peak (a corner or a rest)
+
+
+def least_return(values: FloatArray, noise: float) -> float:
+    """Give the return that counts as a reversal in a channel, shape (n_samples,), with a noise of that sd."""
+    return max(limits.REVERSAL_NOISE * noise, limits.REVERSAL_RANGE * float(np.ptp(values)))
 
 
 def hysteresis(values: FloatArray, threshold: float) -> list[int]:

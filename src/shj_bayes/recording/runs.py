@@ -16,7 +16,7 @@ from shj_bayes.recording.clock import clock_findings
 from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.quality import inspect
 from shj_bayes.recording.recording import Finding, FloatArray, Recording
-from shj_bayes.recording.reversals import hysteresis
+from shj_bayes.recording.reversals import hysteresis, least_return
 
 Runs = int | Literal["split", "one"] | None
 """What the user says of a file: how many runs it holds, that it may be split, that it is one; None for nothing said."""
@@ -184,22 +184,13 @@ class _Sketch:
     x_mm: FloatArray
     noise_mm: float  # of one sample
 
-    @property
-    def threshold_mm(self) -> float:
-        """Return that counts as a reversal."""
-        return max(limits.REVERSAL_NOISE * self.noise_mm, limits.REVERSAL_RANGE * float(np.ptp(self.x_mm)))
-
-    def at(self, time_s: float) -> float:
-        """Displacement at a time."""
-        return float(np.interp(time_s, self.time_s, self.x_mm))
-
     def turns(self) -> list[int]:
         """Find the samples of the reversals."""
-        return hysteresis(self.x_mm, self.threshold_mm)
+        return hysteresis(self.x_mm, least_return(self.x_mm, self.noise_mm))
 
     def holds(self, pause: _Pause) -> bool:
         """Whether a pause is a hold of the test: at the end of a stroke as long as the next, away from the start."""
-        level, span = self.at(pause.middle_s), float(np.ptp(self.x_mm))
+        level, span = float(np.interp(pause.middle_s, self.time_s, self.x_mm)), float(np.ptp(self.x_mm))
         before, after = self.parts([pause.begin_s])[0], self.parts([pause.end_s])[1]
         ends = [float(part.x_mm[turn]) for part, k in ((before, -1), (after, 0)) for turn in part.turns()[k:][:1]]
         centre = 0.5 * float(np.max(self.x_mm) + np.min(self.x_mm))

@@ -94,7 +94,7 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, t
     long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * samples.step, grid.step))
     stops = np.sort(np.concatenate([kinks_s, time_s[long], time_s[long + 1]]))
     widths = widen(samples, max(BIAS_SHARE * noise, count / float(np.sqrt(12.0))), edges, half_s, stops)
-    of_sample = widths[np.clip(np.searchsorted(time_s[turns], time_s, side="right"), 0, widths.size - 1)]
+    of_sample = widths[np.searchsorted(time_s[turns], time_s, side="right")]
     narrowest = max(2.0 * samples.step, half_s / NARROWEST)
     position, velocity, error = _narrowed(samples, of_sample, stops, max(allowed, 2.0 * count), narrowest)
     kernel = weights(2 * half + 1, _CUBIC)
@@ -170,8 +170,7 @@ def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, st
     windows reach over.
     """
     width = np.full(edges.size - 1, half_s)
-    touched = np.searchsorted(stops, edges[1:] + half_s) > np.searchsorted(stops, edges[:-1] - half_s)
-    growing = ~touched
+    growing = np.searchsorted(stops, edges[1:] + half_s) <= np.searchsorted(stops, edges[:-1] - half_s)
     before = np.full(width.size, np.inf)
     trial = 1.5 * half_s
     while np.any(growing := growing & (trial <= SHORTEST_SHARE * np.diff(edges))):
@@ -183,8 +182,7 @@ def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, st
         trial *= 1.5
     for order in (range(1, width.size), range(width.size - 2, -1, -1)):
         for k in order:
-            neighbour = k - 1 if order.step == 1 else k + 1
-            width[k] = min(width[k], 1.5 * width[neighbour])
+            width[k] = min(width[k], 1.5 * width[k - order.step])
     return width
 
 

@@ -66,10 +66,10 @@ def _known(text: str) -> tuple[Role, float] | None:
     for name in (_ALIASES.get(text, text), _ALIASES.get(text.lower(), text), _ANY_CASE.get(text.lower(), text)):
         if name in _USUAL:
             return _USUAL[name]
-        unit = None if name in _OTHERS else _parse(name)
-        role = None if unit is None else role_of_dimension(unit)
-        if unit is not None and role is not None:
-            return role, float(_registry().Quantity(1.0, unit).to(TARGET[role]).magnitude)
+        if name not in _OTHERS and (unit := _parse(name)) is not None:
+            for role, target in TARGET.items():  # a dimension can belong to one of them only
+                if unit.is_compatible_with(target):
+                    return role, float(_registry().Quantity(1.0, unit).to(target).magnitude)
     return None
 
 
@@ -90,14 +90,6 @@ def _parse(text: str) -> pint.Unit | None:
         return _registry().Unit(text)
     except Exception:  # pint raises tokenizer, attribute and value errors for bad spellings
         return None
-
-
-def role_of_dimension(unit: pint.Unit) -> Role | None:
-    """Channel that a unit's dimension can only belong to."""
-    for role in ROLES:
-        if unit.is_compatible_with(_EXAMPLES[role][0]):
-            return role
-    return None
 
 
 def role_of(text: str) -> Role | None:

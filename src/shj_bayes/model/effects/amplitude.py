@@ -8,6 +8,8 @@ from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
+SIZE = Prior("size", "1", "normal", 0.0, 0.04, "Per doubling; 16 % from the smallest to the largest block of Table 1.")
+
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + c log2(A/A_max)."""
@@ -41,12 +43,7 @@ EFFECT = Effect(
     cause="Longer strokes clear more debris from the contact, heat more or load the bolts more; or partial sliding.",
     shows="A step in the plateau from block to block, none within a block.",
     next_test="Repeat the smallest blocks at the end of the run: an amplitude effect comes back, wear does not.",
-    parameters=(
-        Prior(
-            "size", "1", "normal", 0.0, 0.04, "Per doubling; 16 % from the smallest to the largest block of Table 1."
-        ),
-    ),
-    neutral={"size": 0.0},
+    parameters=(SIZE,),
     act=act,
     acts=(("capacity", "amplitude"),),
     source="Assumed form: one change for each doubling, because most blocks of Table 1 double the one before.",
@@ -56,9 +53,7 @@ EFFECT = Effect(
     statement="Each doubling of the amplitude changes the sliding force by {size:+.1%}, {length:.0f} mm of slip late.",
     equation="Fy -> Fy (1 + c m), L dm/ds + m = log2(A/A_max), s slid",
     parameters=(
-        Prior(
-            "size", "1", "normal", 0.0, 0.04, "Per doubling; 16 % from the smallest to the largest block of Table 1."
-        ),
+        SIZE,
         Prior("length", "mm", "loguniform", 10.0, 3000.0, "From a part of a stroke to all strokes of a block."),
     ),
     act=_gradual,

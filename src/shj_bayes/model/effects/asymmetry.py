@@ -22,7 +22,6 @@ EFFECT = Effect(
     parameters=(
         Prior("size", "1", "normal", 0.0, 0.15, "0-15 % in friction connections, more in band brakes; either sign."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "direction"),),
     source="Assumed form: one factor for each direction, the least that makes push and pull differ.",

@@ -32,7 +32,6 @@ EFFECT = Effect(
         Prior("size", "1", "uniform", 0.0, 1.0, "Rises of up to 0.3 are expected; galling reaches more."),
         Prior("travel", "m", "loguniform", 0.02, 5.0, "The first cycles: 0.05 to 2 m."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "travel"),),
     source="Assumed form: an exponential approach, the least that rises with the first travel and levels off.",

@@ -34,7 +34,6 @@ EFFECT = Effect(
         Prior("decay", "mm", "loguniform", 0.1, 15.0, "0.1 to 2 mm for worn coatings, debris; more if grips are soft."),
         Prior("growth", "1", "uniform", 0.0, 1.0, "Growth per decade of rest, as a share of the peak without rest."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "slip"),),
     source="Ageing of contacts with the logarithm of rest (Hulikal, Bhattacharya and Lapusta, arXiv 1405.3643).",

@@ -33,7 +33,6 @@ EFFECT = Effect(
         Prior("size", "1", "uniform", 0.0, 0.6, "A tenth to a third would explain the coated rows of Tables 4-7."),
         Prior("width", "1", "loguniform", 0.1, 1.0, "Half width as a share of the half stroke: 10 to 95 mm of 95 mm."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "distance"),),
     source="Assumed form: a bell around mid-stroke, where every cycle passes.",

@@ -32,7 +32,6 @@ EFFECT = Effect(
         Prior("size", "1", "normal", 0.0, 0.1, "In the first run, of Fy_first; a sound load cell drifts below 0.01."),
         Prior("warming", "1", "loguniform", 0.2, 50.0, "In runs: amplifiers warm up in minutes to an hour."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("added", "time"),),
     source="Assumed form: an exponential approach, the least that holds both a straight line and a warming-up.",

@@ -76,9 +76,10 @@ class Effect:
     next_test: str  # the cheapest change of the test that would tell it from its rivals
     # parameters with unit, law and source; the first one is the size, 0 (or its neutral value) means no effect
     parameters: tuple[Prior, ...]
-    neutral: Values  # parameter values at which the effect is absent
     act: Act  # ``act(history, values, base)`` gives the `Contribution` to one run
     source: str  # equation or paper
+    # parameter values at which the effect is absent; by default its size at 0
+    neutral: Values = field(default_factory=dict)
     # values to start a search from, per parameter; every combination is one start (a few, or a grid of up to 300 that
     # is scanned to first order). A parameter that is not named starts at the middle of its prior.
     start: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -103,8 +104,9 @@ class Effect:
                 f"effect {self.id}: family '{self.family}' is not known; choose one of {', '.join(FAMILIES)}"
             )
         object.__setattr__(self, "mechanism", self.mechanism or self.id)
+        object.__setattr__(self, "neutral", self.neutral or dict.fromkeys(self.names[:1], 0.0))
         names = {p.name for p in self.parameters}
-        if not names or not set(self.neutral) <= names or not self.neutral:
+        if not names or not set(self.neutral) <= names:
             raise ModelError(f"effect {self.id}: needs parameters, and a neutral value for at least one of them")
         if not {*self.start, *self.initial, self.delay or self.names[0]} <= names:
             raise ModelError(

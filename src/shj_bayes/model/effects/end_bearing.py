@@ -30,7 +30,6 @@ EFFECT = Effect(
         Prior("side", "1", "uniform", -1.0, 1.0, "1 is the positive end only, -1 the negative end only, 0 both alike."),
         Prior("returned", "1", "uniform", 0.0, 1.0, "0 a crushed contact that lets go at once, 1 an elastic one."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("added", "position"),),
     source="Gap elements of OpenSees and suanPan; the slot of the paper, 220 mm, leaves 7 mm behind a stroke of 95 mm.",

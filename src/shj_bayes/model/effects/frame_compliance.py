@@ -22,7 +22,6 @@ EFFECT = Effect(
     parameters=(
         Prior("size", "mm/kN", "lognormal", 0.01, 1.5, "K_f 100 kN/mm in the middle, 5 to 2000 kN/mm at two sd."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("motion", "compliance"),),
     source="Springs in series.",

@@ -29,7 +29,6 @@ EFFECT = Effect(
         Prior("size", "1", "normal", 0.0, 0.3, "Of the part of the friction that depends on speed; either sign."),
         Prior("length", "mm", "loguniform", 0.5, 60.0, "0.5 to 5 mm for contacts, more for films and debris."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "acceleration"),),
     source="KU Leuven, Lubricants 2023, 11, 326 (sinusoidal motion). Assumed form: a memory of first order over slip.",

@@ -22,7 +22,6 @@ EFFECT = Effect(
     shows="Force against the displacement, most at reversals, growing with the square of the frequency.",
     next_test="Repeat one amplitude at half the frequency: the part due to mass falls to a quarter.",
     parameters=(Prior("size", "kg", "loguniform", 0.1, 2e4, "From a clamp to a heavy actuator with its beam."),),
-    neutral={"size": 0.0},
     act=act,
     acts=(("added", "acceleration"),),
     source="Newton's second law.",

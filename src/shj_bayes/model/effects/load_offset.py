@@ -24,7 +24,6 @@ EFFECT = Effect(
             "size", "1", "cauchy", 0.0, 0.03, "0.001-0.01 for a sound load cell; gas pressure on a seal, 10 and more."
         ),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("added", "constant"),),
     source="Assumed form: a constant, which is what a load cell adds that was not zeroed.",

@@ -26,7 +26,6 @@ EFFECT = Effect(
         Prior("size", "1", "lognormal", 0.002, 1.5, "Mid-stroke is passed about 40 times in a run: 0.4 to 30 % a run."),
         Prior("width", "1", "loguniform", 0.05, 0.6, "Pad under the bolts as a share of the half stroke: 5 to 57 mm."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "passes"),),
     source="Archard wear at each place of the slot, with the bolt as a spring.",

@@ -33,7 +33,6 @@ EFFECT = Effect(
         Prior("size", "1", "uniform", 0.0, 0.6, "Up to 0.3 expected in AFC column bases; twice that allowed."),
         Prior("power", "1", "uniform", 0.8, 3.0, "1 is a V (tilting plates), 2 a U (bending plates)."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "distance"),),
     source="Column-base AFC studies cited by the paper [14, 15]. Assumed form: V (tilting) to U (bending).",

@@ -24,7 +24,6 @@ EFFECT = Effect(
         Prior("size", "1", "normal", 0.0, 0.15, "0-0.1 kN/mm over 95 mm at 80 kN; negative with gravity."),
         Prior("stiffening", "1", "uniform", 0.0, 0.6, "Cubic share: plates and columns stiffen as they bend."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("added", "position"),),
     source="Assumed form: a linear and a cubic spring, the least that is odd in the position and stiffens.",

@@ -20,7 +20,6 @@ EFFECT = Effect(
     shows="The first millimetres after every reversal, up to where the force passes zero; nothing on the plateau.",
     next_test="None needed: refit with --model continuous and compare.",
     parameters=(Prior("size", "1", "uniform", 0.0, 1.0, "0 is Eq. (1) as published, 1 the continuous rule."),),
-    neutral={"size": 0.0},
     act=act,
     acts=(("motion", "reversal"),),
     source="A Menegotto-Pinto branch is continuous (Menegotto and Pinto 1973); Eq. (1) of the paper is not.",

@@ -20,7 +20,6 @@ EFFECT = Effect(
     shows="Reversals shifted along the stroke by tau times the speed there; grows with speed, unlike slack.",
     next_test="Cross-correlate the channels in a fast elastic cycle, or repeat one amplitude five times faster.",
     parameters=(Prior("size", "s", "normal", 0.0, 0.1, "0 to 0.1 s for unequal filters; either channel may be late."),),
-    neutral={"size": 0.0},
     act=act,
     acts=(("motion", "delay"),),
     source="Assumed form: one constant delay, which is what unequal filters do to slow signals.",

@@ -27,7 +27,6 @@ EFFECT = Effect(
         ),
         Prior("start", "1", "uniform", 0.0, 1.0, "Which side of its clearance the device rests against is chance."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("motion", "slack"),),
     source="The paper's brass shim ('slid rigidly back to zero').",

@@ -32,7 +32,6 @@ EFFECT = Effect(
         Prior("size", "1", "uniform", 0.0, 0.6, "Half the peak-to-peak force; zinc 100 of the paper shows it."),
         Prior("wave", "mm", "loguniform", 0.3, 30.0, "Twice the force drop over the frame stiffness, and much longer."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("motion", "stick-slip"),),
     source="The paper reports stick-slip of zinc 100. Assumed form: teeth of one length in slip.",

@@ -27,7 +27,6 @@ EFFECT = Effect(
         Prior("speed", "mm/s", "loguniform", 0.1, 10.0, "0.1 to 5 mm/s for dry contacts; twice that allowed."),
         Prior("shape", "1", "uniform", 0.5, 2.0, "Exponents of 0.5 to 2 are in use; 2 in most LuGre models."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "speed"),),
     source="Brake-lining dampers (NZSEE repository, 1773); the exponent after Armstrong-Helouvry 1991.",

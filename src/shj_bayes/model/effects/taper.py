@@ -20,7 +20,6 @@ EFFECT = Effect(
     shows="Push and pull plateaus that open or close towards one end; sliding resistance, so both shrink with Fy.",
     next_test="Measure the plate thickness along the slot; or turn the cleat end for end and repeat one block.",
     parameters=(Prior("size", "1", "normal", 0.0, 0.15, "Within 10 % for plates of usual tolerance; either sign."),),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "position"),),
     source="Assumed form: a straight line over the position, which is what a wedge does to the bolts.",

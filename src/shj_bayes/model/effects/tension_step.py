@@ -61,7 +61,6 @@ EFFECT = Effect(
         Prior("length", "1", "loguniform", 0.02, 2.0, "Share of the testing time: from about a cycle to its end."),
         Prior("side", "1", "uniform", -1.0, 1.0, "1 while displacement grows only, -1 while it falls only, 0 both."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "time"),),
     source="brfd-lehigh ds4_step, where the band was moved in one direction only; a bolt that breaks does the same.",

@@ -87,7 +87,6 @@ EFFECT = Effect(
         Prior("cooling", "s", "loguniform", 5.0, 5000.0, "From thin shims (seconds) to whole plates (an hour)."),
         Prior("spread", "s", "loguniform", 0.02, 50.0, "Thickness^2 / (pi^2 x 14 mm^2/s): 2 to 80 mm of steel."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "heat"),),
     source="Zimbru et al. 2018 (heat in friction joints); OpenSees FPBearingPTV for the idea of a temperature state.",

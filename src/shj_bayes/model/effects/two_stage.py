@@ -26,7 +26,6 @@ EFFECT = Effect(
         Prior("delay", "mm", "loguniform", 0.3, 15.0, "1 to 5 mm for M16 bolts with 2 mm hole clearance."),
         Prior("bolts", "1", "uniform", 0.1, 1.0, "Stiffness over its share of K: bolts that bend make it softer."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("motion", "second surface"),),
     source="MacRae et al. 2010, Bulletin NZSEE 43(3), 202: the bolts of asymmetric friction connections.",

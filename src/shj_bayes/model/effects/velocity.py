@@ -22,7 +22,6 @@ EFFECT = Effect(
     parameters=(
         Prior("size", "s/mm", "normal", 0.0, 0.02, "As gamma: Tables 3-7 of the paper, |1/dep| up to 0.033 s/mm."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "speed"),),
     source="Eq. (2) of the paper, with 1/dep as the parameter.",

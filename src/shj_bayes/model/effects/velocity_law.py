@@ -47,7 +47,6 @@ EFFECT = Effect(
         Prior("size", "1", "normal", 0.0, 0.15, "Largest departure from the linear law; either sign."),
         Prior("corner", "1", "loguniform", 5e-4, 2.0, "Of the peak speed: below it linear, above it logarithmic."),
     ),
-    neutral={"size": 0.0},
     act=act,
     acts=(("capacity", "speed"),),
     source="Rate-and-state friction with a cut-off: ln(1 + |v|/v0).",

@@ -39,7 +39,6 @@ EFFECT = (
                 "size", "1/m", "lognormal", 0.05, 1.5, "Losses of 8-80 % over 3.84 m (Tables 3-7) are 0.02-0.4 per m."
             ),
         ),
-        neutral={"size": 0.0},
         act=act,
         acts=(("capacity", "travel"),),
         source="Archard wear with the bolt as a spring: its tension falls with the thickness, and with it the wear.",

@@ -154,8 +154,8 @@ def whiten(
     parts = noise.parts(rows)
     table = table_of(noise, rows, timing)[0]
     out = np.empty((int(np.count_nonzero(timing.kind >= 0)), columns.shape[1]))
-    half_of = np.repeat(np.arange(timing.half.size - 1), np.diff(timing.half))
-    steepness = timing.displacement_noise_mm**2 * timing.share[:, 1] + timing.turning_noise_mm[half_of] ** 2
+    turning = np.repeat(timing.turning_noise_mm, np.diff(timing.half))
+    steepness = timing.displacement_noise_mm**2 * timing.share[:, 1] + turning**2
     white = parts.white_kN[0] ** 2 * timing.share[:, 0] + steepness * slope**2
     log_det = _whiten(out, columns, timing.kind, table, white, float(parts.slow_kN[0] ** 2))
     return out, float(log_det)
