@@ -13,7 +13,7 @@ from shj_bayes.commands.earlier import earlier
 from shj_bayes.commands.finished import Done, default_name, device_text, finished_record, key_of, stale
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.commands.options import Options
-from shj_bayes.errors import InferenceError, RecordingError, StrangeCheckpointError, plain_text
+from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
@@ -61,7 +61,7 @@ class Work:
         first = paths[0].source if isinstance(paths[0], Recording) else paths[0]
         name = plain_name(name) if name else default_name(first.name)
         if not self.force:
-            refuse_used_folder(folder, name, recordings, InferenceError)
+            refuse_used_folder(folder, name, recordings)
         return recordings, name
 
     def plan(self, options: Options, tops: tuple[FloatArray, ...] = ()) -> Plan:
