@@ -257,7 +257,7 @@ def know(tested: Subject, scales: Mapping[str, Any], tell: Callable[[str], None]
     return Known(name, runs, further, z, old, scales, setting, tuple(beliefs), middle, peak)
 
 
-def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str = "a new device") -> Known:
+def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> Known:
     """Give what the priors alone say: the base law, or one curve beside it, about the median device."""
     device = replace(device, n_runs=1, effects=())
     n_noise = len(device.names) - device.n_law
@@ -275,7 +275,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
         n = model.n_law + N_OF_DEVICE + 1
         mean = np.zeros(n)
         beliefs.append(Belief(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
-    return Known(name, (), device, z, (), scales, setting, tuple(beliefs), 0.0)
+    return Known("a new device", (), device, z, (), scales, setting, tuple(beliefs), 0.0)
 
 
 def mechanisms_of(key: Key) -> tuple[str, ...]:

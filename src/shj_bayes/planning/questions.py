@@ -26,12 +26,9 @@ def questions_of(known: Known) -> tuple[str, ...]:
 
 def quantity_named(known: Known, name: str) -> Quantity:
     """Quantity of a name, for one device; `PlanError` where it has none of that name."""
-    able = [q for q in questions_of(known) if q not in (WHICH, FORCE)]
-    if name not in able:
-        raise PlanError(
-            f"{known.name}: '{name}' is no question; known are {', '.join((WHICH, FORCE, *able))}"
-            f"{did_you_mean(name, (WHICH, FORCE, *able))}"
-        )
+    able = questions_of(known)
+    if name not in able or name in (WHICH, FORCE):
+        raise PlanError(f"{known.name}: '{name}' is no question; known are {', '.join(able)}{did_you_mean(name, able)}")
     if name == MARGIN:
         return quantity_of(known, "kN", _smallest_plateau(known))
     return quantity_of(known, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
