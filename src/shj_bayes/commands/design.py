@@ -141,15 +141,10 @@ def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[st
     """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
     members = {group.name: group.devices for group in result.sets}
     return [
-        (
-            str(entry["folder"]),
-            str(entry["name"]),
-            str(group["name"]),
-            entry.get("with_set") in ("reliable", "tentative"),
-        )
+        (entry["folder"], entry["name"], group["name"], entry.get("with_set") in ("reliable", "tentative"))
         for group in campaign["sets"]
         for entry in group["devices"]
-        if str(entry["name"]) in members.get(str(group["name"]), ())
+        if entry["name"] in members.get(group["name"], ())
     ]
 
 
