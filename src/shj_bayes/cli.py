@@ -656,6 +656,6 @@ def doctor(as_json: bool) -> None:
     from shj_bayes.commands.doctor import examine
 
     record, text = examine()
-    click.echo(json.dumps(record, indent=1) if as_json else text)
+    Output(as_json).show(record, text)
     if not record["works"]:
         raise ShjError("something does not work; the lines above say what")
