@@ -20,11 +20,11 @@ KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
 )  # fmt: skip
 FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
-KINDS: dict[str, tuple[type, type]] = {
-    **dict.fromkeys(("effects", "family", "coordinates", "sets", "location", "aliases", "candidates"), (list, dict)),
-    **{"shift": (dict, dict)},
+KINDS: dict[str, type] = {  # of fields that hold tables
+    **dict.fromkeys(("effects", "family", "coordinates", "sets", "location", "aliases", "candidates"), list),
+    "shift": dict,
 }
-PLAIN: dict[type, str] = {list: "list", dict: "table", str: "text"}
+PLAIN: dict[type, str] = {list: "list", dict: "table"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +101,11 @@ def diagnosis_record(folder: Path) -> dict[str, Any]:
     missing = [key for key in KEYS if key not in record]
     if missing:
         raise ReportError(f"diagnosis.json in {folder.name} lacks {', '.join(missing)}; run the diagnosis again")
-    for key, (outer, inner) in KINDS.items():
+    for key, outer in KINDS.items():
         value = record.get(key, outer())
         parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-        if not isinstance(value, outer) or not all(isinstance(part, inner) for part in parts):
-            words = f"it must be a {PLAIN[outer]} of {PLAIN[inner]}s; restore it, or run the diagnosis again"
+        if not isinstance(value, outer) or not all(isinstance(part, dict) for part in parts):
+            words = f"it must be a {PLAIN[outer]} of tables; restore it, or run the diagnosis again"
             raise ReportError(f"diagnosis.json in {folder.name}: {key} is {shown(value)}; {words}")
     return record
 
