@@ -34,7 +34,6 @@ def render_margins(
 
     `loops`, bands of the loop of a new device, are drawn where the sheet has room, that is for few sets.
     """
-    tested = numbers.testing_table(sheet, "least"), numbers.testing_table(sheet, "least_2")
     content: dict[str, Any] = {
         "name": name,
         "simulated": simulated,
@@ -43,8 +42,8 @@ def render_margins(
         "quantities": numbers.BANDS,
         "tests": numbers.TESTED,
         "testing": [
-            {"title": "first run", "rows": tested[0]},
-            {"title": "after a first earthquake (second run)", "rows": tested[1]},
+            {"title": "first run", "rows": numbers.testing_table(sheet, "least")},
+            {"title": "after a first earthquake (second run)", "rows": numbers.testing_table(sheet, "least_2")},
         ],
         "importance": importance,
         "left_out": max(0, len(numbers.tested_sets(sheet.spoken)) - numbers.MAX_SETS),
