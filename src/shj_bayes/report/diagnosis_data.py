@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError, shown
@@ -117,8 +116,8 @@ def _read_channels(folder: Path) -> Channels:
         with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
             channels = Channels(
                 **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
-                direction=_whole(np.sign(data["direction"].to_numpy())),
-                run=_whole(data["run"].to_numpy()),
+                direction=np.sign(data["direction"].to_numpy()).astype(np.int64),
+                run=data["run"].to_numpy().astype(np.int64),
                 used=np.asarray(data["weight"].to_numpy() > 0),
             )
     except (OSError, KeyError, ValueError, TypeError) as error:
@@ -126,7 +125,3 @@ def _read_channels(folder: Path) -> Channels:
     if not channels.used.any():
         raise ReportError(f"diagnosis.nc in {folder.name} holds no sample that is evidence")
     return channels
-
-
-def _whole(values: NDArray[Any]) -> IntArray:
-    return np.asarray(values, dtype=np.int64)
