@@ -47,7 +47,7 @@ def render_campaign(
         "margins": MARGINS if (folder / MARGINS).exists() else "",
         "physics": _physics(folder, record),
     }
-    return write_page(folder, "campaign.html", content)
+    return write_page(folder, "campaign.html", content, name=PAGE)
 
 
 def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -77,7 +77,7 @@ def render_tables(folder: Path, population: PopulationResult, claims: Sequence[C
         "margins": MARGINS if (folder / MARGINS).exists() else "",
     }
     folder.mkdir(parents=True, exist_ok=True)
-    return write_page(folder, "tables.html", content)
+    return write_page(folder, "tables.html", content, name=PAGE)
 
 
 def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[str, Any]:

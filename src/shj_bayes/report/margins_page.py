@@ -11,7 +11,6 @@ from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.report import margins_numbers as numbers
 from shj_bayes.report.page import write_page
 
-MARGINS_PAGE = "margins.html"
 MAX_PICTURES = 4
 FEW_SETS = 6  # so many leave room on two sheets of A4 for wider tables
 FAR_SPEED = 300.0
@@ -54,7 +53,7 @@ def render_margins(
         "sheet": sheet,
         "loops": _pictures(loops),
     }
-    return write_page(folder, "margins.html", content, name=MARGINS_PAGE)
+    return write_page(folder, "margins.html", content)
 
 
 def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:

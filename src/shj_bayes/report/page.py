@@ -73,10 +73,13 @@ def head(scripts: tuple[str, ...] = TABLES) -> dict[str, Any]:
 
 
 def write_page(
-    folder: Path, template: str, content: dict[str, Any], scripts: tuple[str, ...] = TABLES, *, name: str = PAGE
+    folder: Path, template: str, content: dict[str, Any], scripts: tuple[str, ...] = TABLES, *, name: str = ""
 ) -> Path:
-    """Fill a template and put the page into a folder, whole or not at all; without its scripts it is a plain page."""
+    """Fill a template and put the page into a folder, whole or not at all; without its scripts it is a plain page.
+
+    The page has the name of the template where no other is given.
+    """
     text = environment_of("shj_bayes.report").get_template(template).render(**head(scripts), **content)
-    path = folder / name
+    path = folder / (name or template)
     write_text(path, text)
     return path
