@@ -25,16 +25,14 @@ from shj_bayes.report.figures.canvas import (
     svg,
     tidy,
 )  # fmt: skip
-from shj_bayes.report.force_unit import KN, ForceUnit
+from shj_bayes.report.force_unit import ForceUnit
 
 BASE, MORE = RED, BLUE  # the base law, the law with what was found
 # White in the middle; red and blue stay apart with every common form of colour blindness. Grey: not visited.
 MAP = mpl.colormaps["RdBu_r"].with_extremes(bad="#D9D9D9")
 
 
-def loop(
-    x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None, unit: ForceUnit = KN
-) -> str:
+def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None, unit: ForceUnit) -> str:
     """One cycle: measured points, base law, and the law with what was found (None where nothing was)."""
     figure, axes = sheet(NARROW, 3.9)
     axes.plot(x, measured, ".", color=INK, markersize=2.6, alpha=0.75, markeredgewidth=0, rasterized=True)
@@ -47,7 +45,7 @@ def loop(
     return svg(figure)
 
 
-def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit = KN) -> str:
+def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit) -> str:
     """Mean direction-signed residual over one coordinate, panels side by side on the same axes."""
     figure, panels = _panels(len(parts), 2.9)
     reach = 1.12 * max(_reach(p.push_kN, p.pull_kN) for _, p in parts)
@@ -68,7 +66,7 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
     return svg(figure)
 
 
-def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit = KN) -> str:
+def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
     figure, panels = _panels(2 * len(parts), 3.6)
     sides = np.concatenate([side for _, m in parts for side in (m.push_kN, m.pull_kN)], axis=None)
@@ -125,7 +123,7 @@ def curve(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, a
     return svg(figure)
 
 
-def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, unit: ForceUnit = KN) -> str:
+def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, unit: ForceUnit) -> str:
     """Shape of what no effect explains."""
     figure, axes = sheet(WIDE, 2.9)
     axes.axhline(0, color=INK, linewidth=0.8)
