@@ -124,8 +124,8 @@ def diagnose_device(
     options: Options,
     look: Look,
     *,
-    name: str | None = None,
-    work: Work | None = None,
+    name: str | None,
+    work: Work,
 ) -> Done:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
@@ -135,7 +135,6 @@ def diagnose_device(
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
     from shj_bayes.report.diagnosis import render_diagnosis  # noqa: PLC0415
 
-    work = work or Work()
     recordings, name = work.begin(paths, folder, options, name)
     priors, runs = options.read_priors(), runs_of(recordings)
 
