@@ -33,7 +33,7 @@ def population_content(
         "table": _table(bands),
         **draw(result, bands, motion, curves),
         "motion": f"{words.short(amplitude)} mm at a peak speed of {words.short(speed)} mm/s",
-        "wide": [how_wide(result, row.set_name, "Fy") for row in bands.get("Fy", ())],
+        "wide": [how_wide(result, row.set_name) for row in bands.get("Fy", ())],
         "untested": "" if sets_suffice(len(result.sets)) else never_tested_words(len(result.sets)),
         "few": _few(result),
         "matrix": sets.force_matrix(result),
