@@ -7,10 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from shj_bayes._util.files import plain_name
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.earlier import earlier
-from shj_bayes.commands.finished import Done, default_name, device_text, finished_record, key_of, stale
+from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device, stale
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_text
@@ -59,7 +58,7 @@ class Work:
         """Read a device that may be written into a folder: its recordings and its name."""
         recordings = _usable(paths, options, self.tell)
         first = paths[0].source if isinstance(paths[0], Recording) else paths[0]
-        name = plain_name(name) if name else default_name(first.name)
+        name = name_of_device(name, first.name)
         if not self.force:
             refuse_used_folder(folder, name, recordings)
         return recordings, name
