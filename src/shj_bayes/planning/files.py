@@ -55,8 +55,7 @@ def force_record(further: Further, names: tuple[str, ...], seed: int) -> dict[st
 
 
 def write_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> None:
-    """Write the histories, then ``plan.json``."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write the histories, then ``plan.json``, into a folder that exists."""
     for old in folder.glob("next-?.csv"):
         old.unlink()
     if plan is not None:
