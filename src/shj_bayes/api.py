@@ -271,7 +271,7 @@ class Campaign:
         """
         folder, held = _place(out)
         outcomes = run_campaign(self.manifest, folder, workers=workers, diagnose=diagnose, progress=progress)
-        result = summarise_campaign(self.manifest, outcomes, folder, seed=seed, progress=progress)
+        result = summarise_campaign(outcomes, folder, seed=seed, progress=progress)
         return CampaignResult(folder, result.record, held)
 
 

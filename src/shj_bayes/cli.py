@@ -343,7 +343,7 @@ def _run_campaign(manifest: Path, out: Path, *, seed: int, output: Output, **how
 
     plan, speak = read_manifest(manifest), output.speaks
     outcomes = run_campaign(plan, out, progress=speak, **how)
-    result = summarise_campaign(plan, outcomes, out, seed=seed, progress=speak)
+    result = summarise_campaign(outcomes, out, seed=seed, progress=speak)
     output.show(result.record, result.text)
     if not result.usable:
         raise CampaignError("no device could be used; the reasons stand above and in campaign.json")
@@ -656,6 +656,6 @@ def doctor(as_json: bool) -> None:
     from shj_bayes.commands.doctor import examine
 
     record, text = examine()
-    click.echo(json.dumps(record, indent=1) if as_json else text)
+    Output(as_json).show(record, text)
     if not record["works"]:
         raise ShjError("something does not work; the lines above say what")

@@ -115,7 +115,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setattr(hierarchy, "_brief", lambda n_sets: short)
         patch.setattr(hierarchy, "LONGER", 1)
         # In this process, where pictures are left empty; tests/unit/test_campaign.py runs the workers.
-        patch.setattr(campaign, "_in_processes", lambda job, devices, out, _: (job(d, out) for d in devices))
+        patch.setattr(campaign, "_in_processes", lambda devices, out, _: (campaign._fit_one(d, out) for d in devices))
         patch.chdir(folder)
         yield folder
 

@@ -132,7 +132,7 @@ def test_many_devices_do_not_hide_the_band(monkeypatch: pytest.MonkeyPatch, n: i
     drawn = []
     monkeypatch.setattr(figures, "svg", drawn.append)
     devices = tuple((f"d{k}", (70.0 + k, 71.0 + k, 72.0 + k)) for k in range(n))
-    figures.bands([sets.SetBand("a", n, "Fy", "kN", (60.0, 80.0, 100.0), {}, devices)], "sliding force (kN)")
+    figures.bands([sets.SetBand("a", n, "kN", (60.0, 80.0, 100.0), {}, devices)], "sliding force (kN)")
     lines = drawn[0].axes[0].lines
     bar = next(line for line in lines if tuple(line.get_xdata()) == (60.0, 100.0))
     dots = [line for line in lines if line.get_marker() == "o" and line.get_xdata().size]

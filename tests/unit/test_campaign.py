@@ -69,8 +69,8 @@ def test_second_call_keeps_what_is_unchanged(campaign):
 
 
 def test_summary_pools_compares_and_writes_a_page(campaign):
-    manifest, out, outcomes = campaign
-    result = summarise_campaign(manifest, outcomes, out, seed=1)
+    _, out, outcomes = campaign
+    result = summarise_campaign(outcomes, out, seed=1)
     assert result.usable
     assert "failed" in result.text
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -124,7 +124,7 @@ def test_a_summary_stands_until_something_that_it_rests_on_or_wrote_changes(
         monkeypatch.setattr("shj_bayes._util.made.package", lambda: package)
         chosen = tuple(replace(device, tags=tags) for device in manifest.devices[devices])
         given = replace(manifest, devices=chosen, **more)
-        return summarise_campaign(given, run_campaign(given, out, workers=1, diagnose="off"), out, seed=seed)
+        return summarise_campaign(run_campaign(given, out, workers=1, diagnose="off"), out, seed=seed)
 
     first, again = run(), run()
     assert len(calls) == 1
@@ -153,7 +153,7 @@ def test_a_page_made_again_needs_no_new_draws(campaign, monkeypatch):
     """A page that is gone is written as before from the population that stands; other devices are pooled anew."""
     manifest, out, _ = campaign
     outcomes = run_campaign(manifest, out, workers=1, diagnose="off")
-    first = summarise_campaign(manifest, outcomes, out, seed=1)
+    first = summarise_campaign(outcomes, out, seed=1)
     pages = {path: path.read_bytes() for path in (out / "report.html", out / "margins.html")}
     (out / "report.html").unlink()
 
@@ -161,11 +161,11 @@ def test_a_page_made_again_needs_no_new_draws(campaign, monkeypatch):
         raise AssertionError("pooled again")
 
     monkeypatch.setattr("shj_bayes.commands.pooled.fit_population", never)
-    again = summarise_campaign(manifest, outcomes, out, seed=1)
+    again = summarise_campaign(outcomes, out, seed=1)
     assert {path: path.read_bytes() for path in pages} == pages
     assert again.record == first.record
     with pytest.raises(AssertionError, match="pooled again"):
-        summarise_campaign(manifest, outcomes[1:], out, seed=1)
+        summarise_campaign(outcomes[1:], out, seed=1)
 
 
 @pytest.mark.parametrize(
@@ -291,7 +291,7 @@ def test_what_recordings_say_of_themselves_reaches_campaign_and_sheet(tmp_path):
     manifest = read_manifest(tmp_path / "m.toml")
     assert manifest.simulated is False
     out = tmp_path / "out"
-    result = summarise_campaign(manifest, run_campaign(manifest, out, workers=1, diagnose="off"), out, seed=1)
+    result = summarise_campaign(run_campaign(manifest, out, workers=1, diagnose="off"), out, seed=1)
     said = "The same recording is in 2 devices, which counts one test as several: bare, d (a.csv), coated, d (b.csv)."
     assert said in result.text
     for page in ("report.html", "margins.html"):

@@ -46,7 +46,7 @@ def campaign(tmp_path_factory):
 
 @pytest.mark.slow
 def test_what_a_set_has_enters_models_and_margins(campaign):
-    manifest, out, outcomes = campaign
+    _, out, outcomes = campaign
     assert [o.status for o in outcomes] == ["done"] * 3
     assert [o.diagnosis for o in outcomes][2] == "off"
     assert {o.diagnosis for o in outcomes[:2]} <= {"named", "family", "unknown"}
@@ -63,7 +63,7 @@ def test_what_a_set_has_enters_models_and_margins(campaign):
     assert first["coordinate"] in ("travel", "heat")  # which of both, a steady test cannot tell
     likely = [c["of_devices"] for c in together["classes"] if (c["action"], c["coordinate"]) in WORN]
     assert min(np.sum(likely, axis=0)) > 0.95
-    result = summarise_campaign(manifest, outcomes, out, seed=1)
+    result = summarise_campaign(outcomes, out, seed=1)
     assert "devices of set bare" in result.text
     assert "What sets have in common" in (out / "report.html").read_text(encoding="utf-8")
     assert any("devices of set bare" in line for line in result.record["margins"]["diagnoses"])

@@ -139,9 +139,6 @@ class Outcome:
         return tuple(f"{head}{reason}" for head, reason in parts if reason)
 
 
-Job = Callable[[Device, Path], Outcome]
-
-
 def read_manifest(path: Path) -> Manifest:
     """Read a campaign manifest, and check the whole of it before anything is fitted; ``docs/manifest.md`` has the keys.
 
@@ -191,9 +188,8 @@ def run_campaign(
             raise CampaignError(f"diagnose = {shown(diagnose)}; allowed are {', '.join(DIAGNOSES)}{words}")
         devices = tuple(replace(device, diagnose=diagnose) for device in devices)
     crew = _Crew(folder, workers or os.cpu_count() or 1, cluster, progress)
-    outcomes = crew.run("fits", _fit_one, devices, [_kept(device, folder) for device in devices])
-    outcomes, together, enter = _together(outcomes, folder)
-    outcomes = _fitted_with_sets(crew, outcomes, enter, folder)
+    outcomes, together, enter = _together(crew.run("fits", devices), folder)
+    outcomes = _fitted_with_sets(crew, outcomes, enter)
     record = campaign_record(manifest, outcomes, together)
     write_text(folder / "campaign.json", json.dumps(record, indent=1))
     return outcomes
@@ -234,9 +230,7 @@ def _together(
     return out, said["together"], said["enter"]
 
 
-def _fitted_with_sets(
-    crew: _Crew, outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]], folder: Path
-) -> list[Outcome]:
+def _fitted_with_sets(crew: _Crew, outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]]) -> list[Outcome]:
     """Fit the devices whose own fit lacks what their set has; the outcomes of the campaign with those of these fits."""
     devices = []
     for o in outcomes:
@@ -244,8 +238,7 @@ def _fitted_with_sets(
             effects = (*o.device.options.effects, *enter[o.device.folder])
             options = replace(o.device.options, effects=effects)
             devices.append(replace(o.device, options=options, diagnose="off", below=f"/{WITH_SET}"))
-    known = [_kept(device, folder) for device in devices]
-    done = {o.device.folder: o for o in crew.run("with what the set has", _fit_one, devices, known)}
+    done = {o.device.folder: o for o in crew.run("with what the set has", devices)}
     out = []
     for o in outcomes:
         new = done.get(f"{o.device.folder}/{WITH_SET}")
@@ -258,23 +251,23 @@ def _fitted_with_sets(
 
 @dataclass(frozen=True)
 class _Crew:
-    """Processes, of this machine or of a cluster, that do a job for many devices."""
+    """Processes, of this machine or of a cluster, that fit and diagnose many devices."""
 
     folder: Path
     workers: int
     cluster: str
     progress: bool
 
-    def run(self, words: str, job: Job, devices: Sequence[Device], known: Sequence[Outcome | None]) -> list[Outcome]:
+    def run(self, words: str, devices: Sequence[Device]) -> list[Outcome]:
         """Outcome of each device, in order; those that are known already are taken as they are."""
-        outcomes = {device.folder: outcome for device, outcome in zip(devices, known, strict=True) if outcome}
+        outcomes = {device.folder: outcome for device in devices if (outcome := _kept(device, self.folder))}
         waiting = [device for device in devices if device.folder not in outcomes]
         quiet = None if self.progress and devices else True
         with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
             if self.cluster:
-                coming = _on_cluster(job, waiting, self.folder, self.cluster, bar.set_postfix_str)
+                coming = _on_cluster(waiting, self.folder, self.cluster, bar.set_postfix_str)
             else:
-                coming = _in_processes(job, waiting, self.folder, self.workers)
+                coming = _in_processes(waiting, self.folder, self.workers)
             for outcome in coming:
                 outcomes[outcome.device.folder] = outcome
                 bar.update()
@@ -307,7 +300,7 @@ def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
         return None
 
 
-def _in_processes(job: Job, devices: Sequence[Device], folder: Path, workers: int) -> Iterator[Outcome]:
+def _in_processes(devices: Sequence[Device], folder: Path, workers: int) -> Iterator[Outcome]:
     """Outcomes as they come; a pool whose worker died is replaced and its devices are tried once more."""
     waiting = list(devices)
     tries: dict[str, int] = {}
@@ -320,7 +313,7 @@ def _in_processes(job: Job, devices: Sequence[Device], folder: Path, workers: in
                 while waiting and not broken and len(running) < 2 * workers:
                     device = waiting.pop(0)
                     try:
-                        running[pool.submit(job, device, folder)] = device
+                        running[pool.submit(_fit_one, device, folder)] = device
                     except BrokenProcessPool:
                         waiting.insert(0, device)
                         broken = True
@@ -343,22 +336,17 @@ def _in_processes(job: Job, devices: Sequence[Device], folder: Path, workers: in
 
 
 def _on_cluster(
-    job: Job, devices: Sequence[Device], folder: Path, address: str, tell: Callable[[str], None]
+    devices: Sequence[Device], folder: Path, address: str, tell: Callable[[str], None]
 ) -> Iterator[Outcome]:
     """Outcomes as a dask cluster finishes them; it hands the devices of a lost worker to another."""
     if not devices:
         return
     there = {d.folder: d for d in devices}  # an outcome speaks of the device as the manifest names it
     sent = [_with_whole_paths(device) for device in devices]
-    do_there = partial(_with_folder, job, folder.absolute())
+    do_there = partial(_fit_one, folder=folder.absolute())
     for device, outcome, reason in results_on(address, folder.absolute(), do_there, sent, tell=tell):
         mine = there[device.folder]
         yield replace(outcome, device=mine) if outcome else Outcome(mine, FAILED, reason)
-
-
-def _with_folder(job: Job, folder: Path, device: Device) -> Outcome:
-    """Do the job of a device, as a function that travels to a worker."""
-    return job(device, folder)
 
 
 def _with_whole_paths(device: Device) -> Device:

@@ -14,7 +14,7 @@ from shj_bayes.margins.asked import LEEWAY, asked_for
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.diagnosed import find_diagnosis, words_of
-from shj_bayes.margins.files import design_table, to_json, write_margins
+from shj_bayes.margins.files import CHOSEN, design_table, to_json, write_margins
 from shj_bayes.margins.following import left_out_words
 from shj_bayes.margins.link_elements import link_csv
 from shj_bayes.margins.loops_file import loops, write_loops
@@ -141,15 +141,10 @@ def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[st
     """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
     members = {group.name: group.devices for group in result.sets}
     return [
-        (
-            str(entry["folder"]),
-            str(entry["name"]),
-            str(group["name"]),
-            entry.get("with_set") in ("reliable", "tentative"),
-        )
+        (entry["folder"], entry["name"], group["name"], entry.get("with_set") in ("reliable", "tentative"))
         for group in campaign["sets"]
         for entry in group["devices"]
-        if str(entry["name"]) in members.get(str(group["name"]), ())
+        if entry["name"] in members.get(group["name"], ())
     ]
 
 
@@ -165,10 +160,7 @@ def margin_text(sheet: Sheet, importance: str) -> str:
         lines.append(f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}")
         complete = True
         for line in part.to_dict("records"):
-            ends = [
-                (line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan))
-                for head in ("EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
-            ]
+            ends = [(line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan)) for head in CHOSEN[1:]]
             complete &= bool(np.isfinite(ends).all())
             pairs = [f"{digits(low)} to {digits(high)}" if math.isfinite(low + high) else "-" for low, high in ends]
             band = "{} ({} to {})".format(*(digits(line[k]) for k in ("middle", "new device, low", "new device, high")))

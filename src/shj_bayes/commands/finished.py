@@ -72,7 +72,7 @@ def kept_result(paths: Sequence[Path], folder: Path, options: Mapping[str, Any],
         digests = [file_digest(path) for path in (*paths, priors)]
     except (OSError, ValueError):  # told by whoever reads them
         return None
-    name = plain_name(name) if name else default_name(paths[0].name)
+    name = name_of_device(name, paths[0].name)
     record, _ = finished_record(folder, key_of(digests[:-1], options, digests[-1], name))
     return None if record is None else Done(record, device_text(folder, record), fresh=False)
 
@@ -90,9 +90,10 @@ def key_of(
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def default_name(file: str) -> str:
-    """Name of a file without its endings (a dot inside the name stays)."""
-    return plain_name(re.sub(r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$", "", file, flags=re.IGNORECASE))
+def name_of_device(given: str | None, file: str) -> str:
+    """Name that was given, or that of the first file without its endings (a dot inside the name stays)."""
+    endings = r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$"
+    return plain_name(given or re.sub(endings, "", file, flags=re.IGNORECASE))
 
 
 def finished_record(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes._util.files import read_json
-from shj_bayes.errors import ReportError, ShjError
+from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.recording.recording import Finding, Recording
 
 
@@ -46,7 +46,7 @@ def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[
     return out
 
 
-def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording], error: type[ShjError]) -> None:
+def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording]) -> None:
     """Refuse a folder that holds the result of another device: neither its name nor any recording is the same."""
     mine = {recording.source.sha256 for recording in recordings}
     for kind in ("fit", "diagnosis"):
@@ -59,7 +59,7 @@ def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording],
         except (ReportError, KeyError, TypeError):
             continue  # a damaged file is told of, and replaced, by whoever reads it
         if other != name and not mine & theirs:
-            raise error(
+            raise InferenceError(
                 f"{folder.name} holds the {kind} of another device, '{other}'; give '{name}' a folder of its own with "
                 "-o, or replace what is there with --force"
             )

@@ -43,7 +43,7 @@ def plan_next(
     stored = [_read(folder) for folder in folders]
     if asked.question == FORCE:
         further = further_devices([s.Fy[0] for s in stored], [s.Fy[1] for s in stored])
-        record = force_record(further, tuple(s.tested.name for s in stored), None, asked.seed)
+        record = force_record(further, tuple(s.tested.name for s in stored), asked.seed)
         return _written(out, record, None)
     tested = [s.tested for s in stored]
     base = DeviceModel(1, read_priors(asked.priors))
@@ -77,7 +77,7 @@ def _known(
 
 def _written(out: Path, record: dict[str, Any], plan: Plan | None) -> Done:
     """Write the files and the page of a plan; what a question about further devices gives has no protocol."""
-    write_plan(out, record, plan, plan.known[0].middle_mm if plan else 0.0)
+    write_plan(out, record, plan)
     return Done(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
 
 

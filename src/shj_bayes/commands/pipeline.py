@@ -7,13 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from shj_bayes._util.files import plain_name
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.earlier import earlier
-from shj_bayes.commands.finished import Done, default_name, device_text, finished_record, key_of, stale
+from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device, stale
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.commands.options import Options
-from shj_bayes.errors import InferenceError, RecordingError, StrangeCheckpointError, plain_text
+from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.record import read_group
 from shj_bayes.inference.run import Run, runs_of
@@ -59,9 +58,9 @@ class Work:
         """Read a device that may be written into a folder: its recordings and its name."""
         recordings = _usable(paths, options, self.tell)
         first = paths[0].source if isinstance(paths[0], Recording) else paths[0]
-        name = plain_name(name) if name else default_name(first.name)
+        name = name_of_device(name, first.name)
         if not self.force:
-            refuse_used_folder(folder, name, recordings, InferenceError)
+            refuse_used_folder(folder, name, recordings)
         return recordings, name
 
     def plan(self, options: Options, tops: tuple[FloatArray, ...] = ()) -> Plan:
@@ -124,8 +123,8 @@ def diagnose_device(
     options: Options,
     look: Look,
     *,
-    name: str | None = None,
-    work: Work | None = None,
+    name: str | None,
+    work: Work,
 ) -> Done:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
@@ -135,7 +134,6 @@ def diagnose_device(
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
     from shj_bayes.report.diagnosis import render_diagnosis  # noqa: PLC0415
 
-    work = work or Work()
     recordings, name = work.begin(paths, folder, options, name)
     priors, runs = options.read_priors(), runs_of(recordings)
 

@@ -14,14 +14,12 @@ from shj_bayes.commands.summary import WRITES
 from shj_bayes.population.fits import device_from_fit, tested_by_fit
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.predict import RUN_FORCES, never_tested_words, new_device_table, sets_suffice
+from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.published import Claim, published_devices
 from shj_bayes.population.results import load_population, to_json, write_population
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
-from shj_bayes.report.sets import name_of
-
-SHOWN = ("Fy", *RUN_FORCES, *RUN_FORCES.values(), "K", "gamma")
+from shj_bayes.report.sets import SHOWN, name_of
 
 
 def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:

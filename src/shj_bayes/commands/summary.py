@@ -9,7 +9,7 @@ from shj_bayes._util.files import make_writable
 from shj_bayes._util.lock import alone_in
 from shj_bayes._util.made import digests, made
 from shj_bayes._util.shipped import shipped
-from shj_bayes.commands.campaign import FAILED, Manifest, Outcome
+from shj_bayes.commands.campaign import FAILED, Outcome
 from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
 from shj_bayes.population.published import Claim
@@ -20,9 +20,7 @@ WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 
 
 @alone_in("folder")
-def summarise_campaign(
-    manifest: Manifest, outcomes: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False
-) -> Done:
+def summarise_campaign(outcomes: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> Done:
     """Pool the usable devices of a campaign and write its page; the same seed and devices, the same numbers."""
     usable = [o for o in outcomes if o.status != FAILED and o.verdict != "unusable"]
     record = read_campaign(folder)

@@ -58,9 +58,8 @@ def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm:
         force = delivered(devices, own)
         middle = float(np.median(devices[DEFAULT].draws["plateau"]))
         bands = {label: device.band("K") for label, device in devices.items()}
-        index = None if name == ANY_SET else parameters.index(name)
         fit = parameters.fit("beta")
-        level = fit.hyper[:, 0] if index is None else fit.mu[:, index]
+        level = fit.hyper[:, 0] if name == ANY_SET else fit.mu[:, parameters.index(name)]
         beta = float(np.clip(np.exp(np.median(level)), *BETA_RANGE))
         for i, (bound, side, value) in enumerate(
             ((LOWER, row.LOW, force.low), (MIDDLE, row.MIDDLE, middle), (UPPER, row.HIGH, force.high))

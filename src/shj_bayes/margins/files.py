@@ -11,7 +11,7 @@ import pandas as pd
 
 from shj_bayes._util.files import replacing, write_text
 from shj_bayes.margins.quantities import TABLE
-from shj_bayes.margins.row import COLUMNS, HIGH, LOW, MIDDLE, Key, Margin
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Key, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
 from shj_bayes.population.posterior import ANY_SET
@@ -27,7 +27,7 @@ WIDTH_ROWS, WIDEST = 200, 60
 
 def to_table(sheet: Sheet) -> pd.DataFrame:
     """Every margin, one line each; names made safe for spreadsheets."""
-    table = pd.DataFrame([{c: getattr(row, c) for c in COLUMNS} for row in sheet.rows])
+    table = pd.DataFrame([vars(row) for row in sheet.rows])
     return table.rename(columns=HEADS).map(safe_cell)
 
 
@@ -45,7 +45,7 @@ def to_json(sheet: Sheet) -> dict[str, Any]:
 
 
 def _record(row: Margin) -> dict[str, Any]:
-    record = {HEADS.get(c, c): getattr(row, c) for c in COLUMNS}
+    record = {HEADS.get(c, c): value for c, value in vars(row).items()}
     if math.isinf(row.degrees):
         record["degrees_of_freedom"] = "known"
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}

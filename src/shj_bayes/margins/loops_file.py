@@ -55,12 +55,10 @@ def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:
     for band in bands:
         columns: dict[str, Any] = {"set": safe_cell(band.set_name), "n_devices": band.n_devices, "run": band.run}
         columns |= {"amplitude_mm": band.amplitude_mm, "peak_speed_mm_s": band.peak_speed_mm_s}
-        table = pd.DataFrame({"displacement_mm": band.displacement_mm})
+        columns["displacement_mm"] = band.displacement_mm
         for side, force in (("push", band.push), ("pull", band.pull)):
             for level, values in zip(("q05", "q50", "q95"), force, strict=True):
-                table[f"{side}_{level}_kN"] = np.round(values, 4)
-        for i, (key, value) in enumerate(columns.items()):
-            table.insert(i, key, value)
-        parts.append(table)
+                columns[f"{side}_{level}_kN"] = np.round(values, 4)
+        parts.append(pd.DataFrame(columns))
     write_text(path, pd.concat(parts).to_csv(index=False, lineterminator="\n"))
     return path

@@ -1,6 +1,6 @@
 """One margin: a number with its unit, where it comes from, and what it is for."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from shj_bayes.errors import PopulationError
 
@@ -48,6 +48,3 @@ class Margin:
     def key(self) -> Key:
         """What it is found by."""
         return self.set_name, self.quantity, self.kind, self.side
-
-
-COLUMNS = tuple(f.name for f in fields(Margin))

@@ -60,11 +60,6 @@ class Specimen:
     # measured force of each run; empty for a device known by printed parameters
     measured_kN: tuple[FloatArray, ...] = ()
 
-    @property
-    def n_runs(self) -> int:
-        """Runs of its test."""
-        return len(self.histories)
-
     @cached_property
     def ranges(self) -> dict[str, float]:
         """Largest value of every coordinate in its test: position (mm), speed (mm/s), travel (m), time (s)."""
@@ -79,7 +74,8 @@ class Specimen:
 
     def driven_through(self, time_s: FloatArray, motion: Motion) -> tuple[History, ...]:
         """Histories of the same motion run after run, with the middle and the scales of the device's own test."""
-        drawn = histories([time_s] * self.n_runs, [motion] * self.n_runs)
+        n_runs = len(self.histories)
+        drawn = histories([time_s] * n_runs, [motion] * n_runs)
         return tuple(history.on_scales_of(self.histories[-1], motion.displacement_mm) for history in drawn)
 
 

@@ -41,9 +41,9 @@ def plan_record(plan: Plan) -> dict[str, Any]:
     }
 
 
-def force_record(further: Further, names: tuple[str, ...], rig: Rig | None, seed: int) -> dict[str, Any]:
+def force_record(further: Further, names: tuple[str, ...], seed: int) -> dict[str, Any]:
     """Content of ``plan.json`` where further devices are asked for, not a protocol."""
-    return _head("force", rig, seed) | {
+    return _head("force", None, seed) | {
         "devices": [{"name": name, "n_runs": None, "sets": []} for name in names],
         "now": {"force_kN": further.force_kN, "half_width": further.half_width_now},
         "worth": "yes" if further.n_further else "decided" if further.n_further == 0 else "little",
@@ -54,14 +54,13 @@ def force_record(further: Further, names: tuple[str, ...], rig: Rig | None, seed
     }
 
 
-def write_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None, middle_mm: float = 0.0) -> None:
-    """Write the histories, then ``plan.json``."""
-    folder.mkdir(parents=True, exist_ok=True)
+def write_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> None:
+    """Write the histories, then ``plan.json``, into a folder that exists."""
     for old in folder.glob("next-?.csv"):
         old.unlink()
     if plan is not None:
         for i, row in enumerate(plan.best, start=1):
-            write_text(folder / f"next-{i}.csv", history_csv(row.protocol, plan.rig, middle_mm))
+            write_text(folder / f"next-{i}.csv", history_csv(row.protocol, plan.rig, plan.known[0].middle_mm))
     write_text(folder / PLAN, json.dumps(record, indent=1, allow_nan=False))
 
 

@@ -252,12 +252,12 @@ def know(tested: Subject, scales: Mapping[str, Any], tell: Callable[[str], None]
     last = old[-1].history
     kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_BELIEFS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())
-    beliefs = [_belief(scene, out.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
+    beliefs = [_belief(out.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
     z, middle = _joint(device, further, scene.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
     return Known(name, runs, further, z, old, scales, setting, tuple(beliefs), middle, peak)
 
 
-def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str = "a new device") -> Known:
+def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> Known:
     """Give what the priors alone say: the base law, or one curve beside it, about the median device."""
     device = replace(device, n_runs=1, effects=())
     n_noise = len(device.names) - device.n_law
@@ -275,7 +275,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any], *, name: str
         n = model.n_law + N_OF_DEVICE + 1
         mean = np.zeros(n)
         beliefs.append(Belief(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
-    return Known(name, (), device, z, (), scales, setting, tuple(beliefs), 0.0)
+    return Known("a new device", (), device, z, (), scales, setting, tuple(beliefs), 0.0)
 
 
 def mechanisms_of(key: Key) -> tuple[str, ...]:
@@ -361,7 +361,7 @@ def _joint(model: DeviceModel, further: DeviceModel, z: FloatArray) -> tuple[Flo
     return at, places
 
 
-def _belief(scene: Scene, metric: Metric, key: Key, share: float, h: Hypothesis) -> Belief:
+def _belief(metric: Metric, key: Key, share: float, h: Hypothesis) -> Belief:
     """Condense a fit to the Gaussian that it leaves behind."""
     further = replace(h.state.model, n_runs=h.state.model.n_runs + 1)
     z, places = _joint(h.state.model, further, h.state.z)

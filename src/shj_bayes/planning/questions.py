@@ -9,7 +9,7 @@ from shj_bayes.errors import PlanError
 from shj_bayes.margins.quantities import counted_from, of_readings
 from shj_bayes.margins.virtual_test import Readings, read_off
 from shj_bayes.model.device import DeviceModel, meaning_of
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.planning.foresight import Quantity, quantity_of
 from shj_bayes.planning.known import Known
 from shj_bayes.planning.plan import FORCE, WHICH
@@ -19,19 +19,16 @@ MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the la
 
 def questions_of(known: Known) -> tuple[str, ...]:
     """Everything that may be asked of a device."""
-    base = tuple(n for n in known.device.law_names if "." not in n and n != f"ratio_{known.device.n_runs}")
-    last = () if not known.runs else (MARGIN,)
-    return (WHICH, FORCE, *(n for n in base if not (n == "ratio" and known.device.n_runs == 2)), *last)
+    planned = run_name("ratio", known.device.n_runs)
+    base = (n for n in known.device.law_names if "." not in n and n != planned)
+    return (WHICH, FORCE, *base, *((MARGIN,) if known.runs else ()))
 
 
 def quantity_named(known: Known, name: str) -> Quantity:
     """Quantity of a name, for one device; `PlanError` where it has none of that name."""
-    able = [q for q in questions_of(known) if q not in (WHICH, FORCE)]
-    if name not in able:
-        raise PlanError(
-            f"{known.name}: '{name}' is no question; known are {', '.join((WHICH, FORCE, *able))}"
-            f"{did_you_mean(name, (WHICH, FORCE, *able))}"
-        )
+    able = questions_of(known)
+    if name not in able or name in (WHICH, FORCE):
+        raise PlanError(f"{known.name}: '{name}' is no question; known are {', '.join(able)}{did_you_mean(name, able)}")
     if name == MARGIN:
         return quantity_of(known, "kN", _smallest_plateau(known))
     return quantity_of(known, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])

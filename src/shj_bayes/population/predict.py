@@ -125,29 +125,23 @@ def new_device_table(result: PopulationResult) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def how_wide(result: PopulationResult, set_name: str, name: str = "Fy") -> str:
-    """One plain sentence on how wide the band of a new device is in a quantity, and how much of that is the prior."""
+def how_wide(result: PopulationResult, set_name: str) -> str:
+    """One plain sentence on how wide the band of Fy of a new device is, and how much of that is the prior."""
     main = new_device(result, set_name)
-    bands = {"default": main.band(name)}
-    bands |= {label: new_device(result, set_name, label).band(name) for label in result.other_priors}
-    additive = name in QUANTITIES and not QUANTITIES[name].logarithmic
-    unit = "" if UNITS[name] == "1" else f" {UNITS[name]}"
-    q05, q50, q95 = bands["default"]
-    n = devices_behind(result, set_name, name)
+    q05, q50, q95 = main.band("Fy")
+    others = {label: new_device(result, set_name, label).band("Fy") for label in result.other_priors}
+    n = devices_behind(result, set_name, "Fy")
     if set_name == ANY_SET:
         head = "A set never tested, like the tested ones"
     elif n == 0:
-        head = f"No device of {main.set_name} gives {name}"
+        head = f"No device of {main.set_name} gives Fy"
     elif n == 1:
         head = f"One device of {main.set_name} was tested, which says nothing about its spread"
     else:
         head = f"{n} devices of {main.set_name} were tested"
-    size = f"{q95 - q05:.3g}{unit} wide" if additive else f"a factor of {q95 / q05:.2f} wide"
     tail = "; ".join(
-        f"{low:.3g} to {high:.3g} {ASSUMED.get(k, f'under the {k} prior')}"
-        for k, (low, _, high) in bands.items()
-        if k != "default"
+        f"{low:.3g} to {high:.3g} {ASSUMED.get(k, f'under the {k} prior')}" for k, (low, _, high) in others.items()
     )
     warning = " Two devices are not a band: the width is mostly what other sets and assumptions say." if n == 2 else ""
-    band = f"{name} of a new one is {q50:.3g}{unit}, 90 % band {q05:.3g} to {q95:.3g}{unit}"
-    return f"{head}: {band} ({size}; {tail}).{warning}"
+    band = f"Fy of a new one is {q50:.3g} kN, 90 % band {q05:.3g} to {q95:.3g} kN"
+    return f"{head}: {band} (a factor of {q95 / q05:.2f} wide; {tail}).{warning}"

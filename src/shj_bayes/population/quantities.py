@@ -32,7 +32,6 @@ class Quantity:
     name: str  # word of the interface: K, Fy, beta, gamma or ratio; with a run number behind it where a run has its own
     unit: str  # natural unit
     logarithmic: bool  # True when the logarithm is pooled (the quantity is positive), False when the value itself is
-    meaning: str  # one phrase for tables and pages
 
     def pool(self, natural: FloatArray | float) -> FloatArray:
         """Natural values on the pooled scale; `PopulationError` where one is not finite or has no logarithm."""
@@ -52,26 +51,19 @@ class Quantity:
 
 
 _OF_ALL_RUNS = (
-    Quantity("K", "kN/mm", True, "initial stiffness"),
-    Quantity("Fy", "kN", True, "sliding force of the first run"),
-    Quantity("ratio", "1", True, "sliding force of the second run over that of the first"),
-    Quantity("gamma", "s/mm", False, "relative change of force per unit of speed; 0 means none"),
-    Quantity("beta", "1", True, "sharpness of the transition to sliding"),
+    Quantity("K", "kN/mm", True),  # initial stiffness
+    Quantity("Fy", "kN", True),  # sliding force of the first run
+    Quantity("ratio", "1", True),  # sliding force of the second run over that of the first
+    Quantity("gamma", "s/mm", False),  # relative change of force per unit of speed; 0 means none
+    Quantity("beta", "1", True),  # sharpness of the transition to sliding
 )
 LATER_RUNS = range(3, 10)  # a device has up to nine runs
-
-
-def _of_run(quantity: Quantity, run: int) -> Quantity:
-    """Give a quantity that one run has for itself."""
-    words = f"sliding force of run {run} over that of the first"
-    meaning = words if quantity.name == "ratio" else f"{quantity.meaning}, run {run}"
-    return replace(quantity, name=f"{quantity.name}_{run}", meaning=meaning)
-
-
 QUANTITIES: dict[str, Quantity] = {q.name: q for q in _OF_ALL_RUNS} | {
-    q.name: q
+    name: replace(q, name=name)
     for run in (2, *LATER_RUNS)
-    for q in (_of_run(own, run) for own in _OF_ALL_RUNS if own.name != "Fy" and (own.name, run) != ("ratio", 2))
+    for q in _OF_ALL_RUNS
+    if q.name != "Fy" and (q.name, run) != ("ratio", 2)
+    for name in (f"{q.name}_{run}",)
 }
 """The ratio is pooled as its logarithm, not its logit: nothing in friction forbids a second run above the first
 (bedding-in), log Fy of the second run then stays a plain sum, and a ratio rounded to 1 stays finite."""
@@ -81,20 +73,18 @@ LEAST, MOST = "least", "most"
 LOWEST, HIGHEST = "lowest", "highest"
 THIRD_CYCLE = "third"
 _OF_A_TEST = (
-    Quantity(LEAST, "kN", True, "smallest plateau force of the first run"),
-    Quantity(MOST, "kN", True, "largest force of the first run"),
-    Quantity("plateau", "kN", True, "mean plateau force of the first run"),
-    Quantity(THIRD_CYCLE, "kN", True, "force of the third cycle of the first run"),
-    Quantity("energy", "kJ", True, "energy of a cycle of the largest amplitude, first run"),
+    Quantity(LEAST, "kN", True),  # smallest plateau force of the first run
+    Quantity(MOST, "kN", True),  # largest force of the first run
+    Quantity("plateau", "kN", True),  # mean plateau force of the first run
+    Quantity(THIRD_CYCLE, "kN", True),  # force of the third cycle of the first run
+    Quantity("energy", "kJ", True),  # energy of a cycle of the largest amplitude, first run
 )
 _OF_ALL_TESTS = (
-    Quantity(LOWEST, "kN", True, "smallest plateau force of all runs"),
-    Quantity(HIGHEST, "kN", True, "largest force of all runs"),
+    Quantity(LOWEST, "kN", True),  # smallest plateau force of all runs
+    Quantity(HIGHEST, "kN", True),  # largest force of all runs
 )
 DESIGN: dict[str, Quantity] = {q.name: q for q in (*_OF_ALL_TESTS, *_OF_A_TEST)} | {
-    name: replace(
-        q, name=name, meaning=q.meaning.replace("the first run", f"run {run}").replace("first run", f"run {run}")
-    )
+    name: replace(q, name=name)
     for run in (2, *LATER_RUNS)
     for q in _OF_A_TEST
     if q.name != THIRD_CYCLE

@@ -91,7 +91,7 @@ def to_json(result: PopulationResult) -> dict[str, Any]:
     return {key: _finite(value) for key, value in document.items()}
 
 
-def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]:
+def write_population(result: PopulationResult, folder: Path) -> None:
     """Write ``population.csv``, ``population.json`` and the draws ``population.npz``; the folder is made if need be."""
     folder.mkdir(parents=True, exist_ok=True)
     table = new_device_table(result).map(safe_cell)
@@ -108,7 +108,6 @@ def write_population(result: PopulationResult, folder: Path) -> tuple[Path, ...]
     document = sealed(to_json(result) | {"draws_sha256": file_digest(folder / _DRAWS)})
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(folder / "population.json", text + "\n")
-    return folder / "population.csv", folder / "population.json", folder / _DRAWS
 
 
 def population_record(folder: Path) -> dict[str, Any]:

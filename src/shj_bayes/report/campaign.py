@@ -47,7 +47,7 @@ def render_campaign(
         "margins": MARGINS if (folder / MARGINS).exists() else "",
         "physics": _physics(folder, record),
     }
-    return write_page(folder, "campaign.html", content)
+    return write_page(folder, "campaign.html", content, name=PAGE)
 
 
 def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -57,14 +57,13 @@ def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     from shj_bayes.report.campaign_curves import pictures  # noqa: PLC0415  (drawing needs matplotlib)
 
-    fitted = {}
-    for group in record["sets"]:
-        for device in group["devices"]:
-            diagnosis, with_set = (f"{device['folder']}/{name}" for name in (DIAGNOSIS, WITH_SET))
-            usable = device.get("with_set") in ("reliable", "tentative")
-            fitted[device["folder"]] = (diagnosis, with_set if usable else "")
-    rows = [row for row in rows_of(record) if all(place in fitted for place in row.folders)]
-    drawn = pictures(folder, rows, fitted)
+    with_set = {
+        device["folder"]: device.get("with_set") in ("reliable", "tentative")
+        for group in record["sets"]
+        for device in group["devices"]
+    }
+    rows = [row for row in rows_of(record) if all(place in with_set for place in row.folders)]
+    drawn = pictures(folder, rows, with_set)
     return {"said": statements(record), "table": found, "percent": percent, "pictures": drawn}
 
 
@@ -78,7 +77,7 @@ def render_tables(folder: Path, population: PopulationResult, claims: Sequence[C
         "margins": MARGINS if (folder / MARGINS).exists() else "",
     }
     folder.mkdir(parents=True, exist_ok=True)
-    return write_page(folder, "tables.html", content)
+    return write_page(folder, "tables.html", content, name=PAGE)
 
 
 def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[str, Any]:

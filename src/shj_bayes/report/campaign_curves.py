@@ -12,28 +12,28 @@ from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.model.curve import curve_named
+from shj_bayes.report.campaign_file import WITH_SET
 from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
 from shj_bayes.report.diagnosis_words import along_words
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
+from shj_bayes.report.residual_file import DIAGNOSIS
 
 PLACES = 61  # of a curve
 MOST = 40  # curves in a panel, and panels in a picture
 
 
-def pictures(folder: Path, rows: Sequence[Row], fitted: Mapping[str, tuple[str, str]]) -> list[Picture]:
+def pictures(folder: Path, rows: Sequence[Row], with_set: Mapping[str, bool]) -> list[Picture]:
     """Draw one picture for each class that some set has: a panel for each set, a curve for each device.
 
-    `fitted` gives, for the folder of each device, those of its diagnosis and of its fit with what its set has, below
-    the campaign's; empty where there is none.
+    `with_set` says, for the folder of each device, whether it has a usable fit with what its set has.
     """
     by_class: dict[ClassId, list[tuple[Row, list[DeviceCurve]]]] = {}
     for row in rows:
         if row.set_name and row.certain and row.action != "motion":
-            curves = [
-                c for i in row.holders[:MOST] if (c := _curve(folder, row, i, *fitted[row.folders[i]])) is not None
-            ]
+            places = [(i, row.folders[i]) for i in row.holders[:MOST]]
+            curves = [c for i, at in places if (c := _curve(folder / at, row, i, with_set[at])) is not None]
             if curves:
                 by_class.setdefault(row.id, []).append((row, curves))
     return [_picture(parts[:MOST]) for parts in by_class.values()]
@@ -51,19 +51,19 @@ def _picture(parts: Sequence[tuple[Row, list[DeviceCurve]]]) -> Picture:
     return Picture(drawn, alt, said, f"Change of the {what}", wide=True)
 
 
-def _curve(folder: Path, row: Row, i: int, diagnosis: str, with_set: str) -> DeviceCurve | None:
+def _curve(place: Path, row: Row, i: int, with_set: bool) -> DeviceCurve | None:
     """Curve of a device: of its fit with what its set has, or of its diagnosis; None where neither holds one."""
     try:
         if with_set and curve_named(row.effects[i]) is not None:
-            return _of_fit(folder / row.folders[i], folder / with_set, row.effects[i], alone=row.alone[i])
-        return _of_diagnosis(folder / diagnosis, row) if diagnosis else None
+            return _of_fit(place, row.effects[i], alone=row.alone[i])
+        return _of_diagnosis(place / DIAGNOSIS, row)
     except (ShjError, OSError, KeyError, TypeError, ValueError):  # a damaged file: the page goes without that curve
         return None
 
 
-def _of_fit(place: Path, fit: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
-    """Curve of a fit that holds it, from its posterior."""
-    curve = curve_named(effect)
+def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
+    """Curve of a device's fit with what its set has, from its posterior; None where that does not hold it."""
+    curve, fit = curve_named(effect), place / WITH_SET
     held = {str(word) for word in read_record(fit)["model"]["effects"]}
     if curve is None or curve.sides or effect not in held:
         return None

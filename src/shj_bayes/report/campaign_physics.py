@@ -17,7 +17,7 @@ PLAIN = {
     ClassId("added", "constant"): "a constant force beside friction",
     ClassId("capacity", "direction"): "another force in push than in pull",
 }
-NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten"}
+NUMBERS = ("None", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine", "Ten")
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def table(record: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _count(n: int) -> str:
-    return {0: "None", 1: "One"}.get(n) or NUMBERS.get(n, str(n)).capitalize()
+    return NUMBERS[n] if n < len(NUMBERS) else str(n)
 
 
 def _span(values: Iterable[float]) -> str:

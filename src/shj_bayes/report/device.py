@@ -17,7 +17,7 @@ from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.numbers import Numbers, numbers_of
-from shj_bayes.report.page import LOOPS, write_page
+from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.residual_file import LeftOver, diagnosis_in, left_over, write_residual
 from shj_bayes.report.viewer import device_viewer, thinning_words
 
@@ -38,7 +38,7 @@ def render_device(folder: Path) -> Path:
         filled = content(device, numbers, left) | moving
         filled["diagnosis"] = f"{diagnosis_in(folder)}/diagnosis.html" if left.diagnosed else ""
         write_residual(folder, left)
-        return write_page(folder, "device.html", filled, LOOPS)
+        return write_page(folder, "device.html", filled, LOOPS, name=PAGE)
 
 
 # Row of the table where the law was run without speed dependence and none was found.

@@ -7,11 +7,8 @@ from jinja2 import UndefinedError
 from shj_bayes.errors import ReportError
 from shj_bayes.report import diagnosis_words as say
 from shj_bayes.report.diagnosis_data import read_diagnosis
-from shj_bayes.report.page import LOOPS, write_page
-from shj_bayes.report.page import PAGE as PAGE_OF_FIT
+from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.viewer import diagnosis_viewer, thinning_words
-
-PAGE = "diagnosis.html"
 
 
 def render_diagnosis(folder: Path) -> Path:
@@ -32,9 +29,9 @@ def render_diagnosis(folder: Path) -> Path:
             "pictures": draw(data),
             "viewer": viewer,
             "thinning": thinning_words(viewer),
-            "fit": PAGE_OF_FIT if (folder / PAGE_OF_FIT).exists() else "",
+            "fit": PAGE if (folder / PAGE).exists() else "",  # page of the fit that lies in the same folder
         }
-        return write_page(folder, "diagnosis.html", content, LOOPS, name=PAGE)
+        return write_page(folder, "diagnosis.html", content, LOOPS)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError, UndefinedError) as error:
         raise ReportError(
             f"diagnosis.json in {folder.name} cannot be shown, {type(error).__name__}: {error}; run diagnose again"

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError, shown
@@ -20,11 +19,11 @@ KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",
 )  # fmt: skip
 FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
-KINDS: dict[str, tuple[type, type]] = {
-    **dict.fromkeys(("effects", "family", "coordinates", "sets", "location", "aliases", "candidates"), (list, dict)),
-    **{"shift": (dict, dict)},
+KINDS: dict[str, type] = {  # of fields that hold tables
+    **dict.fromkeys(("effects", "family", "coordinates", "sets", "location", "aliases", "candidates"), list),
+    "shift": dict,
 }
-PLAIN: dict[type, str] = {list: "list", dict: "table", str: "text"}
+PLAIN: dict[type, str] = {list: "list", dict: "table"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +100,11 @@ def diagnosis_record(folder: Path) -> dict[str, Any]:
     missing = [key for key in KEYS if key not in record]
     if missing:
         raise ReportError(f"diagnosis.json in {folder.name} lacks {', '.join(missing)}; run the diagnosis again")
-    for key, (outer, inner) in KINDS.items():
+    for key, outer in KINDS.items():
         value = record.get(key, outer())
         parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-        if not isinstance(value, outer) or not all(isinstance(part, inner) for part in parts):
-            words = f"it must be a {PLAIN[outer]} of {PLAIN[inner]}s; restore it, or run the diagnosis again"
+        if not isinstance(value, outer) or not all(isinstance(part, dict) for part in parts):
+            words = f"it must be a {PLAIN[outer]} of tables; restore it, or run the diagnosis again"
             raise ReportError(f"diagnosis.json in {folder.name}: {key} is {shown(value)}; {words}")
     return record
 
@@ -117,8 +116,8 @@ def _read_channels(folder: Path) -> Channels:
         with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
             channels = Channels(
                 **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
-                direction=_whole(np.sign(data["direction"].to_numpy())),
-                run=_whole(data["run"].to_numpy()),
+                direction=np.sign(data["direction"].to_numpy()).astype(np.int64),
+                run=data["run"].to_numpy().astype(np.int64),
                 used=np.asarray(data["weight"].to_numpy() > 0),
             )
     except (OSError, KeyError, ValueError, TypeError) as error:
@@ -126,7 +125,3 @@ def _read_channels(folder: Path) -> Channels:
     if not channels.used.any():
         raise ReportError(f"diagnosis.nc in {folder.name} holds no sample that is evidence")
     return channels
-
-
-def _whole(values: NDArray[Any]) -> IntArray:
-    return np.asarray(values, dtype=np.int64)

@@ -11,7 +11,6 @@ from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.report import margins_numbers as numbers
 from shj_bayes.report.page import write_page
 
-MARGINS_PAGE = "margins.html"
 MAX_PICTURES = 4
 FEW_SETS = 6  # so many leave room on two sheets of A4 for wider tables
 FAR_SPEED = 300.0
@@ -34,7 +33,6 @@ def render_margins(
 
     `loops`, bands of the loop of a new device, are drawn where the sheet has room, that is for few sets.
     """
-    tested = numbers.testing_table(sheet, "least"), numbers.testing_table(sheet, "least_2")
     content: dict[str, Any] = {
         "name": name,
         "simulated": simulated,
@@ -43,8 +41,8 @@ def render_margins(
         "quantities": numbers.BANDS,
         "tests": numbers.TESTED,
         "testing": [
-            {"title": "first run", "rows": tested[0]},
-            {"title": "after a first earthquake (second run)", "rows": tested[1]},
+            {"title": "first run", "rows": numbers.testing_table(sheet, "least")},
+            {"title": "after a first earthquake (second run)", "rows": numbers.testing_table(sheet, "least_2")},
         ],
         "importance": importance,
         "left_out": max(0, len(numbers.tested_sets(sheet.spoken)) - numbers.MAX_SETS),
@@ -55,7 +53,7 @@ def render_margins(
         "sheet": sheet,
         "loops": _pictures(loops),
     }
-    return write_page(folder, "margins.html", content, name=MARGINS_PAGE)
+    return write_page(folder, "margins.html", content)
 
 
 def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:

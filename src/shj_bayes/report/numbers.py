@@ -21,22 +21,16 @@ SAME_SPEED = 0.2  # peak speeds within this share of one another count as one
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Predicted force of one run, each array of shape (n,), kN: median, and 5 and 95 % of law and of measurement."""
+    """Predicted force of one run, each array of shape (n,), kN: median, and 5 and 95 % of what would be measured."""
 
     median: FloatArray = field(repr=False)
-    law_low: FloatArray = field(repr=False)
-    law_high: FloatArray = field(repr=False)
     force_low: FloatArray = field(repr=False)
     force_high: FloatArray = field(repr=False)
+    law_width_kN: float  # typical width of the 90 % band of the law
 
     def part(self, at: slice) -> Band:
         """Band of some of the samples."""
-        return Band(self.median[at], self.law_low[at], self.law_high[at], self.force_low[at], self.force_high[at])
-
-    @property
-    def law_width_kN(self) -> float:
-        """Typical width of the band of the law, kN."""
-        return float(np.median(self.law_high - self.law_low))
+        return Band(self.median[at], self.force_low[at], self.force_high[at], self.law_width_kN)
 
 
 def force_band(run: RunData) -> Band:
@@ -52,7 +46,7 @@ def force_band(run: RunData) -> Band:
     pieces = np.array([np.quantile(off[:, a:b], (LEVELS[0], LEVELS[2])) for a, b in pairwise(edges)])
     centres = 0.5 * (edges[:-1] + edges[1:] - 1)
     below, above = (np.interp(np.arange(n), centres, pieces[:, i]) for i in (0, 1))
-    return Band(median, low, high, median + below, median + above)
+    return Band(median, median + below, median + above, float(np.median(high - low)))
 
 
 def cycle_marks(run: RunData) -> FloatArray:

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -31,16 +30,17 @@ class Picture:
 
 
 @cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+def environment_of(*packages: str) -> jinja2.Environment:
+    """Templates of packages, those of the first before those of the next, with escaping."""
+    made = jinja2.Environment(
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package) for package in packages]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals["words"] = words  # numbers are written where they stand
-    return environment
+    made.globals["words"] = words  # numbers are written where they stand
+    return made
 
 
 @cache
@@ -66,13 +66,20 @@ def policy(text: Markup) -> Markup:
     )
 
 
+def head(scripts: tuple[str, ...] = TABLES) -> dict[str, Any]:
+    """Give what every page needs: version, scripts and the policy that allows those alone."""
+    code = script(scripts)
+    return {"version": shj_bayes.__version__, "script": code, "policy": policy(code)}
+
+
 def write_page(
-    folder: Path, template: str, content: dict[str, Any], scripts: Sequence[str] = TABLES, *, name: str = PAGE
+    folder: Path, template: str, content: dict[str, Any], scripts: tuple[str, ...] = TABLES, *, name: str = ""
 ) -> Path:
-    """Fill a template and put the page into a folder, whole or not at all; without its scripts it is a plain page."""
-    code = script(tuple(scripts))
-    fixed = {"version": shj_bayes.__version__, "script": code, "policy": policy(code)}
-    text = _environment().get_template(template).render(**fixed, **content)
-    path = folder / name
+    """Fill a template and put the page into a folder, whole or not at all; without its scripts it is a plain page.
+
+    The page has the name of the template where no other is given.
+    """
+    text = environment_of("shj_bayes.report").get_template(template).render(**head(scripts), **content)
+    path = folder / (name or template)
     write_text(path, text)
     return path

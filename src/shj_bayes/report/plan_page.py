@@ -14,8 +14,6 @@ from shj_bayes.planning.plan import FORCE, WHICH, Plan, Worth
 from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.page import write_page
 
-PLAN_PAGE = "plan.html"
-
 
 def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> Path:
     """Write ``plan.html`` from the content of ``plan.json``; the plan itself is for the pictures of a next test."""
@@ -27,7 +25,7 @@ def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> P
         "set_words": set_words,
         "pictures": _devices(record) if plan is None else _pictures(plan),
     }
-    return write_page(folder, "plan.html", content, name=PLAN_PAGE)
+    return write_page(folder, "plan.html", content)
 
 
 def headline(record: Mapping[str, Any]) -> str:

@@ -36,7 +36,6 @@ class SetBand:
 
     set_name: str
     n_devices: int  # tested devices that give the quantity
-    quantity: str
     unit: str
     band: Interval  # 5, 50 and 95 % of a new device
     others: Mapping[str, tuple[float, float]] = field(repr=False)  # the 90 % band under each other prior of the spread
@@ -107,7 +106,6 @@ def _band(
     return SetBand(
         str(row["set"]),
         int(row["n_devices"]),
-        quantity,
         str(row["unit"]),
         (float(row["q05"]), float(row["q50"]), float(row["q95"])),
         {label: (float(row[f"q05_{label}"]), float(row[f"q95_{label}"])) for label in priors},

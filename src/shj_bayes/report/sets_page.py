@@ -13,8 +13,7 @@ from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.predict import dep_words, how_wide, never_tested_words, sets_suffice
 from shj_bayes.report import sets, words
-
-NUMBERS = ("Two", "Three", "Four", "Five")
+from shj_bayes.report.campaign_physics import NUMBERS
 
 
 def population_content(
@@ -34,7 +33,7 @@ def population_content(
         "table": _table(bands),
         **draw(result, bands, motion, curves),
         "motion": f"{words.short(amplitude)} mm at a peak speed of {words.short(speed)} mm/s",
-        "wide": [how_wide(result, row.set_name, "Fy") for row in bands.get("Fy", ())],
+        "wide": [how_wide(result, row.set_name) for row in bands.get("Fy", ())],
         "untested": "" if sets_suffice(len(result.sets)) else never_tested_words(len(result.sets)),
         "few": _few(result),
         "matrix": sets.force_matrix(result),
@@ -86,7 +85,7 @@ def _few(result: PopulationResult) -> str:
     verb = "rests" if few == 1 else "rest"
     tail = f" {few} of the {len(counts)} sets here {verb} on one or two devices." if few and len(counts) > 1 else ""
     return (
-        f"{NUMBERS[max(2, min(counts)) - 2]} devices are not a band: the next one need not lie between them. The blue "
+        f"{NUMBERS[max(2, min(counts))]} devices are not a band: the next one need not lie between them. The blue "
         "bars are for a new device. They hold how much devices of one set differ, which few devices can hardly tell, "
         "so most of their width comes from the other sets and from assumptions; the thin grey lines show how far other "
         f"assumptions move them.{tail}"

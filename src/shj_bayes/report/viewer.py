@@ -39,8 +39,8 @@ def device_viewer(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
             "high": unit.factor * band.force_high,
         }
         runs.append(_run(f"run {run.number}", channels, marks, run.reversals, MAX_POINTS // len(shown)))
-    whole = _whole(runs, {"before": "model", "after": "", "band": "90 % of points expected"})
-    return whole | {"unit": unit.name}
+    names = {"before": "model", "after": "", "band": "90 % of points expected"}
+    return _whole(runs, names, "model", unit.name)
 
 
 def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
             channels["after"] = data.force.factor * c.after_kN[mine]
         runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
     names = {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}
-    return _whole(runs, names, "base") | {"unit": data.force.name}
+    return _whole(runs, names, "base", data.force.name)
 
 
 def thinning_words(viewer: Mapping[str, Any]) -> str:
@@ -91,7 +91,7 @@ def _run(name: str, channels: Mapping[str, FloatArray], cycles: IntArray, turns:
     }
 
 
-def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str], ink: str = "model") -> dict[str, Any]:
+def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str], ink: str, unit: str) -> dict[str, Any]:
     """Channels as whole numbers of steps that all runs share, and the cycle of the first run to show first."""
     forces = ("measured", "before", "after", "low", "high")
     scale = {
@@ -107,7 +107,7 @@ def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str], ink: str = "mo
             if isinstance(values, np.ndarray)
         }
         out.append({"name": run["name"], "every": run["every"], "cycles": run["cycles"], **steps})
-    return {"runs": out, "scale": scale, "names": names, "ink": ink, "cycle": _first_cycle(runs[0])}
+    return {"runs": out, "scale": scale, "names": names, "ink": ink, "cycle": _first_cycle(runs[0]), "unit": unit}
 
 
 def _first_cycle(run: Mapping[str, Any]) -> int:

@@ -8,9 +8,8 @@ from typing import Any
 
 import jinja2
 
-import shj_bayes
 from shj_bayes._util.files import write_text
-from shj_bayes.report.page import TABLES, policy, script
+from shj_bayes.report.page import environment_of, head
 from shj_validation.proof import pictures
 from shj_validation.proof.simulators.simulator import simulators_by_id
 
@@ -78,23 +77,9 @@ def render(folder: Path, score: Mapping[str, Any]) -> Path:
 
 def environment() -> jinja2.Environment:
     """Templates of the proof, on those of the reports, with escaping."""
-    made = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(
-            [jinja2.PackageLoader("shj_validation.proof"), jinja2.PackageLoader("shj_bayes.report")]
-        ),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    made = environment_of("shj_validation.proof", "shj_bayes.report")
     made.filters |= {"rate": _rate, "percent": _percent, "times": _times}
     return made
-
-
-def head() -> dict[str, Any]:
-    """Give what every page needs: version, script and the policy that allows that script alone."""
-    code = script(TABLES)
-    return {"version": shj_bayes.__version__, "script": code, "policy": policy(code)}
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:

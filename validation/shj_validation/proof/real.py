@@ -13,8 +13,9 @@ from shj_bayes.errors import ProofError
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.diagnosis_words import sentences
+from shj_bayes.report.page import head
 from shj_validation.proof.answers import CASES, Case, Judged
-from shj_validation.proof.page import environment, head
+from shj_validation.proof.page import environment
 from shj_validation.proof.pool import in_parallel
 
 RECORD, PAGE = "recordings.json", "recordings.html"

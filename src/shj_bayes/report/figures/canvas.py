@@ -21,10 +21,7 @@ DPI = 125  # of what is dense and therefore drawn in pixels
 
 def sheet(width: float = NARROW, height: float = 3.5, *, measured: bool = True) -> tuple[Figure, Axes]:
     """One empty diagram, size in inches; without `measured` its margins are those of `fixed`."""
-    if measured:
-        figure = Figure(figsize=(width, height), layout="constrained")
-        return figure, tidy(figure.add_subplot())
-    figure = fixed(width, height)
+    figure = Figure(figsize=(width, height), layout="constrained") if measured else fixed(width, height)
     return figure, tidy(figure.add_subplot())
 
 
@@ -51,6 +48,11 @@ def label(axes: Axes, x: str, y: str, unit: ForceUnit = KN) -> None:
     axes.set_ylabel(y.replace("(kN)", f"({unit.name})"), fontsize=10.5, color=INK)
     if "(kN)" in y and unit.factor != 1:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * unit.factor:g}"))
+
+
+def plain(name: str, most: int = 40) -> str:
+    """Signs that matplotlib would read as mathematics made plain, and not too long."""
+    return (name if len(name) <= most else name[: most - 3] + "...").replace("$", r"\$")
 
 
 def legend(axes: Axes, columns: int = 1) -> None:

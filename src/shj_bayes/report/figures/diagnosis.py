@@ -20,20 +20,19 @@ from shj_bayes.report.figures.canvas import (
     WIDE,
     label,
     legend,
+    plain,
     sheet,
     svg,
     tidy,
 )  # fmt: skip
-from shj_bayes.report.force_unit import KN, ForceUnit
+from shj_bayes.report.force_unit import ForceUnit
 
 BASE, MORE = RED, BLUE  # the base law, the law with what was found
 # White in the middle; red and blue stay apart with every common form of colour blindness. Grey: not visited.
 MAP = mpl.colormaps["RdBu_r"].with_extremes(bad="#D9D9D9")
 
 
-def loop(
-    x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None, unit: ForceUnit = KN
-) -> str:
+def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None, unit: ForceUnit) -> str:
     """One cycle: measured points, base law, and the law with what was found (None where nothing was)."""
     figure, axes = sheet(NARROW, 3.9)
     axes.plot(x, measured, ".", color=INK, markersize=2.6, alpha=0.75, markeredgewidth=0, rasterized=True)
@@ -46,7 +45,7 @@ def loop(
     return svg(figure)
 
 
-def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit = KN) -> str:
+def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit) -> str:
     """Mean direction-signed residual over one coordinate, panels side by side on the same axes."""
     figure, panels = _panels(len(parts), 2.9)
     reach = 1.12 * max(_reach(p.push_kN, p.pull_kN) for _, p in parts)
@@ -67,7 +66,7 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
     return svg(figure)
 
 
-def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit = KN) -> str:
+def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
     figure, panels = _panels(2 * len(parts), 3.6)
     sides = np.concatenate([side for _, m in parts for side in (m.push_kN, m.pull_kN)], axis=None)
@@ -92,9 +91,7 @@ def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit = KN) -> str:
 def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, after_J: FloatArray | None) -> str:
     """Energy of each cycle, and below it the error of the models."""
     figure = Figure(figsize=(WIDE, 4.6), layout="constrained")
-    grid = figure.add_gridspec(2, 1, height_ratios=(3, 2))
-    top = tidy(figure.add_subplot(grid[0]))
-    low = tidy(figure.add_subplot(grid[1], sharex=top))
+    top, low = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
     unit, factor = ("kJ", 1e-3) if np.nanmax(np.abs(measured_J)) >= 1000 else ("J", 1.0)
     top.plot(number, factor * measured_J, "o", color=INK, markersize=5.5, markerfacecolor="none", label="measured")
     models = [(before_J, BASE, "x", "base law")]
@@ -104,7 +101,6 @@ def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, aft
             top.plot(number, factor * values, marker, color=colour, markersize=6, label=name)
             low.plot(number, 100 * (values / measured_J - 1), marker + "-", color=colour, markersize=5, linewidth=0.9)
     top.set_ylim(bottom=0)
-    top.tick_params(labelbottom=False)
     low.axhline(0, color=INK, linewidth=0.8)
     label(top, "", f"energy ({unit})")
     label(
@@ -122,18 +118,18 @@ def curve(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, a
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.fill_between(at, low, high, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
     axes.plot(at, mean, color=BLUE, linewidth=1.8, label="curve found")
-    label(axes, _plain(axis), "change (% of Fy)")
+    label(axes, plain(axis), "change (% of Fy)")
     legend(axes, 2)
     return svg(figure)
 
 
-def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, unit: ForceUnit = KN) -> str:
+def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, unit: ForceUnit) -> str:
     """Shape of what no effect explains."""
     figure, axes = sheet(WIDE, 2.9)
     axes.axhline(0, color=INK, linewidth=0.8)
     for (name, values), colour, marker in zip(columns, (BLUE, RED, ORANGE, GREY), "os^D", strict=False):
-        axes.plot(x, values, marker + "-", color=colour, markersize=4, linewidth=1.2, label=_plain(name))
-    label(axes, _plain(axis), "left over (kN)", unit)
+        axes.plot(x, values, marker + "-", color=colour, markersize=4, linewidth=1.2, label=plain(name))
+    label(axes, plain(axis), "left over (kN)", unit)
     legend(axes, 4)
     return svg(figure)
 
@@ -147,8 +143,3 @@ def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
 def _reach(*values: FloatArray) -> float:
     whole = np.abs(np.concatenate(values))
     return float(np.nanmax(whole)) if np.isfinite(whole).any() else 1.0
-
-
-def _plain(name: str) -> str:
-    """Signs that matplotlib would read as mathematics made plain, and not too long."""
-    return (name if len(name) <= 40 else name[:37] + "...").replace("$", r"\$")

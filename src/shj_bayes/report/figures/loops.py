@@ -35,7 +35,7 @@ STROKE, FORCE = "displacement (mm)", "force (kN)"
 MAX_POINTS, MAX_OVER_TIME, MAX_OVER_SPEED = 20_000, 6000, 4000
 
 
-def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit = KN) -> str:
+def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit) -> str:
     """One cycle of each run: measured points, median of the law and the band of what would be measured.
 
     `parts` holds name, displacement, force and band of each run, arrays of shape (n,).
@@ -53,7 +53,7 @@ def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: Force
     return svg(figure)
 
 
-def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, unit: ForceUnit = KN) -> str:
+def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, unit: ForceUnit) -> str:
     """All cycles of one run, measured over predicted; `starts` are the first samples of the half-cycles."""
     figure, axes = sheet(measured=False)
     step = max(1, x.size // MAX_POINTS)
@@ -97,7 +97,7 @@ def energy(energies: Sequence[CycleEnergy]) -> str:
 
 
 def over_time(
-    time_s: FloatArray, force: FloatArray, median: FloatArray, noise: tuple[float, float], unit: ForceUnit = KN
+    time_s: FloatArray, force: FloatArray, median: FloatArray, noise: tuple[float, float], unit: ForceUnit
 ) -> str:
     """Force over time of one run, measured and modelled, and the residual below it with the band of the noise."""
     figure = fixed(WIDE, 4.6)
@@ -132,7 +132,7 @@ def channels(time_s: FloatArray, extras: Sequence[tuple[str, FloatArray]]) -> st
     return svg(figure)
 
 
-def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], unit: ForceUnit = KN) -> str:
+def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], unit: ForceUnit) -> str:
     """Force over velocity: measured points and the model's; name, velocity, measured and modelled of each run."""
     figure, axes = sheet(measured=False)
     for (name, speed, force, median), colour in zip(runs, SERIES, strict=False):
@@ -147,7 +147,7 @@ def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], u
     return svg(figure)
 
 
-def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
+def envelope(shapes: Sequence[CycleShape], unit: ForceUnit) -> str:
     """Largest force and plateau of every cycle, push and pull."""
     figure, axes = sheet(measured=False)
     at = 0
@@ -167,7 +167,7 @@ def envelope(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
     return svg(figure)
 
 
-def backbone(shapes: Sequence[CycleShape], unit: ForceUnit = KN) -> str:
+def backbone(shapes: Sequence[CycleShape], unit: ForceUnit) -> str:
     """Force where the cycles turn, measured and modelled, in the order of the displacement there."""
     figure, axes = sheet(measured=False)
     for shape, colour in zip(shapes, SERIES, strict=False):
@@ -197,9 +197,7 @@ def damping(shapes: Sequence[CycleShape]) -> str:
     return svg(figure)
 
 
-def prior(
-    x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_kN: FloatArray, unit: ForceUnit = KN
-) -> str:
+def prior(x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_kN: FloatArray, unit: ForceUnit) -> str:
     """Loops that the priors allow, those of the published devices (of which there may be none), and what is left.
 
     Displacement of one closed cycle has shape (n,), forces (m, n).
@@ -221,7 +219,7 @@ def prior(
     return svg(figure)
 
 
-def over_stroke(profiles: Sequence[StrokeProfile], unit: ForceUnit = KN) -> str:
+def over_stroke(profiles: Sequence[StrokeProfile], unit: ForceUnit) -> str:
     """Mean residual over stroke, push and pull of one run, with what noise alone would give."""
     figure, axes = sheet(NARROW, 3.2, measured=False)
     for profile, colour, marker, name in zip(

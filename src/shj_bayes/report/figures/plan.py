@@ -14,13 +14,10 @@ MOST = 6000  # points of a line
 def history(time_s: FloatArray, x_mm: FloatArray, speed_mm_s: FloatArray) -> str:
     """Displacement over time, with the speed below it."""
     figure = Figure(figsize=(WIDE, 4.2), layout="constrained")
-    grid = figure.add_gridspec(2, 1, height_ratios=(3, 1))
-    top = tidy(figure.add_subplot(grid[0]))
-    low = tidy(figure.add_subplot(grid[1], sharex=top))
+    top, low = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, height_ratios=(3, 1)))
     keep = _thin(time_s.size)
     top.plot(time_s[keep], x_mm[keep], color=BLUE, linewidth=1.0)
     low.plot(time_s[keep], speed_mm_s[keep], color=INK, linewidth=0.8)
-    top.tick_params(labelbottom=False)
     label(top, "", "displacement (mm)")
     label(low, "time (s)", "speed (mm/s)")
     return svg(figure)

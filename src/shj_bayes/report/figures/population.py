@@ -21,6 +21,7 @@ from shj_bayes.report.figures.canvas import (
     WIDE,
     label,
     legend,
+    plain,
     sheet,
     svg,
     tidy,
@@ -59,7 +60,8 @@ def bands(rows: Sequence[SetBand], title: str) -> str:
     axes.plot([], [], "o" if crowded else "o-", color=INK, markersize=4, linewidth=1, label="tested device")
     axes.plot([], [], color=BLUE, linewidth=8, alpha=0.45, label="new device, 90 %")
     axes.plot([], [], color=GREY, linewidth=1.4, label="under other assumptions on the spread")
-    axes.set_yticks(np.arange(len(rows)), [_name(row) for row in rows], fontsize=9)
+    names = [f"{plain(row.name, MAX_NAME)} ({row.n_devices})" for row in rows]
+    axes.set_yticks(np.arange(len(rows)), names, fontsize=9)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     label(axes, title, "")
     legend(axes, 3)
@@ -88,12 +90,6 @@ def span(rows: Sequence[SetBand]) -> tuple[float, float]:
     low, high = min(ends), max(ends)
     margin = 0.5 * (high - low) or 1.0
     return (max(0.0, low - margin) if low >= 0 else low - margin), high + margin
-
-
-def _name(row: SetBand) -> str:
-    """Name of the set, cut to fit and with signs that matplotlib would read as mathematics made plain."""
-    name = row.name if len(row.name) <= MAX_NAME else row.name[: MAX_NAME - 3] + "..."
-    return f"{name} ({row.n_devices})".replace("$", r"\$")
 
 
 def loop(parts: Sequence[LoopBand]) -> str:
