@@ -12,7 +12,14 @@ from shj_bayes.commands.finished import device_text
 from shj_bayes.report import words
 from shj_bayes.report.binned import N_STROKE, stroke_profiles
 from shj_bayes.report.data import DeviceData, RunData
-from shj_bayes.report.residual_file import DIAGNOSED, LeftOver, left_over, read_residual, write_residual
+from shj_bayes.report.residual_file import (
+    DIAGNOSED,
+    LeftOver,
+    diagnosis_in,
+    left_over,
+    read_residual,
+    write_residual,
+)
 
 
 def toy(rng: np.random.Generator, *, phi: float, shape_kN: float = 0.0, fitted_phi: float | None = None) -> DeviceData:
@@ -53,6 +60,15 @@ def test_what_is_unexplained_is_what_neighbouring_samples_share() -> None:
     found = left_over(toy(rng, phi=0.0, shape_kN=8.0))
     assert found.unexplained_percent == pytest.approx(100 * 8 * np.sqrt(3 / 8) / 80, rel=0.02)
     assert (found.grade, found.n_cycles) == ("poor", 12)
+
+
+def test_a_fit_that_a_diagnosis_ended_in_is_told_by_that_one(tmp_path: Path) -> None:
+    """As the margins take it, where the folder of the device holds another one too."""
+    (tmp_path / "diagnosis").mkdir()
+    (tmp_path / "diagnosis" / "diagnosis.json").write_text("{}", encoding="utf-8")
+    assert diagnosis_in(tmp_path) == "diagnosis"
+    (tmp_path / "diagnosis.json").write_text("{}", encoding="utf-8")
+    assert diagnosis_in(tmp_path) == "."
 
 
 @pytest.mark.parametrize("below", [".", "diagnosis"])

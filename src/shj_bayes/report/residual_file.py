@@ -80,8 +80,8 @@ def _diagnosed(device: DeviceData, folder: Path) -> str:
 
 
 def diagnosis_in(folder: Path) -> str:
-    """Where the diagnosis of a device lies, below the folder of its fit: in it, or in one of its own."""
-    return DIAGNOSIS if (folder / DIAGNOSIS / "diagnosis.json").is_file() else "."
+    """Where the diagnosis of a device lies, below the folder of its fit: beside a fit that it ended in, or alone."""
+    return "." if (folder / "diagnosis.json").is_file() else DIAGNOSIS
 
 
 def write_residual(folder: Path, left: LeftOver) -> None:
