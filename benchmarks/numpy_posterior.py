@@ -32,6 +32,11 @@ def saturate(e: FloatArray, w: FloatArray, capacity: float, beta: float) -> None
     e *= w
 
 
+def around(values: FloatArray) -> FloatArray:
+    """Change from the sample before to the one after, at the ends from or to the sample itself."""
+    return np.diff(values, prepend=values[0]) + np.diff(values, append=values[-1])
+
+
 @dataclass(frozen=True, eq=False)
 class _Run:
     """What of one run does not depend on the parameters, and memory."""
@@ -62,6 +67,7 @@ class NumpyPosterior:
     def __init__(self, posterior: Posterior) -> None:
         """Lay out what does not depend on the parameters."""
         self.model, self.n = posterior.model, 0
+        zero_kN = posterior.averages[0].timing.zero_noise_kN
         self.runs = []
         for run in posterior.runs:
             assert run.used.all()
@@ -69,7 +75,8 @@ class NumpyPosterior:
             m = run.motion
             lengths = np.diff(m.start)
             since = m.displacement_mm - np.repeat(m.turning_mm, lengths)
-            first = m.displacement_mm[: lengths[0]]
+            columns = np.zeros((3, since.size))
+            columns[1] = zero_kN
             self.runs.append(
                 _Run(
                     since,
@@ -79,13 +86,12 @@ class NumpyPosterior:
                     np.diff(m.turning_mm).tolist(),
                     run.start_force_kN,
                     run.start_noise_mm,
-                    np.diff(first, prepend=first[0]) + np.diff(first, append=first[-1]),
-                    np.ones((3, since.size)),
+                    around(m.displacement_mm[: lengths[0]]),
+                    columns,
                     np.empty_like(since),
                 )
             )
         self.step_s = 1 / posterior.runs[0].recording.rate_Hz
-        self.zero_kN = posterior.averages[0].timing.zero_noise_kN
 
     def log_likelihood(self, theta: FloatArray) -> float:
         """Log likelihood of K, Fy, beta, gamma, ratio, sigma_white, sigma_slow, tau_slow."""
@@ -106,10 +112,8 @@ class NumpyPosterior:
             np.multiply(run.speed_mm_s, gamma, out=w)
             w += 1.0
             e *= w
-            first = e[: run.lengths[0]]
-            slope = (np.diff(first, prepend=first[0]) + np.diff(first, append=first[-1])) / run.around_mm
+            slope = around(e[: run.lengths[0]]) / run.around_mm
             np.subtract(run.measured_kN, e, out=e)
-            run.columns[1] = self.zero_kN
             np.multiply(slope, run.start_noise_mm, out=run.columns[2, : slope.size])
             total += _log_noise(run.columns, slope.size, white**2, slow**2, math.exp(-self.step_s / tau))
         return total

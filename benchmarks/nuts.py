@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+from numpy_posterior import around
 from numpyro.infer import MCMC, NUTS, init_to_median
 from numpyro.infer.util import log_density
 
@@ -115,10 +116,9 @@ def model(posterior: Posterior, dense: bool = False) -> None:
                 stroke = motion.turning_mm[k + 1] - motion.turning_mm[k]
                 reset = saturated(p["K"] * stroke + reset, capacity, p["beta"])
         modelled = jnp.concatenate(pieces) * (1 + p["gamma"] * motion.speed_mm_s)
-        first = motion.displacement_mm[: motion.start[1]]
-        around = np.diff(first, prepend=first[0]) + np.diff(first, append=first[-1])
+        around_mm = around(motion.displacement_mm[: motion.start[1]])
         zero_kN, time = part.timing.zero_noise_kN, run.recording.time_s
-        columns = columns_of(measured, modelled, zero_kN, run.start_noise_mm, around)
+        columns = columns_of(measured, modelled, zero_kN, run.start_noise_mm, around_mm)
         white, slow = p["sigma_white"] ** 2, p["sigma_slow"] ** 2
         if dense:
             memory = jnp.exp(-np.abs(time[:, None] - time) / p["tau_slow"])

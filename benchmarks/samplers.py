@@ -225,7 +225,7 @@ def no_u_turn(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draw
             resets = np_.concatenate([np_.full(1, run.start_force_kN), later])
             half = np.repeat(np.arange(run.lengths.size), run.lengths)
             force = own.saturated(K * run.since_mm + resets[half], capacity, beta) * (1 + gamma * run.speed_mm_s)
-            columns = own.columns_of(run.measured_kN, force, posterior.zero_kN, run.start_noise_mm, run.around_mm)
+            columns = own.columns_of(run.measured_kN, force, run.columns[1, 0], run.start_noise_mm, run.around_mm)
             total -= own.log_noise(columns, white**2, slow**2, decay)
         total += 0.5 * np_.sum(z**2)
         return total
