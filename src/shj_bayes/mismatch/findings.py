@@ -141,7 +141,7 @@ def _verdict(out: Search, findings: Sequence[Finding], probability: float, left:
     unknown = {
         Reason.SLOW_NOISE: out.is_rough and not out.chatter and out.metric.is_slow,
         Reason.FLUCTUATES: out.is_rough and not out.chatter,
-        Reason.LEFT_OVER: left > (out.chatter.size if out.chatter else out.matters) and left > largest / 3.0,
+        Reason.LEFT_OVER: left > out.matters_in_strokes and left > largest / 3.0,
         Reason.NO_FORM: any(not f.named and (f.size >= out.matters or f is findings[0]) for f in findings),
     }
     several = {

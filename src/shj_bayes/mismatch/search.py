@@ -88,14 +88,15 @@ class Search:
         fluctuates = (1.0 - EXPLAINED) * LARGEST_OF * self.metric.fluctuation if self.is_rough else 0.0
         return max(MATTERS, fluctuates)
 
-    def matters_of(self, of: Class) -> float:
-        """Size that a class must have.
+    @property
+    def matters_in_strokes(self) -> float:
+        """Size that what begins anew in each stroke must have: teeth lower the mean force there by up to their size."""
+        return self.chatter.size if self.chatter else self.matters
 
-        Teeth lower the mean of the sliding force by up to their size: within strokes, which begin them anew, and from
-        stroke to stroke by as much as they differ.
-        """
-        if self.chatter and of.coordinate in OF_STROKES:
-            return self.chatter.size
+    def matters_of(self, of: Class) -> float:
+        """Size that a class must have: from stroke to stroke teeth lower the mean force by as much as they differ."""
+        if of.coordinate in OF_STROKES:
+            return self.matters_in_strokes
         if self.chatter and of.coordinate in OF_TEST and of.action == "capacity":
             return max(self.matters, self.chatter.apart)
         return self.matters

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.chatter import SURE, _at_scale, chatter_of
+from shj_bayes.mismatch.chatter import SURE, Chatter, _at_scale, chatter_of
+from shj_bayes.mismatch.classes import Class
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import NoiseSetting, scene_of
@@ -106,5 +107,6 @@ def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
 ])  # fmt: skip
 def test_beside_chatter_what_its_mean_may_be_must_be_larger_than_it(action, coordinate, size):
     """Within a stroke than the teeth, from stroke to stroke than these differ; an added force is no friction."""
-    out = SimpleNamespace(chatter=SimpleNamespace(size=0.1, apart=0.06), matters=0.01)
-    assert Search.matters_of(out, SimpleNamespace(action=action, coordinate=coordinate)) == size
+    smooth = SimpleNamespace(fluctuation=0.0)
+    out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], smooth, chatter=Chatter(0.1, 0.5, np.ones(2), 0.06))
+    assert out.matters_of(Class(action, coordinate, "1", ())) == size

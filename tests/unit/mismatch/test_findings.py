@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.mismatch import findings
+from shj_bayes.mismatch.chatter import Chatter
+from shj_bayes.mismatch.search import Search
 
 ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", "bearing": "added"}
 
@@ -114,7 +116,8 @@ def test_a_small_class_that_acts_where_a_large_one_does_not_is_nothing_that_this
 @pytest.mark.parametrize(("left", "verdict"), [(0.03, findings.Verdict.NAMED), (0.12, findings.Verdict.UNKNOWN)])
 def test_what_is_left_within_strokes_that_chatter_is_no_more_than_the_teeth(left, verdict):
     """Smooth functions within a stroke take up the mean of the teeth, too."""
-    out = SimpleNamespace(chatter=SimpleNamespace(size=0.1), matters=0.01, is_rough=False)
+    smooth = SimpleNamespace(fluctuation=0.0)
+    out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], smooth, chatter=Chatter(0.1, 0.5, np.ones(2), 0.0))
     assert findings._verdict(out, (), 1.0, left)[0] == verdict
 
 
