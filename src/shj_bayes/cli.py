@@ -264,6 +264,7 @@ def fit(
     """
     need_files(recordings, RecordingError)
     from shj_bayes.commands.finished import kept_result
+    from shj_bayes.inference.record import Trust
 
     options = _reading(**options)
     result = kept_result(recordings, out, options, name)
@@ -275,7 +276,7 @@ def fit(
         work = Work(speak, workers or 0, force, step_told if speak else Work.tell)
         result = fit_device(recordings, out, Options(**options), name=name, work=work)
     output.show(result.record, result.text)
-    if result.record["verdict"] == "unusable":
+    if result.record["verdict"] == Trust.UNUSABLE:
         raise ShjError(f"{result.record['device']}: the posterior is unusable: {result.record['reasons'][0]}")
 
 

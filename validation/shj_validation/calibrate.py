@@ -41,6 +41,7 @@ from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.shared import Density
@@ -326,7 +327,7 @@ def page(rows: Sequence[dict[str, Any]], command: str, drawing: str, part: str, 
     title, drawn, remark = WORDS[part]
     good = [row for row in rows if "ranks" in row]
     failed = [row for row in rows if "error" in row]
-    verdicts = {word: sum(row["verdict"] == word for row in good) for word in ("reliable", "tentative", "unusable")}
+    verdicts = {word: sum(row["verdict"] == word for row in good) for word in Trust}
     seconds = float(np.median([row["seconds"] for row in rows]))
     words = ", ".join(f"{count} {word}" for word, count in verdicts.items())
     off = [name for name in failing(judge_ranks(rows)) if name in LAW or not wobble_mm]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.fit import fit
+from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -163,7 +164,7 @@ def _table(key: str, rows: Sequence[dict[str, Any]], values: Sequence[Any]) -> l
     for value in values:
         own = [row for row in rows if value == "*" or row[key] == value]
         cells = [_cell(own, name) for name in (*names, *more)]
-        share = np.mean([row["verdict"] != "reliable" for row in own])
+        share = np.mean([row["verdict"] != Trust.RELIABLE for row in own])
         label = "all" if value == "*" else f"{value:g}" if isinstance(value, float) else value
         lines.append(f"| {label} | {len(own)} | " + " | ".join(cells) + f" | {100 * share:.0f} % |")
     return lines

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes.inference.record import Trust
 from shj_bayes.population.hierarchy import Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.priors import PopulationPrior, population_prior
@@ -62,7 +63,7 @@ def draw_margins(number: int, seed: int, *, n_sets: int, n_devices: int, sd: flo
         truth[name] = float(rng.normal(own[0], width))
     draws |= {"level": fit.mu[:, 0], "spread": fit.tau[:, 0], "between sets": fit.hyper[:, 1]}
     truth |= {"level": float(mu[0]), "spread": float(tau[0]), "between sets": between}
-    verdict = "reliable" if fit.converged else "tentative"
+    verdict = Trust.RELIABLE if fit.converged else Trust.TENTATIVE
     record = {"number": number, "truth": truth, "verdict": verdict, **ranks_of(draws, truth)}
     return record | {"seconds": time.perf_counter() - begin}
 

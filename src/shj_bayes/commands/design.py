@@ -10,6 +10,7 @@ import numpy as np
 
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.errors import PopulationError
+from shj_bayes.inference.record import USABLE
 from shj_bayes.margins.asked import LEEWAY, asked_for
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
@@ -141,7 +142,7 @@ def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[st
     """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
     members = {group.name: group.devices for group in result.sets}
     return [
-        (entry["folder"], entry["name"], group["name"], entry.get("with_set") in ("reliable", "tentative"))
+        (entry["folder"], entry["name"], group["name"], entry.get("with_set") in USABLE)
         for group in campaign["sets"]
         for entry in group["devices"]
         if entry["name"] in members.get(group["name"], ())

@@ -16,7 +16,7 @@ import numpy as np
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import read_bytes, read_json
 from shj_bayes.errors import PriorError
-from shj_bayes.inference.record import read_group, read_record
+from shj_bayes.inference.record import Trust, read_group, read_record
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.recording import Finding, Recording
 
@@ -82,7 +82,7 @@ def earlier(where: str) -> Earlier:
 
 def _of_device(folder: Path) -> Earlier:
     record, draws = read_record(folder), read_group(folder, "posterior")
-    if record["verdict"] == "unusable":
+    if record["verdict"] == Trust.UNUSABLE:
         raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
     names = [name for name in draws if name in LAW or name.startswith("ratio_")]
     bands = {name: tuple(np.quantile(draws[name], (0.05, 0.5, 0.95)).tolist()) for name in names}

@@ -14,7 +14,7 @@ from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, rema
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
-from shj_bayes.inference.record import read_group
+from shj_bayes.inference.record import Trust, read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.mismatch.look import Look
@@ -111,7 +111,7 @@ def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, n
             raise
         checkpoint.unlink()
         result = sampled()
-    if result.verdict.word == "reliable":
+    if result.verdict.word == Trust.RELIABLE:
         checkpoint.unlink(missing_ok=True)
     return result.record
 

@@ -12,6 +12,7 @@ from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import FAILED, Outcome
 from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
+from shj_bayes.inference.record import Trust
 from shj_bayes.population.published import Claim
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.campaign_physics import statements
@@ -22,7 +23,7 @@ WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 @alone_in("folder")
 def summarise_campaign(outcomes: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> Done:
     """Pool the usable devices of a campaign and write its page; the same seed and devices, the same numbers."""
-    usable = [o for o in outcomes if o.status != FAILED and o.verdict != "unusable"]
+    usable = [o for o in outcomes if o.status != FAILED and o.verdict != Trust.UNUSABLE]
     record = read_campaign(folder)
     lines = [*map(_line, outcomes), *record["warnings"], *statements(record)]
 

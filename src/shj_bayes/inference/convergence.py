@@ -11,6 +11,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from shj_bayes.inference.ranks import ess_bulk, ess_tail, rhat
+from shj_bayes.inference.record import Trust
 from shj_bayes.model.parameters import FloatArray
 
 RHAT_LIMIT, ESS_LIMIT, TAU_LIMIT = 1.01, 1000.0, 50.0
@@ -41,9 +42,9 @@ class Diagnostics:
 
 @dataclass(frozen=True)
 class Verdict:
-    """``reliable``, ``tentative`` or ``unusable``, with reasons and advice in words."""
+    """How far a fit may be trusted, with reasons and advice in words."""
 
-    word: str
+    word: Trust
     reasons: tuple[str, ...]
 
 
@@ -140,6 +141,6 @@ def judge(d: Diagnostics) -> Verdict:
             f"sample size at least {ess.min():.0f}, {d.lengths:.0f} autocorrelation times, "
             f"acceptance {d.acceptance.mean():.2f}"
         )
-        return Verdict("reliable", (text,))
+        return Verdict(Trust.RELIABLE, (text,))
     bad = d.rhat[worst] > 1.1 or ess[least] < 100 or stuck >= 0.5
-    return Verdict("unusable" if bad else "tentative", tuple(problems))
+    return Verdict(Trust.UNUSABLE if bad else Trust.TENTATIVE, tuple(problems))

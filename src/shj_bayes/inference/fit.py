@@ -14,6 +14,7 @@ from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
 from shj_bayes.inference.floor import Floor, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.record import Trust
 from shj_bayes.inference.remarks import remarks_of
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import Plan, run_ensembles
@@ -100,5 +101,5 @@ def with_floor(verdict: Verdict, floor: Floor) -> Verdict:
         f"times, over {floor.n_pieces} cycles): the intervals of {', '.join(floor.widened)} are as wide as that; "
         "`shj-bayes diagnose` looks for what the model leaves out"
     )
-    word = "tentative" if verdict.word == "reliable" else verdict.word
+    word = Trust.TENTATIVE if verdict.word == Trust.RELIABLE else verdict.word
     return Verdict(word, (*verdict.reasons, reason))

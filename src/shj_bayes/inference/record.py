@@ -21,6 +21,17 @@ KINDS: dict[str, type] = {
 }
 
 
+class Trust(StrEnum):
+    """How far the draws of a fit may be trusted."""
+
+    RELIABLE = "reliable"
+    TENTATIVE = "tentative"
+    UNUSABLE = "unusable"
+
+
+USABLE = frozenset(Trust) - {Trust.UNUSABLE}
+
+
 class Remark(StrEnum):
     """What the data do not say of a parameter."""
 

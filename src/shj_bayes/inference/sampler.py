@@ -15,6 +15,7 @@ from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, diagnose_chains, judge
 from shj_bayes.inference.proposal import Proposal, fit_proposal
+from shj_bayes.inference.record import Trust
 from shj_bayes.inference.shared import Density, Shared, n_threads
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
@@ -123,7 +124,7 @@ def run_ensembles(
             figures = _figures(names, states)
             if figures is not None:
                 bar.set_postfix_str(f"R-hat {figures.rhat.max():.3f}, ESS {figures.ess_bulk.min():.0f}")
-                if judge(figures).word == "reliable" or states[0].chain.shape[0] >= plan.max_steps:
+                if judge(figures).word == Trust.RELIABLE or states[0].chain.shape[0] >= plan.max_steps:
                     return states, figures
             steps = _next_round(plan, states[0].chain.shape[0], figures)
             states = _advance_all(pool, density, proposal, states, steps)

@@ -12,6 +12,7 @@ import xarray as xr
 
 from shj_bayes._util.files import write_text
 from shj_bayes._util.one_thread import one_blas_thread
+from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
@@ -89,7 +90,7 @@ def diagnose(
     models = _models(out, answer, seed)
     if sample is None or look.quick:
         draws: content.Draws = models.draws_after
-        how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": "tentative"}
+        how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": Trust.TENTATIVE}
     else:
         tell("sampling the posterior")
         draws, how = sample(answer.shown.state.model, answer.shown.state.z)

@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ReportError
+from shj_bayes.inference.record import USABLE
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.published import Claim, Held
@@ -58,9 +59,7 @@ def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
     from shj_bayes.report.campaign_curves import pictures  # noqa: PLC0415  (drawing needs matplotlib)
 
     with_set = {
-        device["folder"]: device.get("with_set") in ("reliable", "tentative")
-        for group in record["sets"]
-        for device in group["devices"]
+        device["folder"]: device.get("with_set") in USABLE for group in record["sets"] for device in group["devices"]
     }
     rows = [row for row in rows_of(record) if all(place in with_set for place in row.folders)]
     drawn = pictures(folder, rows, with_set)

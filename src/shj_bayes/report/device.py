@@ -9,7 +9,7 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import ReportError
-from shj_bayes.inference.record import Remark, is_simulated
+from shj_bayes.inference.record import Remark, Trust, is_simulated
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.parameters import base_of
@@ -121,7 +121,7 @@ def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
     """Two verdicts, since neither says anything of the other: of the calculation, and of the model."""
     word = str(record.get("convergence", record["verdict"]))
     name, colour, sentence = words.CONVERGENCE.get(word, (word, "unusable", ""))
-    if (word, record["verdict"]) == ("reliable", "tentative"):
+    if (word, record["verdict"]) == (Trust.RELIABLE, Trust.TENTATIVE):
         sentence += words.SCATTER
     (grade, shade), said = words.FIT[left.grade], words.fit_words(left)
     model = words.left_words(left, record["model"].get("effects", ()))

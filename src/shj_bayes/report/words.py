@@ -4,16 +4,16 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from shj_bayes.inference.record import Remark
+from shj_bayes.inference.record import Remark, Trust
 from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.model.parameters import base_of
 from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
-CONVERGENCE = {
-    "reliable": ("converged", "reliable", "The independent ensembles agree."),
-    "tentative": ("not quite converged", "tentative", "Take the intervals as a first look, and run it longer."),
-    "unusable": ("not converged", "unusable", "The independent ensembles disagree: do not use the numbers below."),
+CONVERGENCE: dict[str, tuple[str, str, str]] = {
+    Trust.RELIABLE: ("converged", "reliable", "The independent ensembles agree."),
+    Trust.TENTATIVE: ("not quite converged", "tentative", "Take the intervals as a first look, and run it longer."),
+    Trust.UNUSABLE: ("not converged", "unusable", "The independent ensembles disagree: do not use the numbers below."),
 }
 # What makes the verdict of a finished calculation tentative.
 SCATTER = " The verdict is tentative: the cycles scatter more than the model and its noise allow."
