@@ -23,7 +23,7 @@ from shj_bayes.margins.virtual_test import drive
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.reversals import hysteresis
 
@@ -107,8 +107,7 @@ def from_file(path: Path) -> Asked:
     moved, speed = curve(fine), np.abs(curve.derivative()(fine))
     turns = hysteresis(moved, 1e-3 * float(np.ptp(x)))
     start = np.array([0, *(t for t in turns if 0 < t < fine.size - 1), fine.size])
-    first = 1 if moved[start[1] - 1] > moved[0] else -1
-    direction = first * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
+    direction = alternating(start.size - 1, 1 if moved[start[1] - 1] > moved[0] else -1)
     motion = Motion(moved, speed, start, moved[start[:-1]], direction)
     return Asked(fine - fine[0], motion, f"the history of {path.name}")
 

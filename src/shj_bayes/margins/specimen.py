@@ -24,7 +24,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.posterior import DeviceSet, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import exact_motion, table_1
 
 N_DRAWS = 64
@@ -142,8 +142,7 @@ def _measured(said: Mapping[str, Any], time_s: FloatArray, values: FloatArray) -
 def _motion(x: FloatArray, speed: FloatArray, half: FloatArray) -> Motion:
     """Motion of a run from its stored channels; turning points are the outermost samples beside each reversal."""
     start = np.append(np.flatnonzero(np.diff(half, prepend=-1)), x.size)
-    first = int(np.sign(x[start[1] - 1] - x[0]) or 1)
-    direction = first * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
+    direction = alternating(start.size - 1, int(np.sign(x[start[1] - 1] - x[0]) or 1))
     beside = np.stack([x[start[1:-1] - 1], x[start[1:-1]]])
     turning = np.where(direction[1:] < 0, beside.max(axis=0), beside.min(axis=0))
     return Motion(x, speed, start, np.concatenate([x[:1], turning]), direction)

@@ -7,7 +7,7 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
-from shj_bayes.recording.motion import IntArray, Motion
+from shj_bayes.recording.motion import IntArray, Motion, alternating
 from shj_bayes.recording.noise import noise_of, resolution_of
 from shj_bayes.recording.recording import BoolArray, FloatArray, Recording
 from shj_bayes.recording.reversals import first_direction, hysteresis, least_return, place
@@ -54,8 +54,7 @@ def _motion(recording: Recording) -> Motion:
     turns = hysteresis(curve.values, threshold)
     turn_s, turn_mm = place(time, raw, curve, turns, noise)
     start = _boundaries(time, turn_s)
-    sign = first_direction(curve.values, turns)
-    direction = sign * np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
+    direction = alternating(start.size - 1, first_direction(curve.values, turns))
     turning = np.concatenate([[curve.values[0]], turn_mm])
     displacement = _between(curve.values, turning, start)
     along = np.repeat(direction, np.diff(start))

@@ -12,6 +12,11 @@ from shj_bayes.recording.recording import BoolArray, FloatArray
 IntArray = NDArray[np.int64]
 
 
+def alternating(n: int, first: int = 1) -> IntArray:
+    """Directions of half-cycles, one after the other, shape (n,): `first`, 1 or -1, then to and fro."""
+    return np.where(np.arange(n) % 2 == 0, first, -first)
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """The displacement history that drives the law."""

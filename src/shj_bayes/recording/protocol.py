@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.recording import FloatArray
 
 
@@ -64,15 +64,14 @@ def exact_motion(blocks: tuple[Block, ...], rate_Hz: float) -> tuple[FloatArray,
     for t0, block in zip(begin, blocks, strict=False):
         quarters = np.arange(1, 4 * block.n_cycles, 2)
         turn_time.append(t0 + quarters / (4 * block.frequency_Hz))
-        turn_mm.append(block.amplitude_mm * np.where(quarters % 4 == 1, 1.0, -1.0))
+        turn_mm.append(block.amplitude_mm * alternating(quarters.size))
     turning = np.concatenate(turn_mm)
     start = np.concatenate([[0], np.searchsorted(time, np.concatenate(turn_time), side="left"), [time.size]])
-    direction = np.where(np.arange(turning.size + 1) % 2 == 0, 1, -1)
     motion = Motion(
         displacement_mm=amplitude * np.sin(phase),
         speed_mm_s=np.abs(amplitude * omega * np.cos(phase)),
         start=start,
         turning_mm=np.concatenate([[0.0], turning]),
-        direction=direction,
+        direction=alternating(turning.size + 1),
     )
     return time, motion
