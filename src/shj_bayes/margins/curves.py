@@ -16,7 +16,7 @@ from shj_bayes.inference.shared import n_threads
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
-from shj_bayes.model.effects.effect import Base, Effect, combine
+from shj_bayes.model.effects.effect import Effect, combine
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.compare import shift_of
 from shj_bayes.population.compare_words import ROPE_SPEED
@@ -105,8 +105,8 @@ def _held(specimen: Specimen) -> set[str]:
 def _along(specimen: Specimen, coordinate: Coordinate) -> FloatArray:
     """Coordinate at the samples of the first run, for typical parameters of the device."""
     belief = specimen.beliefs[0]
-    stiffness, force, beta, gamma = belief.model.run_laws(belief.typical, 1)[0].tolist()
-    return coordinate.values(specimen.histories[0], Base(stiffness, force, beta, gamma, force))
+    base, _ = next(belief.model.acting(belief.typical, 1))
+    return coordinate.values(specimen.histories[0], base)
 
 
 def log_factors(specimen: Specimen, coordinate: Coordinate, at: FloatArray) -> FloatArray:
@@ -115,21 +115,17 @@ def log_factors(specimen: Specimen, coordinate: Coordinate, at: FloatArray) -> F
     At values of the coordinate, shape (n,), for every draw of the device, shape (m, n).
     """
     history, belief = specimen.histories[0], specimen.beliefs[0]
-    model, theta = belief.model, belief.theta
-    effects = [e for e in model.effects if _over(e) == coordinate.id]
-    places = [(e, [(p.name, model.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in effects]
-    laws, ways = model.run_laws(theta, 1), []
-    along = _along(specimen, coordinate)
+    over = {e.id for e in belief.model.effects if _over(e) == coordinate.id}
+    along, ways = _along(specimen, coordinate), []
     for sign in (1, -1):
         own = np.flatnonzero(history.direction == sign)
         ways.append(own[np.argsort(along[own], kind="stable")])
-    out = np.empty((theta.shape[0], at.size))
-    for j, (stiffness, force, beta, gamma) in enumerate(laws.tolist()):
-        base = Base(stiffness, force, beta, gamma, force)
-        total = combine([e.act(history, {p: float(theta[j, i]) for p, i in own}, base) for e, own in places])
+    out = np.empty((belief.theta.shape[0], at.size))
+    for j, (base, acting) in enumerate(belief.model.acting(belief.theta, 1)):
+        total = combine([effect.act(history, values, base) for effect, values in acting if effect.id in over])
         factor = np.broadcast_to(total.clamping, along.shape)
         if coordinate.id == SPEED:
-            factor = factor * (1.0 + (gamma + total.gamma_s_per_mm) * along)
+            factor = factor * (1.0 + (base.gamma + total.gamma_s_per_mm) * along)
         logs = np.log(np.maximum(factor, LEAST_FACTOR))
         out[j] = np.mean([np.interp(at, along[way], logs[way]) for way in ways], axis=0)
     return out

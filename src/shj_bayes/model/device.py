@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -132,22 +132,25 @@ class DeviceModel:
             capacity = capacity * theta[:, self.index(run_name("ratio", run))]
         return np.ascontiguousarray(np.stack([theta[:, at["K"]], capacity, theta[:, at["beta"]], gamma], axis=1))
 
+    def acting(self, theta: FloatArray, run: int) -> Iterator[tuple[Base, list[tuple[Effect, dict[str, float]]]]]:
+        """Law of a run and the effects with their values, for each of some parameter sets, shape (m, d)."""
+        laws, first = self.run_laws(theta, run).tolist(), self.index("Fy")
+        places = [(e, [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in self.effects]
+        for own, (stiffness, capacity, beta, gamma) in zip(theta.tolist(), laws, strict=True):
+            base = Base(stiffness, capacity, beta, gamma, own[first])
+            yield base, [(effect, {name: own[i] for name, i in at}) for effect, at in places]
+
     def force(self, theta: FloatArray, history: History, start_force_kN: float) -> FloatArray:
         """Force of one run without noise, kN, for parameter sets in natural units, shape (m, d) to (m, n_samples).
 
         The rate-free force at the first sample of the run is given.
         """
-        laws = self.run_laws(theta, history.run)
         if not self.effects:
+            laws = self.run_laws(theta, history.run)
             return force_of_laws(history.motion, laws, variant=self.variant, start_force_kN=start_force_kN)
         out = np.empty((theta.shape[0], history.time_s.size))
-        first = theta[:, self.index("Fy")]
-        places = [(e, [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in self.effects]
         acted: dict[Hashable, Contribution] = {}
-        for j in range(theta.shape[0]):
-            acting = [(effect, {name: float(theta[j, i]) for name, i in own}) for effect, own in places]
-            stiffness, capacity, beta, gamma = laws[j].tolist()
-            base = Base(stiffness, capacity, beta, gamma, float(first[j]))
+        for j, (base, acting) in enumerate(self.acting(theta, history.run)):
             out[j] = force_with_effects(
                 history, base, acting, variant=self.variant, start_force_kN=start_force_kN, acted=acted
             )
