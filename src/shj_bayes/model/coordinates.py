@@ -1,7 +1,7 @@
 """What the force may depend on: each state coordinate with its unit, how it follows from a history, and its words."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
 
@@ -115,6 +115,17 @@ def _acceleration_reach(history: History) -> tuple[float, float]:
     return -largest, largest
 
 
+TRAVEL = Coordinate(
+    "travel",
+    "m",
+    "the distance slid",
+    slid_m,
+    lambda h: (0.0, h.tested_m),
+    scale=FIRST_SLID,
+    lengths=MappingProxyType({0.15: 0.2, 0.5: 0.8}),
+    symbol="s",
+    of_base=True,
+)
 ALL = (
     Coordinate(
         "position",
@@ -138,29 +149,14 @@ ALL = (
         family="even_in_position",
         symbol="|x|",
     ),
-    Coordinate(
-        "travel",
-        "m",
-        "the distance slid",
-        slid_m,
-        lambda h: (0.0, h.tested_m),
-        scale=FIRST_SLID,
-        lengths=MappingProxyType({0.15: 0.2, 0.5: 0.8}),
-        symbol="s",
-        of_base=True,
-    ),
+    TRAVEL,
     # A film of debris grows as the device slides, and makes the friction depend on speed more or less.
-    Coordinate(
-        "speed_by_travel",
-        "m",
-        "the distance slid, at peak speed",
-        slid_m,
-        lambda h: (0.0, h.tested_m),
-        scale=FIRST_SLID,
+    replace(
+        TRAVEL,
+        id="speed_by_travel",
+        title="the distance slid, at peak speed",
         lengths=EITHER,
         family="low_speed",
-        symbol="s",
-        of_base=True,
         times=lambda h: h.speed_mm_s / h.peak_speed_mm_s,
     ),
     Coordinate(

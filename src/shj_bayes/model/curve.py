@@ -76,7 +76,8 @@ def harmonics(length: float) -> FloatArray:
 
 
 IDS = re.compile(
-    rf"({'|'.join(ACTIONS)})_over_([a-z]+(?:_by_travel)?[0-9]?)(_by_direction)?(?:_every_([0-9]{{1,9}}))?_([0-9]{{2}})_([0-9]{{2}})"
+    rf"({'|'.join(ACTIONS)})_over_({'|'.join(coordinates())})(_by_direction)?"
+    r"(?:_every_([0-9]{1,9}))?_([0-9]{2})_([0-9]{2})"
 )
 MEASURED_IDS = re.compile(rf"({'|'.join(ACTIONS)})_over_({PREFIX}\w+)_([0-9]{{2}})_([0-9]{{2}})")
 
@@ -86,7 +87,7 @@ def curve_named(word: str) -> Curve | None:
     if own := MEASURED_IDS.fullmatch(word):
         return Curve(own[1], own[2], int(own[3]) / 100.0, size=int(own[4]) / 100.0)
     found = IDS.fullmatch(word)
-    if found is None or found[2] not in coordinates() or (found[4] and int(found[4]) == 0):
+    if found is None or (found[4] and int(found[4]) == 0):
         return None
     period = int(found[4]) / PERIODS_PER_UNIT if found[4] else None
     return Curve(found[1], found[2], int(found[5]) / 100.0, found[3] is not None, int(found[6]) / 100.0, period)
