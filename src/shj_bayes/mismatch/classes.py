@@ -11,7 +11,7 @@ from shj_bayes.inference.squares import extended, start_values
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.state import State
-from shj_bayes.model.coordinates import coordinate_named, coordinates
+from shj_bayes.model.coordinates import coordinate_named, coordinates, coordinates_of
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
@@ -23,12 +23,10 @@ PRESENT = 0.05  # probability of each class before the test: about one in a devi
 TYPICAL, SPREAD = 0.04, 1.2  # of Fy, and of its logarithm: how large a curve is where there is one
 FORMS = 0.5  # probability that a dependence has one of the published formulas of its coordinate
 FEW_STARTS = 12  # formulas with more are tried in the place of a curve only
-HEATS = tuple(f"heat{i}" for i in range(1, 5))
 CURVES = (
-    ("capacity", "position"), ("capacity", "distance"), ("capacity", "travel"), ("capacity", "time"),
-    ("capacity", "heat"), ("capacity", "amplitude"), ("capacity", "slip"), ("capacity", "speed"),
-    ("capacity", "acceleration"), ("capacity", "passes"), ("added", "position"), ("added", "time"),
-)  # fmt: skip
+    *dict.fromkeys(("capacity", one.group or one.id) for one in coordinates().values() if one.times is None),
+    *(("added", name) for name, one in coordinates().items() if one.adds),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,21 +90,20 @@ def classes(
             continue
         action, name = key
         if key in CURVES:
-            names = HEATS if name == "heat" else (name,)
-            smooth = (1.0 - FORMS) * (1.0 - coordinate_named(names[0]).repeats)
-            lengths = coordinate_named(names[0]).lengths
-            sides = coordinate_named(names[0]).sides if action == "capacity" else 0.0
+            over = coordinates_of(name)
+            smooth = (1.0 - FORMS) * (1.0 - over[0].repeats)
+            sides = over[0].sides if action == "capacity" else 0.0
             variants = tuple(
-                Variant(curve := Curve(action, n, length, own), curve.effect(), smooth * weight * share / len(names))
-                for n in names
-                for length, weight in lengths.items()
+                Variant(curve := Curve(action, u.id, length, own), curve.effect(), smooth * weight * share / len(over))
+                for u in over
+                for length, weight in u.lengths.items()
                 for own, share in ((False, 1.0 - sides), (True, sides))
                 if share
             )
             shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             few = [effect for effect in shown if math.prod(map(len, start_values(effect))) <= FEW_STARTS]
             variants += tuple(Variant(None, effect, FORMS / len(shown)) for effect in few)
-            out.append(Class(action, name, coordinate_named(names[0]).unit, variants))
+            out.append(Class(action, name, over[0].unit, variants))
         else:
             shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)

@@ -16,6 +16,7 @@ from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, l
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
 from shj_bayes.mismatch.waves import resolved, waves
+from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
@@ -38,9 +39,6 @@ RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = str(ClassId("added", "constant"))
 TEETH = str(ClassId("motion", "stick-slip"))
-# Coordinates that take the same way in every stroke, and those that go from stroke to stroke.
-OF_STROKES = ("slip", "speed", "speed_by_travel", "acceleration")
-OF_TEST = ("time", "travel", "heat", "passes", "amplitude")
 POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
@@ -95,9 +93,10 @@ class Search:
 
     def matters_of(self, of: Class) -> float:
         """Size that a class must have: from stroke to stroke teeth lower the mean force by as much as they differ."""
-        if of.coordinate in OF_STROKES:
+        goes = {over.goes for over in coordinates_of(of.coordinate)}
+        if "stroke" in goes:
             return self.matters_in_strokes
-        if self.chatter and of.coordinate in OF_TEST and of.action == "capacity":
+        if self.chatter and "test" in goes and of.action == "capacity":
             return max(self.matters, self.chatter.apart)
         return self.matters
 

@@ -9,7 +9,7 @@ from shj_bayes._util.files import read_json
 from shj_bayes.errors import InferenceError
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.sets import Common, DeviceEvidence, Shared, common_to, device_evidence
-from shj_bayes.model.coordinates import coordinates
+from shj_bayes.model.coordinates import coordinates_of
 
 DIGITS = 6  # of probabilities in files
 
@@ -58,7 +58,7 @@ class Together:
 
     def _class(self, one: Shared) -> dict[str, Any]:
         action, coordinate = ClassId.read(one.id)
-        known = coordinates().get("heat1" if coordinate == "heat" else coordinate)
+        known = next(iter(coordinates_of(coordinate)), None)
         measured = next((d.units[coordinate] for d in self.devices if coordinate in d.units), "1")
         return {
             "action": action,

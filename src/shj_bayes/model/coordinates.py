@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -50,6 +51,11 @@ class Coordinate:
     repeats: float = 0.0
     # probability that a capacity over it has a curve for push and one for pull: a lever or a band is clamped for one
     sides: float = 0.0
+    # how it goes along: the same way in every "stroke", on from stroke to stroke through the "test", or else
+    goes: Literal["stroke", "test", "else"] = "test"
+    # word of the class over it where it is one of several that differ in a constant, as the time in which heat fades
+    group: str = ""
+    adds: bool = False  # whether a force that is added may have a curve over it, besides the capacity
     family: str = "slow_change"  # family of the effects that a curve over it belongs to
     symbol: str = "u"  # letter in formulas
     of_base: bool = False  # whether it depends on the base parameters: sliding begins where the elastic branch ends
@@ -136,6 +142,8 @@ ALL = (
         zero="middle",
         lengths=MappingProxyType({0.05: 0.2, 0.15: 0.4, 0.5: 0.4}),
         repeats=0.2,
+        goes="else",
+        adds=True,
         family="odd_in_position",
         symbol="x",
     ),
@@ -146,6 +154,7 @@ ALL = (
         lambda h, b: np.abs(h.position_mm),
         lambda h: (0.0, h.half_stroke_mm),
         lengths=MappingProxyType({0.15: 0.3, 0.5: 0.7}),
+        goes="else",
         family="even_in_position",
         symbol="|x|",
     ),
@@ -156,17 +165,9 @@ ALL = (
         id="speed_by_travel",
         title="the distance slid, at peak speed",
         lengths=EITHER,
+        goes="stroke",
         family="low_speed",
         times=lambda h: h.speed_mm_s / h.peak_speed_mm_s,
-    ),
-    Coordinate(
-        "passes",
-        "1",
-        "the number of passes over the place",
-        partial(passes, width=PAD),
-        lambda h: (0.0, 1000.0 * h.tested_m / h.half_stroke_mm),
-        symbol="n",
-        of_base=True,
     ),
     Coordinate(
         "time",
@@ -177,6 +178,7 @@ ALL = (
         lengths=MappingProxyType({0.05: 0.45, 0.15: 0.45, 0.5: 0.1}),
         repeats=0.2,
         sides=0.2,
+        adds=True,
         symbol="t",
     ),
     *(
@@ -186,6 +188,7 @@ ALL = (
             f"the heat state (cooling in {c:g} times the time that {STROKES:g} half strokes take)",
             _heat(c),
             partial(_heat_reach, c),
+            group="heat",
             of_base=True,
         )
         for i, c in enumerate((0.03, 0.1, 0.3, 1.0), start=1)
@@ -208,6 +211,7 @@ ALL = (
         scale=SHORT_SLIP / 2.0,
         zero="high",
         lengths=EITHER,
+        goes="stroke",
         family="start_of_stroke",
         symbol="d",
         of_base=True,
@@ -220,6 +224,7 @@ ALL = (
         lambda h: (0.0, FASTEST * h.peak_speed_mm_s),
         scale=LOW_SPEED / FASTEST,
         lengths=EITHER,
+        goes="stroke",
         family="low_speed",
         symbol="|v|",
     ),
@@ -231,6 +236,16 @@ ALL = (
         _acceleration_reach,
         zero="middle",
         family="odd_in_position",
+        goes="stroke",
+    ),
+    Coordinate(
+        "passes",
+        "1",
+        "the number of passes over the place",
+        partial(passes, width=PAD),
+        lambda h: (0.0, 1000.0 * h.tested_m / h.half_stroke_mm),
+        symbol="n",
+        of_base=True,
     ),
 )
 
@@ -238,6 +253,11 @@ ALL = (
 def coordinates() -> dict[str, Coordinate]:
     """All coordinates by id."""
     return {one.id: one for one in ALL}
+
+
+def coordinates_of(word: str) -> tuple[Coordinate, ...]:
+    """Coordinates of the table over which a class of a word has its curves: those of a group, or the one of that id."""
+    return tuple(one for one in ALL if word in (one.id, one.group))
 
 
 def coordinate_named(word: str) -> Coordinate:
@@ -254,6 +274,7 @@ def coordinate_named(word: str) -> Coordinate:
             lambda h, b: _measured(h, word).at(h.time_s),
             lambda h: (_measured(h, word).low, _measured(h, word).high),
             zero="middle",
+            goes="else",
             measured=True,
         )
     if word not in known:
