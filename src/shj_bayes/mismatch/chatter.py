@@ -49,14 +49,7 @@ class Chatter:
 def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
     """Look for chatter beside a model; None where the scatter is no larger than that of noise.
 
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    state : State
-        The model.
-    most_kN : float
-        Largest standard deviation that the noise of a load cell may have, kN.
+    The noise of a load cell has a standard deviation of `most_kN` at most.
     """
     fine = scene.finer_at(state.model, state.z, longest_s=0.0)
     residual, _ = fine.residual_and_slope(state.model, state.z[None])

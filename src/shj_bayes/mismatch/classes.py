@@ -70,14 +70,9 @@ class Candidate:
 def classes(
     hidden: frozenset[str] = frozenset(), measured: Mapping[str, Measured] = MappingProxyType({})
 ) -> tuple[Class, ...]:
-    """All classes; effects of the catalogue that are not to be tried are left out.
+    """All classes; a curve is left out when all effects of its class are `hidden`.
 
-    Parameters
-    ----------
-    hidden : frozenset of str
-        Ids of effects. A curve is left out when all effects of its class are.
-    measured : mapping of str to Measured
-        Further channels of the recordings by coordinate: clamping may follow each.
+    `measured` holds further channels of the recordings by coordinate: clamping may follow each.
     """
     known = catalogue()
     by_class: dict[tuple[str, str], list[Effect]] = {}
@@ -124,17 +119,7 @@ def _without_formula(name: str, unit: str, weight: float = 1.0) -> Class:
 
 
 def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candidate]:
-    """Everything that could be added to a model, with the columns of the first order.
-
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    state : State
-        The smaller model.
-    of : tuple of Class
-        What to add, one at a time.
-    """
+    """Everything that could be added to a model, one at a time, with the columns of the first order."""
     out = []
     for one in of:
         for variant in one.variants:

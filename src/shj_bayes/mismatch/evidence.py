@@ -28,23 +28,12 @@ CLEAR = 0.1  # nats; less between two candidates is nothing
 def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
     """Log weights of sets of classes, and how each class would be written in the model of the device.
 
-    Parameters
-    ----------
-    out : Search
-        A finished search.
-    answer : Answer
-        What it found.
-
-    Returns
-    -------
-    dict
-        ``classes``, the ids of all that were looked for; ``log_odds`` of each before the test; ``own``, the effect that
-        stands for a class in the model that is shown; ``written``, the effect that would stand for each other class;
-        ``size_percent`` of both, per cent of Fy that the base law could not make, or where the class is not in the
-        model, that the model could not; ``change_percent``, where a class is a curve, from one end of its coordinate to
-        the other, both to first order where the class is not in the model;
-        ``sets``, each a list of positions in ``classes``, with its log weight over the empty set in ``nats``; the first
-        ``fitted`` of them were fitted, the others are of first order.
+    ``classes``, the ids of all that were looked for; ``log_odds`` of each before the test; ``own``, the effect that
+    stands for a class in the model that is shown; ``written``, the effect that would stand for each other class;
+    ``size_percent`` of both, per cent of Fy that the base law could not make, or where the class is not in the model,
+    that the model could not; ``change_percent``, where a class is a curve, from one end of its coordinate to the other,
+    both to first order where the class is not in the model; ``sets``, each a list of positions in ``classes``, with its
+    log weight over the empty set in ``nats``; the first ``fitted`` of them were fitted, the others are of first order.
     """
     names = sorted(out.classes)
     position = {name: i for i, name in enumerate(names)}

@@ -100,13 +100,7 @@ class Answer:
 
 
 def answer_of(out: Search) -> Answer:
-    """Weigh what a search found.
-
-    Parameters
-    ----------
-    out : Search
-        A finished search.
-    """
+    """Weigh what a finished search found."""
     ranked = sorted(out.found.values(), key=lambda h: -h.log_weight)
     weights = np.array([h.log_weight for h in ranked])
     probability = np.exp(weights - logsumexp(weights))
@@ -177,24 +171,12 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
     What a form misses is a share of the force that it makes, half-normal with standard deviation 1 - `EXPLAINED`; a
     class by itself has the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the
     densities at what was found decide. A share of a force is that share where the smaller class acts, and at most that
-    share of all that the data show of the larger one: the square root of the ratio of their evidences, where both
-    are known. What a form of
-    the capacity misses turns its sign with the motion, what one of an added force misses does not: neither looks like
-    the other.
+    share of all that the data show of the larger one: the square root of the ratio of their evidences, where both are
+    known. What a form of the capacity misses turns its sign with the motion, what one of an added force misses does
+    not: neither looks like the other.
 
-    Parameters
-    ----------
-    out : Search
-        A finished search.
-    h : Hypothesis
-        One of its hypotheses.
-    key : frozenset of str
-        Its classes that matter.
-
-    Returns
-    -------
-    dict of frozenset to float
-        Share of the probability for each set of classes; the one with the most evidence is in all of them.
+    Of its classes `key` matter. Gives the share of the probability for each set of classes; the one with the most
+    evidence is in all of them.
     """
     places = [i for i, m in enumerate(h.members) if m.of.id in key]
     sizes = {i: size_of(out, h, i) for i in places}
@@ -235,20 +217,11 @@ def forces_beside(out: Search, h: Hypothesis) -> FloatArray:
 
 
 def ratios(forces: FloatArray, count: FloatArray) -> FloatArray:
-    """How large each force is over each other one, where that one acts.
+    """How large each force is over each other one where that one acts, shape (n, p) to (p, p).
 
-    Parameters
-    ----------
-    forces : array, shape (n, p)
-        In n blocks.
-    count : array, shape (n,)
-        Samples in each block.
-
-    Returns
-    -------
-    array, shape (p, p)
-        Root mean square of the row's force over that of the column's, both weighted by the square of the column's: 1
-        on the diagonal, and the ratio of the sizes of two forces that act alike; 0 beside a force of 0.
+    Root mean square of the row's force over that of the column's, both weighted by the square of the column's: 1 on the
+    diagonal, and the ratio of the sizes of two forces that act alike; 0 beside a force of 0. `count` are the samples in
+    each of the n blocks.
     """
     squares = forces**2
     products = (squares * count[:, None]).T @ squares

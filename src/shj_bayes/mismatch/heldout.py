@@ -39,16 +39,8 @@ def cycles_of(scene: Scene) -> NDArray[np.int64]:
 def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:
     """Predict each cycle with the parameters fitted without it, to first order.
 
-    The state in which a test began stays as it is: only its first cycle tells of it.
-
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    metric : Metric
-        Its noise; the discrepancy is left out, as it is no prediction.
-    state : State
-        The model.
+    The state in which a test began stays as it is: only its first cycle tells of it. Of the metric the discrepancy is
+    left out, as it is no prediction.
     """
     cycles = cycles_of(scene)
     order = scene.used > 0

@@ -38,22 +38,10 @@ def beside_missed(
 ) -> State:
     """Give a state with a covariance that counts what its formulas may miss, and the classes that it does not hold.
 
-    A formula may miss a curve with a standard deviation of 1 - `EXPLAINED` of its size. Each class that is not held
-    counts with its probability: one that is too small to matter for the force may still move the parameters by more
-    than noise does. All to first order. The parameters stay as they are; how far they would move is uncertainty.
-
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    metric : Metric
-        Noise and discrepancy.
-    state : State
-        The model that was found.
-    found : sequence of Candidate and float
-        Its classes with their sizes, as shares of Fy.
-    others : sequence of Class
-        Classes that it does not hold.
+    A formula may miss a curve with a standard deviation of 1 - `EXPLAINED` of its size: `found` holds the classes of
+    the model with their sizes, as shares of Fy. Each of the `others` counts with its probability: one that is too small
+    to matter for the force may still move the parameters by more than noise does. All to first order. The parameters
+    stay as they are; how far they would move is uncertainty.
     """
     covariance = state.covariance.copy()
     missed = [

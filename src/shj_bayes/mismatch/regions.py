@@ -39,17 +39,7 @@ class Region:
 
 
 def regions_of(scene: Scene, metric: Metric, base: State) -> list[Region]:
-    """List the regions in which the base law fails, the largest first, at most two for each coordinate.
-
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    metric : Metric
-        Noise and discrepancy.
-    base : State
-        The base law.
-    """
+    """List the regions in which the base law fails, the largest first, at most two for each coordinate."""
     sense, run = scene.channel("direction"), run_of(scene)
     cuts, columns = [], []
     histories = [part.history for part in scene.posterior.averages]

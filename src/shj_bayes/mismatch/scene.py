@@ -307,17 +307,7 @@ class Metric:
         return left * slow**2 > math.exp(-1.0) * (slow**2 + white**2)
 
     def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Give whitened columns, and the same less what the discrepancy takes up: products are of one with the other.
-
-        Parameters
-        ----------
-        columns : array, shape (n, p)
-            In kN.
-
-        Returns
-        -------
-        two arrays, shape (n, p)
-        """
+        """Give whitened columns and the same less what the discrepancy takes up: products are of one with the other."""
         white, _ = self.whitened(columns)
         return white, np.asarray(white - self.other @ cho_solve(self._root, self.other.T @ white))
 
@@ -331,15 +321,8 @@ class Metric:
 def log_evidence(metric: Metric, products: FloatArray, variances: FloatArray | None = None) -> float:
     """Log density of the data with all parameters integrated out.
 
-    Parameters
-    ----------
-    metric : Metric
-        Noise and discrepancy.
-    products : array, shape (1 + p, 1 + p)
-        Of the data (residual and what the parameters contribute to it) and the derivatives after the p parameters,
-        whose priors are standard normal.
-    variances : array, shape (p,), optional
-        Prior variances where they are not 1.
+    `products`, shape (1 + p, 1 + p), are those of the data (residual and what the parameters contribute to it) and the
+    derivatives after the p parameters, whose priors are normal with the `variances`, 1 by default.
     """
     root = np.ones(products.shape[0] - 1) if variances is None else np.sqrt(variances)
     g, b = products[1:, 1:] * np.outer(root, root), products[0, 1:] * root
@@ -357,16 +340,8 @@ def solve(products: FloatArray) -> tuple[FloatArray, FloatArray]:
 def beside(products: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
     """Products of further columns with the data and with one another, once the parameters are integrated out.
 
-    Parameters
-    ----------
-    products : array, shape (1 + d + p, 1 + d + p)
-        Of the data, the derivatives after d parameters with standard normal priors, and p further columns.
-    d : int
-        Number of parameters.
-
-    Returns
-    -------
-    array, shape (p,), and array, shape (p, p)
+    From those of the data, the derivatives after d parameters with standard normal priors, and p further columns, shape
+    (1 + d + p, 1 + d + p), to shapes (p,) and (p, p).
     """
     root = cho_factor(np.eye(d) + products[1 : 1 + d, 1 : 1 + d], lower=True)
     cross = products[1 : 1 + d, 1 + d :]
@@ -375,15 +350,7 @@ def beside(products: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
 
 
 def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:
-    """Average the runs of a device in blocks that follow the bends of its base model.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Consecutive runs.
-    device : DeviceModel
-        The base model.
-    """
+    """Average consecutive runs of a device in blocks that follow the bends of its base model."""
     posterior = make_posterior(runs, device)
     z = law_starts(posterior)[0]
     theta = device.natural_of_law(z[None])[0]

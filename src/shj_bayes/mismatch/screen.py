@@ -16,17 +16,7 @@ SIZES_OF_STARTS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of an effect at the va
 
 
 def screen(metric: Metric, state: State, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Give candidates their gain, best first, with curves of the size that fits.
-
-    Parameters
-    ----------
-    metric : Metric
-        Noise and discrepancy.
-    state : State
-        The model that they would be added to.
-    candidates : sequence of Candidate
-        As from `classes.candidates`.
-    """
+    """Give candidates, as from `classes.candidates`, their gain, best first, with curves of the size that fits."""
     wide = state.beside(*(c.columns for c in candidates))
     along, inner = beside(metric.products(wide), state.z.size)
     out, first = [], 0
@@ -38,19 +28,10 @@ def screen(metric: Metric, state: State, candidates: Sequence[Candidate]) -> lis
 
 
 def log_gain(inner: FloatArray, along: FloatArray, sizes: FloatArray, weights: FloatArray) -> FloatArray:
-    """Log Bayes factor of columns with normal coefficients of one size, averaged over the size.
+    """Log Bayes factor of columns with normal coefficients, shape (..., m) for m standard deviations of these.
 
-    Parameters
-    ----------
-    inner, along : array, shape (..., p, p) and (..., p)
-        Products of the columns with one another and with the data, as from `scene.beside`.
-    sizes, weights : array, shape (m,)
-        Standard deviations of the coefficients with their probabilities.
-
-    Returns
-    -------
-    array, shape (..., m)
-        By size; the average is the `logsumexp`.
+    `inner` and `along`, shapes (..., p, p) and (..., p), are the products of the columns with one another and with the
+    data, as from `scene.beside`; the average over the sizes, with their probabilities as `weights`, is the `logsumexp`.
     """
     values, vectors = np.linalg.eigh(inner)
     values = np.maximum(values, 0.0)[..., None, :]

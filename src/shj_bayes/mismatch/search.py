@@ -261,18 +261,9 @@ class Search:
     def forms_of(
         self, of: Class, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
     ) -> list[Candidate]:
-        """Formulas of a class beside other members, each from its best starts, with where the rest of the model is.
+        """Formulas of a class, each from its best starts, beside other members and where their model is, `z`.
 
-        Parameters
-        ----------
-        of : Class
-            The class.
-        members : tuple of Candidate
-            The others.
-        z : array, shape (n_law,)
-            Parameters of the model that holds these.
-        at : tuple of int, optional
-            Place of the class among the members, and of its parameters among theirs; the last by default.
+        `at` is the place of the class among the members, and of its parameters among theirs; the last by default.
         """
         place, first = at or (len(members), z.size)
         acts, nothing, out = (of.action, of.coordinate), np.zeros((self.scene.used.size, 0)), []
@@ -456,18 +447,9 @@ def search(
     hidden: frozenset[str] = frozenset(),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Search:
-    """Find the most probable sets of classes.
+    """Find the most probable sets of classes; formulas of `hidden` mechanisms are not tried.
 
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    classes : sequence of Class
-        What to look for.
-    hidden : frozenset of str
-        Mechanisms whose formulas are not to be tried.
-    tell : callable
-        Gets one line for each step.
+    `tell` gets one line for each step.
     """
     tell("fitting the base law")
     start = NoiseSetting(tuple(_middle(scene)), MODEL_ERROR * scene.scale_kN)

@@ -59,15 +59,7 @@ class DeviceEvidence:
         return np.asarray(self.nats - self.log_odds * self.holds.sum(axis=1))
 
     def log_factor(self, name: str, log_odds: Mapping[str, float]) -> float:
-        """Log Bayes factor of a class, with every other class at its odds; 0 where the device says nothing of it.
-
-        Parameters
-        ----------
-        name : str
-            The class.
-        log_odds : mapping of str to float
-            Of every class before the test.
-        """
+        """Log Bayes factor of a class, with every other class at its odds; 0 where the device says nothing of it."""
         if name not in self.classes:
             return 0.0
         place = self.classes.index(name)
@@ -105,17 +97,9 @@ class Common:
 
 
 def device_evidence(record: Mapping[str, Any]) -> DeviceEvidence:
-    """Read the evidence of a device.
+    """Read the evidence of a device, ``evidence`` of ``diagnosis.json``.
 
-    Parameters
-    ----------
-    record : mapping
-        ``evidence`` of ``diagnosis.json``.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If it is not as `evidence.evidence_of` writes it.
+    `ValueError`, `KeyError` or `TypeError` if it is not as `evidence.evidence_of` writes it.
     """
     names = tuple(str(name) for name in record["classes"])
     nats = np.array([float(x) for x in record["nats"]])
@@ -136,17 +120,8 @@ def device_evidence(record: Mapping[str, Any]) -> DeviceEvidence:
 def log_shared(log_factors: FloatArray) -> tuple[float, float]:
     """Weigh that a set has a class, from the log Bayes factors of its devices; see the module.
 
-    Parameters
-    ----------
-    log_factors : array, shape (n,)
-        Of each device.
-
-    Returns
-    -------
-    float
-        Log Bayes factor of the set.
-    float
-        Share of the devices that have it where the set has: the posterior mean of theta.
+    Gives the log Bayes factor of the set, and the share of the devices that have it where the set has: the posterior
+    mean of theta.
     """
     theta, logs = _over_share(log_factors)
     total = float(logsumexp(logs))
@@ -226,13 +201,7 @@ class _Weighing:
 
 
 def common_to(devices: Sequence[DeviceEvidence]) -> Common:
-    """Find what devices have in common; see the module for the model.
-
-    Parameters
-    ----------
-    devices : sequence of DeviceEvidence
-        Devices of a set, or of a campaign.
-    """
+    """Find what the devices of a set, or of a campaign, have in common; see the module for the model."""
     out = _Weighing(devices)
     best = out.grow()
     names = sorted(out.weights, key=lambda key: (-out.weights[key], sorted(key)))

@@ -54,19 +54,9 @@ SHAPES = (
 
 
 def formula_of(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, name: str, unit: str) -> str | None:
-    """Simplest formula that lies within the band of a curve, or misses it by less than what matters.
+    """Simplest formula that lies within the band of a curve, per cent of Fy, or misses it by less than what matters.
 
-    Parameters
-    ----------
-    at, mean, low, high : array, shape (n,)
-        Coordinate in its unit; curve and band, per cent of Fy.
-    name, unit : str
-        Symbol and unit of the coordinate.
-
-    Returns
-    -------
-    str or None
-        Right-hand side in per cent of Fy; None where no shape of a few numbers does.
+    Its right-hand side, with symbol and unit of the coordinate; None where no shape of a few numbers does.
     """
     first, span = float(at[0]), float(np.ptp(at))
     u = (at - first) / span

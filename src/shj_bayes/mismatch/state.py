@@ -48,19 +48,7 @@ def drawn_from(state: State, n: int, seed: int = 1) -> FloatArray:
 
 
 def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> State:
-    """Go to the most probable parameters by Gauss-Newton steps, and linearise there.
-
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    metric : Metric
-        Noise and discrepancy.
-    model : DeviceModel
-        What is fitted.
-    z : array, shape (n_law,)
-        Where to start.
-    """
+    """Go to the most probable parameters by Gauss-Newton steps from `z`, shape (n_law,), and linearise there."""
 
     def height(residual: FloatArray, at: FloatArray) -> float:
         if not np.all(np.isfinite(residual)):
@@ -93,35 +81,15 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> S
 
 
 def settle_under(scene: Scene, setting: NoiseSetting, model: DeviceModel, z: FloatArray) -> tuple[Metric, State]:
-    """Settle a model under a noise, with the metric that this noise has where the model starts.
-
-    Parameters
-    ----------
-    scene, model, z
-        As for `settle`.
-    setting : NoiseSetting
-        Noise and discrepancy.
-    """
+    """Settle a model under a noise, with the metric that this noise has where the model starts."""
     metric = Metric(scene, setting, scene.residual_and_slope(model, z[None])[1][0])
     return metric, settle(scene, metric, model, z)
 
 
 def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
-    """Size of changes of the force that no change of the parameters can make up for, as shares of Fy.
+    """Size of changes of the force, shape (n, p), that no change of the parameters can make up for, as shares of Fy.
 
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    jacobian : array, shape (n, d)
-        Derivatives after the parameters that could.
-    change_kN : array, shape (n, p)
-        The changes.
-
-    Returns
-    -------
-    array, shape (p,)
-        99th percentile over the samples of what is left, or of the change itself where that is less.
+    The 99th percentile over the samples of what is left, or of the change itself where that is less, shape (p,).
     """
     used = scene.used > 0
     count, left = scene.count[used], beyond(scene, jacobian, change_kN)
@@ -129,12 +97,9 @@ def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatA
 
 
 def beyond(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
-    """Give what is left of changes of the force when parameters make up for what they can, as for `visible`.
+    """Give what is left of changes of the force when parameters make up for what they can, as for `visible`, kN.
 
-    Returns
-    -------
-    array, shape (n_used, p)
-        In the blocks that are evidence, kN.
+    In the blocks that are evidence, shape (n_used, p).
     """
     used = scene.used > 0
     root = np.sqrt(scene.count[used])[:, None]
@@ -169,18 +134,8 @@ def find_noise(
 ) -> NoiseSetting:
     """Find the noise of a device beside everything that a set of columns can take up.
 
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    state : State
-        A model; only its residual and derivatives count.
-    columns : array, shape (n, p)
-        Further functions with standard normal coefficients.
-    start : NoiseSetting, optional
-        Where to begin; by default the best of a grid.
-    most_kN : float
-        Largest standard deviation of the noise, as of `NoiseSetting.size_kN`.
+    Of the state only residual and derivatives count; the columns, shape (n, p), have standard normal coefficients.
+    Begins at the best of a grid by default; `most_kN` is the largest standard deviation, as of `NoiseSetting.size_kN`.
     """
     wide = state.beside(columns)
     unit = MODEL_ERROR * scene.scale_kN

@@ -80,17 +80,9 @@ class Together:
 
 
 def together(devices: Iterable[tuple[str, Diagnosed]]) -> tuple[Together, ...]:
-    """Add up the diagnoses of a campaign.
+    """Add up the diagnoses of a campaign, each behind the name of its set.
 
-    Parameters
-    ----------
-    devices : iterable of (str, Diagnosed)
-        Each device, behind the name of its set.
-
-    Returns
-    -------
-    tuple of Together
-        One for each set; behind them, where there are several sets, one for all devices.
+    One for each set; behind them, where there are several sets, one for all devices.
     """
     by_set: dict[str, list[Diagnosed]] = {}
     for set_name, device in devices:
@@ -102,19 +94,9 @@ def together(devices: Iterable[tuple[str, Diagnosed]]) -> tuple[Together, ...]:
 
 
 def read_diagnosed(place: Path, folder: str) -> Diagnosed:
-    """Read what a diagnosis says for the set of its device.
+    """Read what a diagnosis says for the set of its device; `InferenceError` if it cannot be read.
 
-    Parameters
-    ----------
-    place : Path
-        Folder of the diagnosis.
-    folder : str
-        Folder of the device below the campaign's.
-
-    Raises
-    ------
-    InferenceError
-        If it cannot be read.
+    `place` is the folder of the diagnosis, `folder` that of the device below the campaign's.
     """
     record: Mapping[str, Any] = read_json(place / "diagnosis.json", InferenceError)
     try:

@@ -26,25 +26,9 @@ AT_ONCE = 128  # frequencies
 
 
 def waves(scene: Scene, metric: Metric, state: State, of: Class, most: int = 2) -> list[Candidate]:
-    """Find the periods after which a curve of a class may come again.
+    """Find at most so many periods after which a curve of a class may come again, beside a model.
 
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    metric : Metric
-        Noise and discrepancy.
-    state : State
-        The model that a curve would be added to.
-    of : Class
-        How it acts, and over what; `Coordinate.repeats` says how likely it is to come again.
-    most : int
-        Number of periods.
-
-    Returns
-    -------
-    list of Candidate
-        None where curves over the coordinate do not come again.
+    An empty list where curves over the coordinate do not come again: `Coordinate.repeats` says how likely that is.
     """
     over = _repeating(of)
     if over is None:
@@ -74,16 +58,7 @@ def waves(scene: Scene, metric: Metric, state: State, of: Class, most: int = 2) 
 def resolved(scene: Scene, metric: Metric, state: State, of: Sequence[Class]) -> Scene:
     """Give the recordings in blocks that show what comes again: finer ones where its period is too short for these.
 
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    metric : Metric
-        Noise and discrepancy.
-    state : State
-        The base law.
-    of : sequence of Class
-        What may come again.
+    The state is that of the base law.
     """
     short = [one for one in of if (over := _repeating(one)) is not None and not _enough(scene, over)]
     if not short:
