@@ -84,6 +84,7 @@ def classes(
         if all(effect.mechanism in hidden for effect in effects):
             continue
         action, name = key
+        shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
         if key in CURVES:
             over = coordinates_of(name)
             smooth = (1.0 - FORMS) * (1.0 - over[0].repeats)
@@ -95,12 +96,10 @@ def classes(
                 for own, share in ((False, 1.0 - sides), (True, sides))
                 if share
             )
-            shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             few = [effect for effect in shown if math.prod(map(len, start_values(effect))) <= FEW_STARTS]
             variants += tuple(Variant(None, effect, FORMS / len(shown)) for effect in few)
             out.append(Class(action, name, over[0].unit, variants))
         else:
-            shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
             variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)
             out.append(Class(action, name, "1", variants))
     both = {name: one.unit for name, one in coordinates().items() if one.times is not None}

@@ -265,8 +265,8 @@ def _change(out: Search, h: Hypothesis, place: int, z: FloatArray, scene: Scene)
     """Force of a member for each of some parameter sets of its model, shape (m, n_law) to (m, n), kN."""
     model, effect = h.state.model, h.members[place].variant.effect
     rest = tuple(e for e in model.effects if e.id != effect.id)
-    others = np.setdiff1d(np.arange(h.state.z.size), out.columns_of(h.state, place))
-    return scene.residual(model.with_effects(rest), z[:, others]) - scene.residual(model, z)
+    others = np.delete(z, out.columns_of(h.state, place), axis=1)
+    return scene.residual(model.with_effects(rest), others) - scene.residual(model, z)
 
 
 def _law_slopes(h: Hypothesis, scene: Scene) -> FloatArray:

@@ -168,6 +168,11 @@ class Search:
         effect = state.model.effects[len(self.scene.device.effects) + place]
         return [i for i, name in enumerate(state.model.law_names) if name.startswith(f"{effect.id}.")]
 
+    def without(self, h: Hypothesis, place: int) -> tuple[tuple[Candidate, ...], FloatArray]:
+        """Members of a hypothesis less the one in a place, and where the rest of its model is."""
+        members = (*h.members[:place], *h.members[place + 1 :])
+        return members, np.delete(h.state.z, self.columns_of(h.state, place))
+
     def screen(self, h: Hypothesis) -> list[Candidate]:
         """Candidates to add to a hypothesis, the best of each class, best first."""
         if h.key not in self.screened:
@@ -242,8 +247,7 @@ class Search:
         member = h.members[place]
         if second_of(member) != DIRECTION or DIRECTION in h.key or DIRECTION not in self.classes:
             return None
-        keep = np.setdiff1d(np.arange(h.state.z.size), self.columns_of(h.state, place))
-        rest = self.fitted(tuple(m for m in h.members if m is not member), h.state.z[keep])
+        rest = self.fitted(*self.without(h, place))
         if rest is None:
             return None
         best = screen(self.metric, rest.state, [c for c in self.looked if c.of.id == DIRECTION])[0]
@@ -254,9 +258,7 @@ class Search:
 
     def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
         """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
-        own = self.columns_of(h.state, place)
-        members = tuple(m for i, m in enumerate(h.members) if i != place)
-        return self.forms_of(h.members[place].of, members, np.delete(h.state.z, own), (place, own[0]))
+        return self.forms_of(h.members[place].of, *self.without(h, place), (place, self.columns_of(h.state, place)[0]))
 
     def forms_of(
         self, of: Class, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
@@ -291,13 +293,13 @@ class Search:
         for place, member in enumerate(h.members):
             if _is_curve(member):
                 continue
-            own = self.columns_of(h.state, place)
-            rest = self.fitted(tuple(m for m in h.members if m is not member), np.delete(h.state.z, own))
+            rest = self.fitted(*self.without(h, place))
             looked = [c for c in self.looked if c.of.id == member.of.id and c.variant.curve is not None]
             if rest is None or not looked or any(_same_twice(looked[0], m) for m in rest.members):
                 continue
             best = screen(self.metric, rest.state, looked)[0]
-            start = np.insert(rest.state.z, [own[0]] * len(best.variant.effect.parameters), 0.0)
+            first = self.columns_of(h.state, place)[0]
+            start = np.insert(rest.state.z, [first] * len(best.variant.effect.parameters), 0.0)
             h = self.fitted(replaced(h, place, best), start) or h
         return h
 
@@ -309,12 +311,11 @@ class Search:
     def shrink(self, h: Hypothesis) -> None:
         """Fit the hypotheses with one class less."""
         for place in range(len(h.members)):
-            rest = tuple(m for i, m in enumerate(h.members) if i != place)
+            rest, z = self.without(h, place)
             known = self.found.get(frozenset(m.of.id for m in rest))
             if known is not None and all(a.variant is b.variant for a, b in zip(known.members, rest, strict=True)):
                 continue
-            keep = np.setdiff1d(np.arange(h.state.z.size), self.columns_of(h.state, place))
-            self.add(rest, h.state.z[keep])
+            self.add(rest, z)
 
     def deepen(self, depth: int) -> bool:
         """Add a class to the best hypotheses with so many; whether the best of all is another one then."""
