@@ -144,7 +144,7 @@ def family(out: Search, answer: Answer) -> list[dict[str, Any]]:
     listed: dict[str, float] = {}
     sure = frozenset.intersection(*(key for key, _ in rivals_of(answer)))
     for key, probability in rivals_of(answer):
-        for name in key - sure:
+        for name in sorted(key - sure):
             for effect in mechanisms(out, answer, name) or [out.classes[name].coordinate]:
                 listed[effect] = listed.get(effect, 0.0) + probability
     for finding in answer.findings:

@@ -117,7 +117,7 @@ def answer_of(out: Search) -> Answer:
     nothing = reduced.get(frozenset(), 0.0)
     inclusion: dict[str, float] = {}
     for key, p in reduced.items():
-        for name in key:
+        for name in sorted(key):
             inclusion[name] = inclusion.get(name, 0.0) + p
     top = sets[0][0] if nothing < DOUBT else frozenset()
     if not top and nothing < DOUBT:

@@ -231,6 +231,6 @@ def _rivals(listed: Iterable[tuple[Combination, float]], best: Combination, name
     others: dict[str, float] = {}
     for key, p in listed:
         if name not in key and len(key) >= len(best):
-            for other in key - best:
+            for other in sorted(key - best):
                 others[other] = others.get(other, 0.0) + p
     return tuple(sorted((k for k, p in others.items() if p >= DOUBT), key=lambda k: -others[k]))

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from shj_bayes.mismatch import findings
+from shj_bayes.mismatch import content, findings
 from shj_bayes.mismatch.chatter import Chatter
 from shj_bayes.mismatch.search import Search
 
@@ -190,3 +190,17 @@ def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(
     monkeypatch.setattr(findings, "largest_size_of", lambda out, h, place: size)
     monkeypatch.setattr(findings, "_away", lambda out, a, b: away)
     assert (findings._followed(out, as_curve, 0) is as_form) == is_name
+
+
+def test_mechanisms_of_one_probability_stand_in_the_order_of_their_words():
+    """The order in which a set of words is gone through differs from process to process."""
+    words = list("abcdefghij")
+    answer = SimpleNamespace(
+        verdict=findings.Verdict.FAMILY,
+        sets=((frozenset(words), 0.6), (frozenset(), 0.4)),
+        findings=(),
+        alternatives={},
+    )
+    classes = {word: SimpleNamespace(action="motion", coordinate=word) for word in words}
+    out = SimpleNamespace(classes=classes, scene=SimpleNamespace(measured=()), hidden=frozenset())
+    assert [one["id"] for one in content.family(out, answer)] == words
