@@ -11,13 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import read_bytes, read_json
 from shj_bayes.errors import PriorError
 from shj_bayes.inference.record import Trust, read_group, read_record
 from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.population.quantities import band_of
 from shj_bayes.recording.recording import Finding, Recording
 
 LAW = ("K", "Fy", "gamma", "ratio")
@@ -85,7 +84,7 @@ def _of_device(folder: Path) -> Earlier:
     if record["verdict"] == Trust.UNUSABLE:
         raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
     names = [name for name in draws if name in LAW or name.startswith("ratio_")]
-    bands = {name: tuple(np.quantile(draws[name], (0.05, 0.5, 0.95)).tolist()) for name in names}
+    bands = {name: band_of(draws[name]) for name in names}
     inputs = frozenset(str(entry["sha256"]) for entry in record["inputs"])
     return Earlier(f"device {record['device']}", bands, str(record.get("digest", "")), inputs)
 

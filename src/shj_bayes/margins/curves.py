@@ -25,7 +25,7 @@ from shj_bayes.population.hierarchy import MAIN_PRIOR, Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
-from shj_bayes.population.quantities import Band, stream
+from shj_bayes.population.quantities import LEVELS, Band, stream
 from shj_bayes.population.selectors import Stratum, members, strata_of
 
 SPEED = "speed"
@@ -155,7 +155,7 @@ def _contrast(
     n_a, n_b = (sum(len(pooled.sets[i].devices) for s in strata for i in s[side]) for side in (0, 1))
     drawn = {label: shifts(pooled, strata, label) for label in (MAIN_PRIOR, *pooled.other_priors)}
     change = np.expm1(drawn[MAIN_PRIOR])
-    quantiles = 100.0 * np.quantile(change, (0.05, 0.5, 0.95), axis=0)
+    quantiles = 100.0 * np.quantile(change, LEVELS, axis=0)
     bands = tuple((low, middle, high) for low, middle, high in quantiles.T.tolist())
     same = np.all((change > -rope / (1.0 + rope)) & (change < rope), axis=1)
     head = (a, b, coordinate.id, coordinate.unit, reference, tuple(at.tolist()))
@@ -213,6 +213,6 @@ def shifts(pooled: PopulationResult, strata: Sequence[Stratum], prior: str) -> F
 
 def content(drawn: FloatArray) -> float:
     """Content of the smallest region, so many times the 90 % band at every value, that leaves 0 out."""
-    low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95), axis=0)
+    low, middle, high = np.quantile(drawn, LEVELS, axis=0)
     away = np.max(np.abs(drawn - middle) / (high - low), axis=1)
     return float(np.mean(away < np.max(np.abs(middle) / (high - low))))

@@ -7,7 +7,7 @@ import numpy as np
 from shj_bayes.margins.delivered import NONE, Bounds, Delivered, delivered
 from shj_bayes.margins.outermost import Newcomers, own_devices
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.quantities import HIGHEST, LOWEST, THIRD_CYCLE, FloatArray
+from shj_bayes.population.quantities import HIGHEST, LEVELS, LOWEST, THIRD_CYCLE, FloatArray
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def environment(result: PopulationResult, set_name: str) -> Environment:
 
 
 def _environment(shift: FloatArray, origin: str) -> Environment:
-    low, middle, high = (float(x) for x in np.exp(np.quantile(shift, (0.05, 0.5, 0.95))))
+    low, middle, high = (float(x) for x in np.exp(np.quantile(shift, LEVELS)))
     said = f"{origin}: {middle:.2f} (90 % interval {low:.2f} to {high:.2f})"
     return Environment(Bounds.around(middle), Bounds.around(low, high), said)
 

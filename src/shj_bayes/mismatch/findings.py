@@ -12,7 +12,7 @@ from scipy.stats import halfnorm, lognorm
 
 from shj_bayes.mismatch.classes import SPREAD, TYPICAL, Candidate, Class
 from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.schema import Verdict
+from shj_bayes.mismatch.schema import SIGMA_90, Verdict
 from shj_bayes.mismatch.search import (
     CONSTANT,
     DIRECTION,
@@ -423,7 +423,7 @@ def curve_band(out: Search, f: Finding, n: int = 61, direction: float = 1.0) -> 
     mean, cov = state.z[own], state.covariance[np.ix_(own, own)]
     rows = curve.rows(share, np.full(n, direction))
     centre = rows @ mean
-    half = 1.6449 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
+    half = SIGMA_90 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
     history = out.scene.posterior.averages[0].history
     at = curve.over.value_of(share, history) if curve.period is None else curve.period * share
     return {"at": at, "mean": 100 * centre, "q05": 100 * (centre - half), "q95": 100 * (centre + half)}

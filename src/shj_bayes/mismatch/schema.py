@@ -1,9 +1,10 @@
-"""Words of ``diagnosis.json`` that are read without what diagnoses: layouts, written and read, and verdicts."""
+"""Words of ``diagnosis.json`` that are read without what diagnoses: layouts, written and read, verdicts, bands."""
 
 from enum import StrEnum
 
 SCHEMA = "shj-bayes/diagnosis/2"
 READ = (SCHEMA, "shj-bayes/diagnosis/1")
+SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a normal law
 
 
 class Verdict(StrEnum):

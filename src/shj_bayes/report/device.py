@@ -13,6 +13,7 @@ from shj_bayes.inference.record import Remark, Trust, is_simulated
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.parameters import base_of
+from shj_bayes.population.quantities import LEVELS
 from shj_bayes.report import words
 from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.force_unit import ForceUnit, force_unit
@@ -159,7 +160,7 @@ def parameter_row(row: dict[str, Any], unknown: bool) -> dict[str, Any]:
 def prior_row(device: DeviceData, law: dict[str, Any], unit: ForceUnit) -> dict[str, str]:
     """One parameter before and after the test."""
     shown, factor = unit.of(law["unit"])
-    low, middle, high = factor * np.quantile(device.prior[law["name"]], (0.05, 0.5, 0.95))
+    low, middle, high = factor * np.quantile(device.prior[law["name"]], LEVELS)
     coarse = (high - low) / 10  # the middle of some draws: no more digits than their range makes meaningful
     return {
         "name": law["name"],

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ModelError
-from shj_bayes.mismatch.schema import Verdict
+from shj_bayes.mismatch.schema import SIGMA_90, Verdict
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
@@ -56,7 +56,6 @@ COORDINATES = {  # where what is said of a dependence is not the title of a coor
 }
 NOT_DETERMINED = "not determined"
 LIKELY, LIMIT = 0.5, 0.05  # probabilities from which a dependence is stated, and mentioned
-SIGMA_90 = 1.6449  # standard deviations to either side that hold 90 % of a normal law
 
 
 def title_of(name: Any) -> str:
