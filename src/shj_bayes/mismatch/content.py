@@ -15,7 +15,7 @@ from shj_bayes.mismatch.heldout import HeldOut, cycles_of
 from shj_bayes.mismatch.regions import Region, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import SCHEMA, Verdict
-from shj_bayes.mismatch.search import LARGEST_OF, Search
+from shj_bayes.mismatch.search import LARGEST_OF, TEETH, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State, drawn_from
 from shj_bayes.model.curve import Curve
@@ -68,7 +68,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
 
 def _chattering() -> Effect:
     """Mechanism that chatter is a face of."""
-    return next(e for e in catalogue().values() if STICK_SLIP in e.acts)
+    return next(e for e in catalogue().values() if TEETH in e.acts)
 
 
 def _chatter(out: Search, answer: Answer, chatter: Chatter) -> dict[str, Any]:
@@ -212,17 +212,13 @@ def further(runs: Sequence[Run]) -> list[dict[str, Any]]:
     return rows
 
 
-STICK_SLIP = ("motion", "stick-slip")
-
-
 def fluctuation(out: Search) -> dict[str, Any]:
     """Describe a force that fluctuates as a dependence: of the motion, as where surfaces stick, load up and jump."""
-    action, coordinate = STICK_SLIP
     size = out.chatter.size if out.chatter else LARGEST_OF * out.metric.fluctuation
     return {
-        "coordinate": coordinate,
+        "coordinate": TEETH.coordinate,
         "unit": "1",
-        "action": action,
+        "action": TEETH.action,
         "direction": "both",
         "probability": SURE if out.chatter else 1.0,
         "evidence": None,
@@ -230,7 +226,7 @@ def fluctuation(out: Search) -> dict[str, Any]:
         "range_percent": None,
         "curve": None,
         "period": None,
-        "matches": [e.id for e in catalogue().values() if STICK_SLIP in e.acts and e.id not in out.hidden],
+        "matches": [e.id for e in catalogue().values() if TEETH in e.acts and e.id not in out.hidden],
     }
 
 

@@ -38,7 +38,7 @@ FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 CONSTANT = str(ClassId("added", "constant"))
-TEETH = str(ClassId("motion", "stick-slip"))
+TEETH = ClassId("motion", "stick-slip")
 POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
 
@@ -472,7 +472,7 @@ def search(
             break
     out.exchange()
     out.finish()
-    if "stick_slip" not in hidden and TEETH not in out.best.key:
+    if "stick_slip" not in hidden and str(TEETH) not in out.best.key:
         out.chatter = chatter_of(scene, out.best.state, out.noise_most_kN)
     return out
 
