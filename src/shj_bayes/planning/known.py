@@ -94,28 +94,19 @@ class Known:
         return tuple(sorted(self.probabilities, key=lambda key: (-self.probabilities[key], sorted(key))))
 
     @property
+    def shares(self) -> FloatArray:
+        """Probability of each belief, shape (n_beliefs,)."""
+        return np.array([b.share for b in self.beliefs])
+
+    @property
     def probabilities(self) -> dict[Key, float]:
         """Probability of each set of classes."""
-        return self.by_set([b.share for b in self.beliefs])
+        return self.by_set(self.shares)
 
     @property
     def contenders(self) -> tuple[Key, ...]:
         """Fewest sets that together hold 95 %, most probable first."""
         return tuple(key for key, _ in most_probable([(key, self.probabilities[key]) for key in self.keys]))
-
-    @property
-    def judges(self) -> FloatArray:
-        """Shares with which the beliefs weigh an outcome of each of them, shape (n_beliefs, n_beliefs).
-
-        A device follows none of the formulas exactly. An outcome of one way to write a set is therefore weighed with
-        the other ways of this set, which together have its probability; a set with one way alone keeps it.
-        """
-        shares = np.array([b.share for b in self.beliefs])
-        same = np.array([[b.key == c.key for c in self.beliefs] for b in self.beliefs])
-        others = np.where(same & ~np.eye(shares.size, dtype=bool), shares, 0.0)
-        left = others.sum(axis=1, keepdims=True)
-        own = np.divide(others * (same @ shares)[:, None], left, out=same * shares, where=left > 0.0)
-        return np.asarray(np.where(same, own, shares))
 
     def by_set(self, shares: Iterable[float]) -> dict[Key, float]:
         """Sum the shares of the beliefs over each set of classes."""
@@ -134,7 +125,12 @@ class Known:
     @property
     def largest_zero_kN(self) -> float:
         """Limit of the load cell's zero, see `largest_zero`."""
-        return largest_zero(self.keys, self.device.law_values(self.z)["Fy"])
+        return largest_zero(self.keys, self.sliding_kN)
+
+    @property
+    def sliding_kN(self) -> float:
+        """Sliding force Fy."""
+        return self.device.law_values(self.z)["Fy"]
 
     def wobbling(self, displacement_mm: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Displacement as it would be measured, with the noise of the old tests."""

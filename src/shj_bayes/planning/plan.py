@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.mismatch.search import DOUBT
+from shj_bayes.mismatch.search import DOUBT, MATTERS
 from shj_bayes.planning.candidates import Candidates
 from shj_bayes.planning.foresight import OUTCOMES, Foreseen, Quantity, entropy_of, foresee
 from shj_bayes.planning.known import Known
@@ -40,17 +40,20 @@ class Row:
     foreseen: tuple[Foreseen, ...]  # for each device
     # information, nats, mean over the devices: loss of entropy, or of the logarithm of the standard deviation
     gain: float
+    misread: float  # largest error of the force for what readers get wrong of the motion, as a share of Fy
     broken: tuple[str, ...] = ()  # limits of the rig that it does not keep, in words
     rehearsal: Rehearsal | None = None  # what simulated tests ended in, first device
 
     @property
-    def order(self) -> tuple[float, float]:
-        """By what protocols are ranked, larger is better: for ``which`` how well contenders are told, else the gain.
+    def order(self) -> tuple[bool, float, float]:
+        """By what protocols are ranked, larger is better: for ``which`` how far contenders are apart, else the gain.
 
-        Entropy alone would praise a test that makes sure of a wrong set.
+        Entropy alone would praise a test that makes sure of a wrong set. A motion that is read so roughly that the
+        error matters comes last: a diagnosis would find an effect in it.
         """
         which = self.foreseen[0].sd is None
-        return float(np.mean([s.told for s in self.foreseen])) if which else self.gain, self.gain
+        first = float(np.mean([s.apart for s in self.foreseen])) if which else self.gain
+        return self.misread <= MATTERS, first, self.gain
 
     @property
     def gain_per_minute(self) -> float:
@@ -111,7 +114,8 @@ def make_plan(
         broken = rig.broken_by(protocol)
         if force > rig.max_force_kN:
             broken = (*broken, f"force up to {force:.4g} kN, allowed {rig.max_force_kN:.4g}")
-        return Row(protocol, seen, gain, broken)
+        misread = max(s.misread_kN / k.sliding_kN for s, k in zip(seen, known, strict=True))
+        return Row(protocol, seen, gain, misread, broken)
 
     compared = [candidates.first[0], *candidates.given]
     tell(f"weighing {len(candidates.all)} protocols")

@@ -14,7 +14,6 @@ from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.state import settle
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.planning.foresight import Quantity, entropy_of, spread_of
 from shj_bayes.planning.known import PLANNED, Belief, Key, Known
 from shj_bayes.planning.protocol import Protocol
@@ -40,14 +39,14 @@ def rehearse(
 
     The tests are spread evenly over the sets, within a set over the ways to write it in their shares.
     """
-    shares, judges, keys = np.array([b.share for b in known.beliefs]), known.judges, known.keys
+    shares, keys = known.shares, known.keys
     rows = []
     for k, stream in enumerate(np.random.SeedSequence(seed, spawn_key=(5,)).spawn(n)):
         key, turn, turns = keys[k % len(keys)], k // len(keys), -(-(n - k % len(keys)) // len(keys))
         within = np.cumsum(np.where([b.key == key for b in known.beliefs], shares, 0.0))
         i = int(np.searchsorted(within, (turn + 0.5) / turns * within[-1]))
         recording = recorded(known, known.beliefs[i], protocol, rate_Hz, np.random.default_rng(stream))
-        after, variance = weighed(known, recording, judges[i], quantity)
+        after, variance = weighed(known, recording, quantity)
         right = max(after, key=lambda key: after[key]) == key
         rows.append((within[-1] / turns, after[key], right, entropy_of(np.array(list(after.values()))), variance))
     weight, of_truth, right_of, entropy, variances = np.array(rows, dtype=np.float64).T
@@ -70,13 +69,10 @@ def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng
 
 
 @one_blas_thread
-def weighed(
-    known: Known, recording: Recording, shares: FloatArray, quantity: Quantity | None = None
-) -> tuple[dict[Key, float], float]:
+def weighed(known: Known, recording: Recording, quantity: Quantity | None = None) -> tuple[dict[Key, float], float]:
     """Weigh the rivals on one further recording, each fitted to old and new together under the noise of the old.
 
-    `shares` are the probabilities of the beliefs before the test, shape (n_beliefs,). Gives the probability of each
-    set, and the variance of the quantity over all rivals, 0 where none is asked for.
+    Gives the probability of each set, and the variance of the quantity over all rivals, 0 where none is asked for.
     """
     motion = motion_of(recording)
     alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
@@ -99,7 +95,6 @@ def weighed(
             g = quantity.slopes[i][: b.z.size]
             values.append(quantity.value(b.model, state.z))
             variances.append(float(g @ state.covariance @ g))
-    with np.errstate(divide="ignore"):
-        weights = np.log(shares) + logs
+    weights = np.log(known.shares) + logs
     p = np.exp(weights - logsumexp(weights))
     return known.by_set(p), 0.0 if quantity is None else float(spread_of(p, np.array(values), np.array(variances)))

@@ -105,13 +105,14 @@ def plan_text(record: Mapping[str, Any]) -> str:
     """Give the summary for the terminal."""
     rows = [headline(record), *(f"  {line}" for line in lines(record))]
     if record["candidates"] or record["compared"]:
-        rows += ["", f"  {'protocol':44} {'min':>6} {'gain':>8} {'per min':>8} {'right':>7} {'simulated':>9}"]
+        head = f"{'protocol':44} {'min':>6} {'gain':>8} {'per min':>8} {'apart':>8} {'right':>7} {'simulated':>9}"
+        rows += ["", f"  {head}"]
         for r in (*record["candidates"], *record["compared"]):
             done = "" if not r["simulated"] else f"{r['simulated']['right']} of {r['simulated']['n']}"
             mark = "  (outside the limits)" if r["limits_broken"] else ""
             rows.append(
                 f"  {r['name'][:44]:44} {r['minutes']:6.1f} {r['gain_nats']:8.3f} {r['gain_per_minute']:8.3f} "
-                f"{100 * r['chance_right']:6.1f}% {done:>9}{mark}"
+                f"{r['apart_nats']:8.1f} {100 * r['chance_right']:6.1f}% {done:>9}{mark}"
             )
     return "\n".join(rows)
 

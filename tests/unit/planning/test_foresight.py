@@ -12,7 +12,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.candidates import Candidates, proposals
 from shj_bayes.planning.devices import further_devices, half_width
-from shj_bayes.planning.foresight import as_read, foresee
+from shj_bayes.planning.foresight import _apart, as_read, foresee
 from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know, mechanisms_of
 from shj_bayes.planning.plan import Worth, make_plan
 from shj_bayes.planning.protocol import Block, Protocol, Waveform
@@ -52,7 +52,7 @@ def test_shares_are_those_that_were_given(heated: Known) -> None:
 def test_more_test_tells_more(heated: Known) -> None:
     long, short = (foresee(heated, p, 5.0, 1) for p in (LONG, SHORT))
     assert long.entropy < short.entropy < 0.7  # log 2 where nothing is known
-    assert short.told < long.told
+    assert short.apart < long.apart
     assert 0.5 < short.of_truth < long.of_truth <= 1.0
     assert max(short.right, 0.75) < long.right <= 1.0  # 0.84 to 0.87, by the machine
     assert foresee(heated, LONG, 5.0, 1) == long  # same seed, same numbers
@@ -73,16 +73,36 @@ def test_a_zero_that_is_off_by_what_matters_is_the_rival_that_says_so(heated: Kn
     assert heated.largest_zero_kN == np.inf
 
 
-def test_a_way_does_not_weigh_its_own_outcomes(heated: Known) -> None:
-    judges, shares = heated.judges, np.array([b.share for b in heated.beliefs])
-    assert judges.sum(axis=1) == pytest.approx(1.0)
-    for i, b in enumerate(heated.beliefs):
-        same = np.array([c.key == b.key for c in heated.beliefs])
-        assert judges[i, same].sum() == pytest.approx(heated.probabilities[b.key])
-        assert judges[i, ~same] == pytest.approx(shares[~same])
-        assert (judges[i, i] == 0.0) == (same.sum() > 1)
-    alone = replace(heated, beliefs=tuple(next(b for b in heated.beliefs if b.key == k) for k in (HEAT, WEAR)))
-    assert np.all(alone.judges == [b.share for b in alone.beliefs])  # one way each: nothing else to weigh with
+def test_the_least_certain_pair_and_form_say_how_far_contenders_are_apart(heated: Known) -> None:
+    """Two forms of heating and one of wear: the evidence of each form is 1, 2 or 3 nats for outcomes of its own."""
+    forms = [next(b for b in heated.beliefs if b.key == key) for key in (HEAT, HEAT, WEAR)]
+    known = replace(heated, beliefs=tuple(replace(b, share=s) for b, s in zip(forms, (0.3, 0.3, 0.4), strict=True)))
+    logs = np.full((3, 5, 3), -50.0)
+    for i, evidence in enumerate((1.0, 2.0, 3.0)):
+        logs[i, :, i] = evidence
+    assert _apart(known, logs) == pytest.approx(51.0 - np.log(2.0))
+    further = WEAR | {"added over time"}
+    beside = replace(known, beliefs=(*(replace(b, share=b.share / 2) for b in known.beliefs),
+                                     replace(forms[2], key=further, share=0.5)))  # fmt: skip
+    wider = np.full((4, 5, 4), -50.0)
+    wider[:3, :, :3] = logs
+    wider[2, :, 3] = wider[3, :, 2] = wider[3, :, 3] = 3.0  # wear with or without a drift: no test shows which
+    assert _apart(beside, wider) == pytest.approx(51.0 - np.log(2.0))
+    only = replace(beside, beliefs=beside.beliefs[2:])
+    assert _apart(only, wider[2:, :, 2:]) == pytest.approx(0.0)
+
+
+def test_a_protocol_that_its_samples_do_not_show_comes_behind_all_others(heated: Known) -> None:
+    """A fast triangle at 20 Hz, which tells more than one slow cycle where its corners are not lost."""
+    rig = replace(RIG, rate_Hz=20.0)
+    slow = Protocol("slow", (Block(95.0, 10.0, 1),))
+    quick = Protocol("quick", (Block(24.0, 40.0, 40, Waveform.TRIANGLE),))
+    plan = make_plan([heated], Candidates(rig, (slow, quick)), seed=1, rehearsals=0)
+    rows = {row.protocol.name: row for row in (*plan.best, *plan.compared)}
+    assert quick.name not in rows or rows["quick"].order < rows["slow"].order
+    far, near = (foresee(heated, p, 20.0, 1) for p in (quick, slow))
+    assert far.misread_kN > 0.01 * heated.sliding_kN > near.misread_kN
+    assert far.apart > near.apart
 
 
 def test_what_the_reader_gets_wrong_is_foreseen(heated: Known) -> None:
