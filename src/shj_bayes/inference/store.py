@@ -183,7 +183,10 @@ def fit_record(
     verdict: Verdict,
     table: pd.DataFrame,
 ) -> dict[str, Any]:
-    """Content of ``fit.json``: what was `asked`, verdict, reasons, versions, digests, data quality and convergence."""
+    """Content of ``fit.json`` but for what `fit` adds: the verdict on the chains alone, and the remarks.
+
+    `asked` are the name of the device, the seed and the key of the fit; `table` is the summary of the parameters.
+    """
     pairs = zip(posterior.averages, posterior.runs, strict=True)
     means = table["mean"].to_numpy(dtype=np.float64)[None]
     runs = range(1, len(posterior.runs) + 1)
