@@ -98,5 +98,5 @@ def empty_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(canvas, "_drawn", lambda figure, kind, dpi, metadata: EMPTY[kind])
         for name in ("corner", "densities", "traces"):  # of dozens of panels
-            patch.setattr(posterior, name, lambda *_: canvas._address("svg+xml", EMPTY["svg"]))
+            patch.setattr(posterior, name, lambda *_: canvas._data_uri("svg+xml", EMPTY["svg"]))
         yield

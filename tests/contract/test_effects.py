@@ -1,4 +1,7 @@
-"""Every effect of the catalogue passes the same checks; a new effect needs a line in WHAT and nothing else."""
+"""Every effect of the catalogue passes the same checks.
+
+A new effect needs its line in FAMILY, and one in PARITY where it has a sign under the mirrorings.
+"""
 
 from __future__ import annotations
 

@@ -2,25 +2,37 @@
 
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.start import find_start
+from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
 from shj_bayes.model.noise.catalogue import noise_model, noise_models
 from shj_bayes.model.noise.filter import Timing, log_density, simulate
-from shj_bayes.model.parameters import BASE, LAW_PARAMETERS, NOISE_PARAMETERS, SHAREABLE
-from shj_bayes.model.priors import read_priors
+from shj_bayes.model.noise.noise import Noise, gaussian
+from shj_bayes.model.parameters import BASE, LAW_PARAMETERS, NOISE_PARAMETERS, SHAREABLE, Parameter
+from shj_bayes.model.priors import Prior, read_priors
 from shj_bayes.recording.protocol import exact_motion, table_1
 
 UNITS = {"kN/mm", "kN", "1", "s/mm", "mm", "mm/s", "s"}
 N = 60
 STEP = 0.05
-VALUES = {"sigma": 1.2, "phi": 0.7, "sigma_white": 1.2, "sigma_slow": 0.9, "tau_slow": 0.3, "nu": 4.0}
+# Values of the noise parameters; of those that are not named, the median of the prior.
+VALUES = {name: float(prior.quantile(0.5)) for name, prior in read_priors("afc").priors.items()} | {
+    "sigma": 1.2,
+    "phi": 0.7,
+    "sigma_white": 1.2,
+    "sigma_slow": 0.9,
+    "tau_slow": 0.3,
+    "nu": 4.0,
+}
 
 
 def singles(n: int, breaks: tuple[int, ...], unused: tuple[int, ...] = ()) -> Timing:
@@ -176,6 +188,28 @@ class TestNoise:
 def test_registries_and_descriptions_agree() -> None:
     assert {name for noise in noise_models().values() for name in noise.parameters} == set(NOISE_PARAMETERS)
     assert set(NOISE_PARAMETERS) | set(LAW_PARAMETERS) == set(BASE)
+
+
+def test_a_noise_parameter_that_no_search_names_begins_at_its_prior(
+    small_device: Posterior, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new parameter needs no value in the searches for the most probable parameters, of a fit and of a diagnosis."""
+    share = Parameter("share", "1", "white part of the variance")
+    for table in (NOISE_PARAMETERS, BASE):
+        monkeypatch.setitem(table, "share", share)
+    noise = Noise(
+        "shared",
+        ("sigma", "share"),
+        parts=lambda v: gaussian(v["sigma"] * np.sqrt(v["share"]), v["sigma"] * np.sqrt(1.0 - v["share"])),
+        decay=lambda v, seconds, step_s: np.exp(-np.repeat(seconds[:, None], v["sigma"].size, axis=1)),
+    )
+    priors = read_priors("afc")
+    laws = priors.priors | {"share": Prior("share", "1", "uniform", 0.0, 1.0, "Nothing assumed.")}
+    device = DeviceModel(2, replace(priors, priors=laws), noise=noise)
+    posterior, start = find_start(make_posterior(small_device.runs, device))
+    values = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
+    assert values["sigma"] == pytest.approx(1.0, rel=0.3)  # the root of 0.8^2 + 0.6^2
+    assert diagnose(small_device.runs, device, Look(quick=True)).record["verdict"] == "adequate"
 
 
 def test_values_survive_pickling(small_device: Posterior, as_vector: Callable[..., np.ndarray]) -> None:

@@ -27,9 +27,10 @@ from shj_bayes.commands.campaign import read_manifest
 from shj_bayes.errors import CampaignError, PriorError, RecordingError, ShjError
 from shj_bayes.inference import record as record_file
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording import hdf5, numerals, tables, text
+from shj_bayes.recording import numerals, tables
+from shj_bayes.recording.formats import hdf5, text
+from shj_bayes.recording.formats.catalogue import read_table
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.tables import read_table
 
 TOP = Path(__file__).resolve().parents[2]
 SOURCES = [*(TOP / "src").rglob("*.py"), *(TOP / "validation").rglob("*.py")]

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from shj_bayes.cli import main
 from shj_bayes.commands import pipeline
+from shj_bayes.commands.finished import name_of_device
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
@@ -49,6 +50,12 @@ def test_help_answers_at_once_and_names_the_commands():
         assert command in result.output
     assert "..." not in result.output.partition("Commands:")[2]  # each says in a line what it does
     assert "numba" not in set(sys.modules) - before
+
+
+@pytest.mark.parametrize("ending", [".csv", ".DAT", ".asc", ".csv.gz", ".hdf5", ".tdms"])
+def test_a_device_is_named_by_its_first_file_without_the_ending_of_its_format(ending):
+    assert name_of_device(None, f"rig 2.5{ending}") == "rig 2.5"
+    assert name_of_device("mine", f"rig{ending}") == "mine"
 
 
 def test_the_command_runs_as_a_module():

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from shj_bayes.population.classical import permutation
+from shj_bayes.population.classical import permutation_test
 from shj_bayes.population.published import DEVICE_TABLES, Claim, Held, PublishedRow, published_rows
 from shj_bayes.population.quantities import FloatArray
 from shj_validation.contrasts import two_way_anova
@@ -124,7 +124,9 @@ def _corrosion(rows: Sequence[PublishedRow]) -> Claim:
     log = np.log(force)
     change = 100.0 * (np.exp(log[:, 1].mean(axis=1) - log[:, 0].mean(axis=1)) - 1.0)
     mean_change = 100.0 * float(np.exp(np.mean(log[:, 1] - log[:, 0])) - 1.0)
-    (exact, least, arrangements), (plain, *_) = (permutation([(row[1], row[0]) for row in x]) for x in (log, force))
+    (exact, least, arrangements), (plain, *_) = (
+        permutation_test([(row[1], row[0]) for row in x]) for x in (log, force)
+    )
     variance = two_way_anova(log)
     return Claim(
         "corrosion_no_effect",

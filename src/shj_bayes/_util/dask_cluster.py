@@ -92,7 +92,7 @@ def _connect(library: Any, address: str) -> Any:
 
 def _check_workers(client: Any, address: str, folder: Path) -> None:
     """Ask the workers that are there whether they can do the work; those that join later tell it device by device."""
-    for worker, answer in client.run(_look, str(folder), on_error="return").items():
+    for worker, answer in client.run(_probe, str(folder), on_error="return").items():
         if isinstance(answer, ImportError):
             wrong = f"cannot import shj_bayes ({answer}); install shj-bayes {shj_bayes.__version__} on the workers"
         elif isinstance(answer, BaseException):
@@ -106,8 +106,8 @@ def _check_workers(client: Any, address: str, folder: Path) -> None:
         raise CampaignError(f"--dask {address}: the worker {worker} {wrong}")
 
 
-def _look(folder: str) -> tuple[str, bool]:
-    """Version on a worker, and whether it sees a folder."""
+def _probe(folder: str) -> tuple[str, bool]:
+    """Give the version of this package on the worker that runs this, and whether it sees a folder."""
     return shj_bayes.__version__, Path(folder).is_dir()
 
 

@@ -14,6 +14,7 @@ from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.record import Remark, check_files, read_record
 from shj_bayes.model.parameters import BASE, base_of
+from shj_bayes.recording.formats.catalogue import by_ending
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
 from shj_bayes.report.residual_file import read_residual
@@ -92,8 +93,8 @@ def key_of(
 
 def name_of_device(given: str | None, file: str) -> str:
     """Name that was given, or that of the first file without its endings (a dot inside the name stays)."""
-    endings = r"(\.(csv|tsv|txt|xlsx|json|mat|h5|hdf5|tdms|gz))+$"
-    return plain_name(given or re.sub(endings, "", file, flags=re.IGNORECASE))
+    endings = "|".join(map(re.escape, (*by_ending(), ".gz")))
+    return plain_name(given or re.sub(f"({endings})+$", "", file, flags=re.IGNORECASE))
 
 
 def finished_record(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]:

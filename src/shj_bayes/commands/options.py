@@ -30,7 +30,7 @@ class Options:
     model : {"published", "continuous"}
         Reversal rule.
     noise : str
-        Noise model: ``slow``, ``ar1``, ``independent``, ``student``.
+        Noise model, ``slow`` or another one of ``--noise``.
     effects : tuple of str
         Physical effects that are known to be there, by their ids.
     free : tuple of str

@@ -16,7 +16,7 @@ from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.record import Trust, read_group
 from shj_bayes.inference.run import Run, runs_of
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import LIBRARY, Plan
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
@@ -144,7 +144,7 @@ def diagnose_device(
         if record is None:
             record = _fit(runs, folder, model, work.plan(options, (top,)), name=name, key=key)
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
-        return draws, {"how": f"emcee; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
+        return draws, {"how": f"{LIBRARY}; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
 
     given = options.device_model(len(runs), priors)
     diagnosis = diagnose(runs, given, replace(look, name=name), seed=options.seed, sample=sample, tell=work.tell)

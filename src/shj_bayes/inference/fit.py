@@ -17,7 +17,7 @@ from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.record import Trust
 from shj_bayes.inference.remarks import remarks_of
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.sampler import LIBRARY, Plan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
 
@@ -82,7 +82,7 @@ def fit(
     natural = posterior.natural(shown)
     table = store.summary(posterior.model, figures, natural)
     heights = np.stack([state.log_posterior[figures.n_burn :] for state in states])
-    data = store.inference_data(posterior, shown, kept, heights, plan.seed)
+    data = store.inference_data(posterior, shown, kept, heights, plan.seed, LIBRARY)
     asked = {"device": name, "seed": plan.seed, "key": key}
     record = store.fit_record(asked, posterior, figures, floor, verdict, table)
     record |= {"convergence": converged.word, "remarks": remarks_of(posterior.model, natural)}

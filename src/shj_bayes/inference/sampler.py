@@ -23,6 +23,7 @@ from shj_bayes.model.parameters import FloatArray
 with without("scipy.stats"):
     import emcee
 
+LIBRARY = "emcee"  # whose sampler moves the walkers; the files of a fit name it
 MIN_STEPS = 50  # fewer say nothing about convergence
 LEAST_ROUND, SURE = 10, 1.04  # steps; by how much the steps are taken longer than a first estimate of tau asks
 

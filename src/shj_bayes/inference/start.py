@@ -18,6 +18,7 @@ from shj_bayes.model.parameters import FloatArray, base_and_run
 
 FAR = 1e12  # in the place of a negative log density that is none
 N_DESCENTS = 3  # laws of the grid that are improved
+QUARTILES = np.array([0.25, 0.5, 0.75])
 CHUNK = 16  # parameter sets evaluated in one call
 
 
@@ -125,7 +126,11 @@ def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
         "nu": np.array([4.0, 30.0]),
     }
     own = dict(zip(model.names[model.n_law :], model.laws_of_parameters[model.n_law :], strict=True))
-    rows = np.array(list(product(*([float(own[n].to_free(v)) for v in grids[n]] for n in own))))
+    rows = np.array(
+        list(
+            product(*([float(law.to_free(v)) for v in grids.get(n, law.quantile(QUARTILES))] for n, law in own.items()))
+        )
+    )
     points = np.concatenate([np.tile(z, (rows.shape[0], 1)), np.clip(rows, -8.0, 8.0)], axis=1)
     return np.asarray(points[int(np.argmax(posterior.log_posterior_free(points)))])
 

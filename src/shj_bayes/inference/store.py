@@ -60,12 +60,13 @@ AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the re
 
 
 def inference_data(
-    posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int
+    posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int, library: str
 ) -> xr.DataTree:
     """Everything a reader of the fit needs, in the groups of ArviZ.
 
     `shown` are the kept steps in the unbounded space, shape (n_ensembles, n_steps, n_walkers, d), no narrower than the
-    cycles scatter; `sampled` the same as they were sampled, `heights` the log posterior of these.
+    cycles scatter; `sampled` the same as they were sampled, `heights` the log posterior of these; `library` is the
+    package that sampled them.
 
     ``chain`` is the ensemble; ``draw`` goes through steps and walkers, thinned to nearly independent draws. Groups:
     posterior, prior, posterior_predictive, prior_predictive, log_likelihood, log_prior, sample_stats, observed_data,
@@ -83,7 +84,7 @@ def inference_data(
     def named(values: FloatArray) -> dict[str, FloatArray]:
         return {name: values[..., i] for i, name in enumerate(posterior.names)}
 
-    group = partial(_group, _words(posterior))
+    group = partial(_group, _words(posterior), library)
     groups = {
         "posterior": group("draws", named(draws)),
         "prior": group("draws of the priors", named(prior[None])),
@@ -182,7 +183,10 @@ def fit_record(
     verdict: Verdict,
     table: pd.DataFrame,
 ) -> dict[str, Any]:
-    """Content of ``fit.json``: what was `asked`, verdict, reasons, versions, digests, data quality and convergence."""
+    """Content of ``fit.json`` but for what `fit` adds: the verdict on the chains alone, and the remarks.
+
+    `asked` are the name of the device, the seed and the key of the fit; `table` is the summary of the parameters.
+    """
     pairs = zip(posterior.averages, posterior.runs, strict=True)
     means = table["mean"].to_numpy(dtype=np.float64)[None]
     runs = range(1, len(posterior.runs) + 1)
@@ -313,6 +317,7 @@ def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict
 
 def _group(
     words: Mapping[str, tuple[str, str]],
+    library: str,
     meaning: str,
     variables: Mapping[str, NDArray[Any]],
     coords: Mapping[str, Any] | None = None,
@@ -332,7 +337,7 @@ def _group(
         meaning=meaning,
         creation_library="shj-bayes",
         creation_library_version=shj_bayes.__version__,
-        inference_library="emcee",
-        inference_library_version=version("emcee"),
+        inference_library=library,
+        inference_library_version=version(library),
     )
     return data

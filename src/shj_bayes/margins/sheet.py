@@ -219,6 +219,7 @@ def _degradation(row: Margin) -> Margin:
 def _warnings(
     result: PopulationResult, request: Request, spoken: Sequence[str], asked: Asked | None, laws: Sequence[str]
 ) -> Iterator[str]:
+    """Say what limits the use of the margins: what was taken as known, what was not tested, where tests are too few."""
     tested = result.tested
     if request.v_known is not None:
         yield f"V = {request.v_known:g} of the sliding force is taken as known (EN 1990), because: {request.v_reason}"
@@ -242,6 +243,14 @@ def _warnings(
             "Drawn up for what --set names alone. How much devices of a set differ is learnt from all sets that were "
             f"tested ({len(result.sets)}); without --set the sheet holds them all."
         )
+    yield from _unequal_spreads(result, spoken)
+    yield from _few_devices(result, spoken)
+    if f"{MOST}_2" not in result.posteriors:
+        yield "No device has a second run, so nothing is said of a second earthquake."
+
+
+def _unequal_spreads(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
+    """Say for which sets the spread common to all is too narrow or too wide, where the sets do not spread alike."""
     fit = result.fit(THIRD_CYCLE)
     several = [i for i, n in enumerate(fit.n_devices) if n > 1]
     if len(several) > 1:
@@ -254,7 +263,11 @@ def _warnings(
                     "The sets do not spread alike, but several times as much one as another: margins with the spread "
                     f"common to all sets are {' and '.join(found)}; the bands of a new device allow for it."
                 )
-    counts = [n for name, n in zip(result.set_names, fit.n_devices, strict=True) if name in spoken]
+
+
+def _few_devices(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
+    """Say how many sets rest on fewer than three devices."""
+    counts = [n for name, n in zip(result.set_names, result.fit(THIRD_CYCLE).n_devices, strict=True) if name in spoken]
     few = sum(n < 3 for n in counts)
     if few:
         which = f"{few} of {len(counts)} sets rest" if len(counts) > 1 else "The set rests"
@@ -262,5 +275,3 @@ def _warnings(
             f"{which} on one or two devices. The smallest and largest of two hold 90 % "
             "of all devices with a confidence of only 1 %: two devices are not a band."
         )
-    if f"{MOST}_2" not in result.posteriors:
-        yield "No device has a second run, so nothing is said of a second earthquake."

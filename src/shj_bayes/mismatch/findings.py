@@ -230,7 +230,10 @@ def ratios(forces: FloatArray, count: FloatArray) -> FloatArray:
 
 
 def size_of(out: Search, h: Hypothesis, place: int) -> float:
-    """Size of a member at the most probable parameters: its force that the base law could not make, a share of Fy."""
+    """Size of a member at the most probable parameters, as a share of Fy.
+
+    The 99th percentile of its force that the base law could not make, by `visible`; of a constant, all of it.
+    """
     return float(_sizes_at(out, h, place, h.state.z[None])[0])
 
 

@@ -537,4 +537,4 @@ def _middle(scene: Scene) -> list[float]:
     size = float(np.std(scene.residual(scene.device, scene.z[None])[0]))
     rough = {"sigma": size, "sigma_white": size, "sigma_slow": size, "tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
     laws = scene.device.laws_of_parameters[scene.device.n_law :]
-    return [float(np.clip(law.to_free(np.asarray(rough[law.name])), -7.0, 7.0)) for law in laws]
+    return [float(np.clip(law.to_free(np.asarray(rough.get(law.name, law.quantile(0.5)))), -7.0, 7.0)) for law in laws]

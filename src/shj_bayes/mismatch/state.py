@@ -11,6 +11,7 @@ from shj_bayes.inference.start import most_probable_noise
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior
 
 Z_LIMIT = 12.0
 ROUNDS = 12
@@ -150,16 +151,17 @@ def find_noise(
 
     if start is None:
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
-        grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law.name, scene)] for law in laws]
+        grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law, scene)] for law in laws]
         firsts = [np.array([*point, 0.0, 0.0]) for point in product(*grids)]
     else:
         firsts = [np.array([*start.z, math.log(start.model_error_kN / unit), start.at_rest])]
     return setting(most_probable_noise(negative, firsts, np.append(np.full(firsts[0].size - 2, 8.0), [6.0, 4.0])))
 
 
-def _grid(name: str, scene: Scene) -> tuple[float, ...]:
-    """Values of a noise parameter to begin with."""
+def _grid(law: Prior, scene: Scene) -> tuple[float, ...]:
+    """Values of a noise parameter to begin with; the median of its prior where none are known."""
     shares = {"sigma": (0.003, 0.01), "sigma_white": (0.003, 0.01), "sigma_slow": (0.002, 0.01)}
-    if name in shares:
-        return tuple(share * scene.scale_kN for share in shares[name])
-    return {"tau_slow": (0.5, 5.0), "phi": (0.1, 0.8), "nu": (5.0,)}[name]
+    if law.name in shares:
+        return tuple(share * scene.scale_kN for share in shares[law.name])
+    known = {"tau_slow": (0.5, 5.0), "phi": (0.1, 0.8), "nu": (5.0,)}
+    return known.get(law.name) or (float(law.quantile(0.5)),)

@@ -31,7 +31,7 @@ class Classical:
     # Behrens-Fisher (the posterior of both means under vague priors, spreads unequal); one stratum only
     behrens_fisher_p: float | None
     variance_p: float | None  # two-sided F test that both sides spread alike
-    permutation_p: float | None  # exact stratified permutation of the sides, two-sided
+    permutation_p: float | None  # stratified permutation test of the sides, two-sided
     arrangements: int  # how many there are; above half a million a random 20 000 of them are used
     # smallest p that any assignment of these values to the two sides can give: three against three devices never give
     # less than 0.10, however far apart they lie
@@ -56,7 +56,7 @@ def classical(strata: Sequence[Pair], seed: int = 0) -> Classical:
     `seed` is that of the random arrangements, where there are too many for all.
     """
     full = [(a, b) for a, b in strata if a.size and b.size]
-    p, least, n = permutation(full, seed) if full else (None, None, 0)
+    p, least, n = permutation_test(full, seed) if full else (None, None, 0)
     two = behrens_fisher(*full[0]) if len(full) == 1 else None
     return Classical(welch(full), two, variance_ratio(full), p, n, least)
 
@@ -97,10 +97,11 @@ def variance_ratio(strata: Sequence[Pair]) -> float | None:
     return float(2.0 * min(tail, 1.0 - tail))
 
 
-def permutation(strata: Sequence[Pair], seed: int = 0) -> tuple[float, float, int]:
-    """Exact two-sided p of the mean difference over strata, sides exchanged within each stratum.
+def permutation_test(strata: Sequence[Pair], seed: int = 0) -> tuple[float, float, int]:
+    """Two-sided p value of the sum of the mean differences, sides exchanged at random within each stratum.
 
-    Then the smallest p that any arrangement of these values has, and the number of arrangements.
+    Exact up to `MOST_ARRANGEMENTS`; above, of the observed arrangement and `N_RANDOM` - 1 that are drawn. Then the
+    smallest p that any arrangement of these values has, and the number of arrangements.
     """
     observed = sum(float(a.mean() - b.mean()) for a, b in strata)
     together = [np.concatenate(pair) for pair in strata]

@@ -69,7 +69,7 @@ class PublishedRow:
 
 
 def read_table(number: int) -> list[dict[str, str]]:
-    """Lines of ``data/published/table<number>.csv`` as text; `PopulationError` where there is no such table."""
+    """Rows of ``data/published/table<number>.csv``, cells as text by column; `PopulationError` where there is none."""
     if number not in range(1, 8):
         raise PopulationError(f"the paper has Tables 1 to 7, not {number}")
     with shipped("data", "published", f"table{number}.csv").open(encoding="utf-8", newline="") as handle:

@@ -247,7 +247,7 @@ def _refuse_thousands(lines: list[str], dialect: Dialect, labels: list[str], fil
 
 
 def _without_notes(lines: list[str], dialect: Dialect) -> tuple[list[str], list[Finding]]:
-    """Leave out the remarks that some machines print below the numbers."""
+    """Leave out the remarks that some machines print below the numbers, at most `LOOK` lines; a note says how many."""
     end = len(lines)
     while end > 1 and end > len(lines) - LOOK and numeric_width(dialect.cells(lines[end - 1]), dialect.decimal) == 0:
         end -= 1

@@ -7,11 +7,12 @@ import numpy as np
 
 from shj_bayes.recording.clock import follow_on, restarts
 from shj_bayes.recording.columns import Channels, choose
+from shj_bayes.recording.formats.catalogue import read_table
 from shj_bayes.recording.further import at_samples
 from shj_bayes.recording.plausible import plausibility_findings, with_exchange
 from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.recording import Extra, Finding, FloatArray, Recording, RunStart, Source
-from shj_bayes.recording.tables import Table, read_table
+from shj_bayes.recording.tables import Table
 
 
 def read(
@@ -26,7 +27,7 @@ def read(
     Parameters
     ----------
     path : str or Path
-        CSV, TSV, TXT (also .gz), XLSX, JSON, MAT, HDF5 or TDMS.
+        A file of a supported format, by its ending (``docs/recordings.md``).
     columns : str or None
         ``time=...,displacement=...,force=...``; each a column name, a 1-based number, or a formula. Roles that are
         not named are looked for in the header. ``time`` may be a single number: the sampling interval. Further

@@ -53,7 +53,7 @@ class Source:
 
     name: str  # file name without folders
     sha256: str = ""  # digest of the file as read; empty for recordings made in memory
-    format: str = "simulated"  # ``csv``, ``xlsx``, ``json``, ``mat``, ``hdf5``, ``tdms`` or ``simulated``
+    format: str = "simulated"  # id of the file format, ``csv``, ``xlsx`` ..., or ``simulated``
     # role (time, displacement, force) to the column or expression it was read from
     columns: dict[str, str] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)  # role to the unit it was read in

@@ -50,7 +50,7 @@ def divisions(recording: Recording) -> tuple[Division, ...]:
     pauses = _apart(recording, sketch, limits.FEW_HALF_CYCLES)
     if pauses:
         strokes = [_strokes(part) for part in sketch.parts([pause.middle_s for pause in pauses])]
-        again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _again(strokes[0], own)]
+        again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _begins_again(strokes[0], own)]
         if again:
             words = f"after {_rests(again)} the protocol begins again as it began"
             found.append(Division("repeat", _between(recording, sketch, again), words))
@@ -263,8 +263,12 @@ def _strokes(sketch: _Sketch) -> FloatArray:
     return np.abs(np.diff(sketch.x_mm[[0, *sketch.turns()]]))
 
 
-def _again(first: FloatArray, other: FloatArray) -> bool:
-    """Whether a protocol begins again: at once, or after the way back from where the one before it was cut off."""
+def _begins_again(first: FloatArray, other: FloatArray) -> bool:
+    """Whether the strokes of a part after a rest, `other`, repeat those of the first part.
+
+    From the first stroke on; or, of a varied protocol, without its first stroke and after one or two strokes back from
+    where the part before was cut off.
+    """
     full = first[1:]
     return _alike(first, other) or (_varied(full) and any(_alike(full, other[back:]) for back in (1, 2)))
 

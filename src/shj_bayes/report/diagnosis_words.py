@@ -296,11 +296,11 @@ def effect_size(data: DiagnosisData, effect: Mapping[str, Any]) -> str:
     whole = number((data.record["shift"].get("Fy") or {}).get("after", {}).get("mean"))
     whole = whole if data.channels.changed and whole > 0 else data.capacity_kN
     known = math.isfinite(number(effect.get("size_kN")))
-    return f"up to {of_sliding(effect['size_kN'], whole, data.force)}" if known else "not known"
+    return f"up to {with_share(effect['size_kN'], whole, data.force)}" if known else "not known"
 
 
-def of_sliding(kN: Any, whole: float, force: ForceUnit) -> str:
-    """Return a force, and its part of the sliding force."""
+def with_share(kN: Any, whole: float, force: ForceUnit) -> str:
+    """Write a force in the unit of the page, and as a percentage of `whole`, the sliding force in kN."""
     return f"{force.shown(number(kN))}, {per_cent(number(kN) / whole)} % of the sliding force"
 
 

@@ -22,7 +22,7 @@ TABLES, LOOPS = ("sheet", "tables"), ("sheet", "tables", "loops")  # scripts of 
 class Picture:
     """A picture on a page."""
 
-    address: str  # the picture itself, as a data address
+    address: str  # the picture itself, as a data URI
     alt: str  # what it shows, for those who do not see it
     caption: str  # what to see in it, one or two plain sentences
     title: str = ""  # a few words above it

@@ -22,7 +22,7 @@ from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.record import read_record
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import LIBRARY, Plan
 from shj_bayes.model.device import effects_named
 from shj_bayes.model.noise.filter import Timing, log_density, simulate
 from shj_bayes.model.simulate import Truth
@@ -89,7 +89,7 @@ def test_groups_read_back_as_they_were_made(fitted: Fitted) -> None:
             assert (values.dims, values.dtype, values.attrs) == (read.dims, read.dtype, read.attrs), (group, name)
             assert read.attrs["units"], (group, name)
             assert read.attrs["meaning"], (group, name)
-        assert back[group].attrs["inference_library"] == "emcee"
+        assert back[group].attrs["inference_library"] == LIBRARY
         assert {"meaning", "inference_library_version", "creation_library_version"} <= set(back[group].attrs)
     assert list(back["posterior"].data_vars) == list(result.posterior.names)
     assert back["posterior"].sizes["chain"] == 4

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.classical import behrens_fisher, classical, holm, permutation, variance_ratio, welch
+from shj_bayes.population.classical import behrens_fisher, classical, holm, permutation_test, variance_ratio, welch
 from shj_bayes.population.compare import compare
 from shj_bayes.population.correlation import correlation_draws, inverse_wishart, scatter
 from shj_bayes.population.device import Tags
@@ -136,21 +136,21 @@ def test_behrens_fisher_against_simulation(rng):
 
 def test_permutation_is_exact_and_agrees_with_the_paper():
     force = np.log(coated_table(lambda row: row.values["Fy", 1], published_rows()))
-    p, least, n = permutation([(row[1], row[0]) for row in force])
+    p, least, n = permutation_test([(row[1], row[0]) for row in force])
     assert n == 7776
     assert least >= 2 / 7776
     assert p == pytest.approx(0.062, abs=0.001)
     a, b = np.array([1.0, 2.0, 9.0]), np.array([3.0, 4.0])
     wanted = stats.permutation_test((a, b), lambda x, y: abs(np.mean(x) - np.mean(y)), alternative="greater").pvalue
-    assert permutation([(a, b)])[0] == pytest.approx(wanted)
+    assert permutation_test([(a, b)])[0] == pytest.approx(wanted)
 
 
 def test_permutation_of_many_devices_is_drawn(rng):
     a, b = rng.normal(0, 1, 40), rng.normal(0.6, 1, 40)
-    p, least, n = permutation([(a, b)], seed=1)
+    p, least, n = permutation_test([(a, b)], seed=1)
     assert n > 1e6
     assert least == 1 / 20_000
-    assert p == permutation([(a, b)], seed=1)[0]
+    assert p == permutation_test([(a, b)], seed=1)[0]
     assert p == pytest.approx(stats.ttest_ind(a, b).pvalue, abs=0.01)
 
 

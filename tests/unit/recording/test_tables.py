@@ -14,9 +14,9 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording import records, text
+from shj_bayes.recording.formats import excel, records, text
+from shj_bayes.recording.formats.catalogue import by_ending, read_table
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.tables import FORMATS, read_table
 
 HEAD = "time_s,displacement_mm,force_kN"
 
@@ -350,8 +350,6 @@ def test_refusals_name_the_file_and_the_reason(tmp_path, name, content, words):
 
 
 def test_archives_that_unpack_beyond_the_bound_are_stopped(tmp_path, monkeypatch, small):
-    from shj_bayes.recording import excel  # noqa: PLC0415
-
     monkeypatch.setattr(text, "MAX_BYTES", 2000)
     monkeypatch.setattr(text, "CHUNK_BYTES", 500)
     monkeypatch.setattr(excel, "MAX_BYTES", 2000)
@@ -376,4 +374,4 @@ def test_mat_objects_are_never_loaded(tmp_path):
 def test_the_documents_list_every_ending():
     page = (Path(__file__).resolve().parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")
     table = page.partition("## Formats")[2].partition("\n## ")[0]
-    assert [ending for ending in FORMATS if f"`{ending}`" not in table] == []
+    assert [ending for ending in by_ending() if f"`{ending}`" not in table] == []

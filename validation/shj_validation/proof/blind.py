@@ -6,7 +6,7 @@ from typing import Any
 
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import LIBRARY, Plan
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
@@ -58,7 +58,7 @@ def diagnose_blind(
     def sample(found: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         result = fit(runs, found, plan=Plan(max_steps=N_STEPS, tops=(top,), threads=1))
         draws = {str(n): v.to_numpy().ravel() for n, v in result.data["posterior"].data_vars.items()}
-        return draws, {"how": f"emcee; {'; '.join(result.verdict.reasons)}", "verdict": result.verdict.word}
+        return draws, {"how": f"{LIBRARY}; {'; '.join(result.verdict.reasons)}", "verdict": result.verdict.word}
 
     device = DeviceModel(len(runs), read_priors(priors), variant=model)
     return diagnose(runs, device, Look(tuple(without), quick), sample=sample if intervals else None).record

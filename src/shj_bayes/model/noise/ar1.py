@@ -10,12 +10,12 @@ from shj_bayes.model.parameters import FloatArray
 
 
 def parts(values: Values) -> Parts:
-    """All of it is slow."""
+    """All of the noise is correlated, none of it white."""
     return gaussian(np.zeros_like(values["sigma"]), values["sigma"])
 
 
 def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
-    """Correlation phi^k after k samples; gaps count in whole samples."""
+    """Autocorrelation phi^k at a lag of k samples; a gap counts as a whole number of samples."""
     return np.asarray(np.power(values["phi"], np.rint(seconds[:, None] / step_s)))
 
 

@@ -1,4 +1,4 @@
-"""What a noise model is: a white part, a slow part that forgets, and how heavy its tails are."""
+"""What a noise model is: a white part, a part that is correlated in time, and how heavy its tails are."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,8 +28,9 @@ class Noise:
     # its parameters, in the order in which they are sampled; each has a prior in the prior files
     parameters: tuple[str, ...]
     parts: Callable[[Values], Parts]  # ``parts(values)`` gives the `Parts` from parameters by name, each of shape (m,)
-    # ``decay(values, seconds, step_s)`` gives the correlation of the slow part after each of n times (s), shape (n, m),
-    # for a channel sampled every ``step_s`` seconds
+    # ``decay(values, seconds, step_s)`` gives the autocorrelation of the slow part at each of n lags (s), shape (n, m),
+    # for a channel sampled every ``step_s`` seconds. The slow part is a first-order Markov process, since `filter`
+    # carries one state: the correlation at the sum of two lags is the product of those at each.
     decay: Callable[[Values, FloatArray, float], FloatArray]
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Sheets to draw on, one style for all, and pictures as data addresses that a page can hold."""
+"""Sheets to draw on, one style for all, and pictures as data URIes that a page can hold."""
 
 import base64
 from io import BytesIO
@@ -82,15 +82,15 @@ def _lay_out(figure: Figure) -> None:
 
 
 def svg(figure: Figure) -> str:
-    """Picture as a scalable data address; the same drawing gives the same text."""
+    """Picture as a data URI of SVG; the same drawing gives the same text."""
     with mpl.rc_context({"svg.hashsalt": "shj-bayes", "svg.fonttype": "path"}):
         content = _drawn(figure, "svg", DPI, {"Date": None, "Creator": None})
-    return _address("svg+xml", content)
+    return _data_uri("svg+xml", content)
 
 
 def png(figure: Figure, dpi: int = DPI) -> str:
-    """Picture as a data address of pixels, for drawings of very many elements."""
-    return _address("png", _drawn(figure, "png", dpi, {"Software": None}))
+    """Picture as a data URI of PNG, for drawings of very many elements."""
+    return _data_uri("png", _drawn(figure, "png", dpi, {"Software": None}))
 
 
 def _drawn(figure: Figure, kind: str, dpi: int, metadata: dict[str, str | None]) -> bytes:
@@ -100,5 +100,6 @@ def _drawn(figure: Figure, kind: str, dpi: int, metadata: dict[str, str | None])
     return buffer.getvalue()
 
 
-def _address(kind: str, content: bytes) -> str:
+def _data_uri(kind: str, content: bytes) -> str:
+    """Content of an image of a MIME type below ``image/`` as a data URI (RFC 2397)."""
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"

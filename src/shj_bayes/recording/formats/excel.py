@@ -9,6 +9,8 @@ from xml.parsers import expat
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.dialect import NoNumbersError
+from shj_bayes.recording.formats.format import Format
+from shj_bayes.recording.formats.text import table_from_lines
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_PARTS, MAX_RATIO, MAX_SHEET_ROWS
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Table
@@ -18,8 +20,6 @@ def read_excel(path: Path, sha256: str) -> Table:
     """Read an XLSX workbook, formulas as the values last stored; `sha256` is its digest."""
     _bounded(path)
     from openpyxl import load_workbook  # noqa: PLC0415
-
-    from shj_bayes.recording.text import table_from_lines  # noqa: PLC0415
 
     book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
     try:
@@ -107,3 +107,6 @@ def _cell(value: object) -> str:
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return repr(float(value))
     return " ".join(str(value).split())
+
+
+FORMATS = (Format("xlsx", (".xlsx",), read_excel),)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.hdf5 import Item, apart, shaped
+from shj_bayes.recording.formats.format import Format
+from shj_bayes.recording.formats.hdf5 import Item, apart, shaped
 from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.limits import CHUNK_BYTES
 from shj_bayes.recording.tables import Column, Table, as_floats, left_out, refuse_large
@@ -130,3 +131,6 @@ def _refuse_bomb(path: Path, order: str) -> None:
                     total += len(unpacker.decompress(packed, CHUNK_BYTES))
                     refuse_large(total, path.name)
                     packed = unpacker.unconsumed_tail
+
+
+FORMATS = (Format("mat", (".mat",), read_binary), Format("hdf5", (".h5", ".hdf5"), read_binary))

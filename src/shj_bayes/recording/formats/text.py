@@ -14,6 +14,7 @@ from typing import IO
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.dialect import LOOK, Dialect, find_dialect, header_of
+from shj_bayes.recording.formats.format import Format
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE
 from shj_bayes.recording.numerals import numbers
 from shj_bayes.recording.recording import Finding
@@ -182,3 +183,6 @@ def _lines(text: io.TextIOWrapper, name: str) -> Iterator[str]:
         yield from whole
     if held:
         yield held
+
+
+FORMATS = (Format("csv", (".csv", ".tsv", ".txt", ".dat", ".asc"), read_text, gzipped=True),)

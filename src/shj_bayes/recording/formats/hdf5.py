@@ -19,7 +19,7 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording.limits import HDF5_SECONDS, MAX_COLUMNS
 from shj_bayes.recording.tables import refuse_large
 
-_CHILD = "import sys; from shj_bayes.recording.hdf5 import child; child(sys.argv[1])"
+_CHILD = "import sys; from shj_bayes.recording.formats.hdf5 import child; child(sys.argv[1])"
 _MAX_WIDTH = 64  # a matrix with more columns is an image or a state history, not channels
 Item = tuple[str, np.ndarray[Any, Any] | None, str | None]
 

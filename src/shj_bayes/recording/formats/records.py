@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording.formats.format import Format
 from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.limits import MAX_JSON_BYTES
 from shj_bayes.recording.recording import Finding, FloatArray
@@ -82,3 +83,6 @@ def _numbers(cells: list[Any]) -> tuple[FloatArray, int]:
     """Cells as numbers, and how many held something that is none; true and false are 1 and 0."""
     values = [float(cell) if isinstance(cell, float | bool) else np.nan for cell in cells]
     return as_floats(values), sum(not isinstance(cell, float | bool) and cell is not None for cell in cells)
+
+
+FORMATS = (Format("json", (".json",), read_records),)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording.formats.format import Format
 from shj_bayes.recording.headers import split_header
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Column, Table, as_floats, refuse_large
@@ -40,3 +41,6 @@ def _column(channel: Any, unique: bool) -> Column:
     name = name if unique else f"{channel.group_name}/{name}"
     unit = str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "").strip()
     return Column(name, as_floats(channel[:]), unit or own, str(channel.name))
+
+
+FORMATS = (Format("tdms", (".tdms",), read_tdms),)
