@@ -1,9 +1,9 @@
 """Sealed trials of the planned test: devices of the proof's simulators, one run of Table 1, then a second test.
 
 ``python benchmarks/plan.py which -n 60`` takes the way of a user: a device is tested once with Table 1 and diagnosed
-(first look); where something matters and the answer is undecided, the next test is planned from it. The planned test, Table 1 again and an
-expert's fixed test, in the same minutes, are then recorded, and each is diagnosed together with the first. Counted is
-the set of classes that is then the most probable, its probability, and what was foreseen.
+(first look); where something matters and the answer is undecided, the next test is planned from it. The planned test,
+Table 1 again and an expert's fixed test, in the same minutes, are then recorded, and each is diagnosed together with
+the first. Counted is the set of classes that is then the most probable, its probability, and what was foreseen.
 ``python benchmarks/plan.py gamma -n 40`` compares the foreseen standard deviation of gamma with the one after the test,
 ``least`` that of the smallest plateau force, over the sets of the first diagnosis fitted anew to both tests. Each trial
 is a line of ``build/plan/*.jsonl``; ``--first`` goes on behind trials that are done, ``--table`` prints what is
@@ -288,8 +288,8 @@ def table(rows: Sequence[dict[str, Any]], question: str) -> str:
     decided = [r for r in rows if r["outcome"] == "decided"]
     small, failed = (sum(r["outcome"] == o for r in rows) for o in ("small", "failed"))
     lines = [
-        f"n = {len(counted)}; {len(decided)} more were decided by the first test; of {small} what is concealed does not "
-        f"matter or cannot be seen, {failed} failed"
+        f"n = {len(counted)}; {len(decided)} more were decided by the first test; what {small} others conceal does "
+        f"not matter or cannot be seen; {failed} failed"
     ]
     for name in TESTS:
         own = [r["tests"][name] for r in counted]
