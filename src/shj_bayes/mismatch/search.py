@@ -453,7 +453,8 @@ def search(
     `tell` gets one line for each step.
     """
     tell("fitting the base law")
-    start = NoiseSetting(tuple(_middle(scene)), MODEL_ERROR * scene.scale_kN)
+    size = float(np.std(scene.residual(scene.device, scene.z[None])[0]))
+    start = NoiseSetting(noise_of_size(scene.device, size), MODEL_ERROR * scene.scale_kN)
     metric, rough = settle_under(scene, start, scene.device, scene.z)
     shown = resolved(scene, metric, rough, classes)
     if shown is not scene:
@@ -532,9 +533,10 @@ def _same_twice(a: Candidate, b: Candidate) -> bool:
     return any(m.variant.curve is not None for m, _ in pairs)
 
 
-def _middle(scene: Scene) -> list[float]:
-    """Noise parameters to begin with: the size of the residual, shared between the parts."""
-    size = float(np.std(scene.residual(scene.device, scene.z[None])[0]))
-    rough = {"sigma": size, "sigma_white": size, "sigma_slow": size, "tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
-    laws = scene.device.laws_of_parameters[scene.device.n_law :]
-    return [float(np.clip(law.to_free(np.asarray(rough.get(law.name, law.quantile(0.5)))), -7.0, 7.0)) for law in laws]
+def noise_of_size(device: DeviceModel, size_kN: float) -> tuple[float, ...]:
+    """Noise parameters to begin with, unbounded: the size of a residual in every part."""
+    rough = {"sigma": size_kN, "sigma_white": size_kN, "sigma_slow": size_kN, "tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
+    return tuple(
+        float(np.clip(law.to_free(np.asarray(rough.get(law.name, law.quantile(0.5)))), -7.0, 7.0))
+        for law in device.laws_of_parameters[device.n_law :]
+    )

@@ -25,7 +25,7 @@ from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
-from shj_bayes.mismatch.search import CONSTANT, DOUBT, MATTERS, ODDS, Hypothesis, Search, noise_beside
+from shj_bayes.mismatch.search import CONSTANT, DOUBT, MATTERS, ODDS, Hypothesis, Search, noise_beside, noise_of_size
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
@@ -232,7 +232,8 @@ def know(tested: Subject, scales: Mapping[str, Any], tell: Callable[[str], None]
     tell(f"{name}: fitting {len(sets)} rivals to the tests so far")
     slope = scene.residual_and_slope(device, scene.z[None])[1][0]
     size = float(np.std(scene.residual(device, scene.z[None])[0]))
-    rough = settle(scene, Metric(scene, _rough_noise(device, size), slope), device, scene.z)
+    start = NoiseSetting(noise_of_size(device, size), max(size, 1e-6))
+    rough = settle(scene, Metric(scene, start, slope), device, scene.z)
     looked = candidates(scene, rough, needed)
     metric = noise_beside(scene, rough, looked, None)
     out = Search(scene, looked, metric, tested.hidden, tell)
@@ -291,13 +292,6 @@ def class_of(mechanism: str) -> Key:
     if mechanism not in known:
         raise PlanError(f"'{mechanism}' is no mechanism; known are {', '.join(known)}{did_you_mean(mechanism, known)}")
     return frozenset({str(ClassId(*known[mechanism].acts[0]))})
-
-
-def _rough_noise(device: DeviceModel, size_kN: float) -> NoiseSetting:
-    laws = device.laws_of_parameters[device.n_law :]
-    rough: dict[str, Any] = {"tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
-    z = [float(np.clip(law.to_free(np.asarray(rough.get(law.name, size_kN))), -7.0, 7.0)) for law in laws]
-    return NoiseSetting(tuple(z), max(size_kN, 1e-6))
 
 
 def _shares(fits: Sequence[tuple[Key, float, Hypothesis]], *, even: bool) -> FloatArray:

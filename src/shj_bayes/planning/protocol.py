@@ -9,7 +9,7 @@ import numpy as np
 
 from shj_bayes.errors import PlanError
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import table_1
 
 SHARPNESS = 0.98  # of the triangle: 1 has corners, which no actuator follows; the peak speed is held over most of it
@@ -143,7 +143,7 @@ class Protocol:
             turns.append(t0 + block.turns_s())
             turning.append(block.amplitude_mm * (-1.0) ** np.arange(2 * block.cycles))
         start = np.concatenate([[0], np.searchsorted(time, np.concatenate(turns)), [n]])
-        direction = np.where(np.arange(start.size - 1) % 2 == 0, 1, -1)
+        direction = alternating(start.size - 1)
         return time, Motion(x, np.abs(v), start, np.concatenate([[0.0], *turning]), direction)
 
     def to_dict(self) -> dict[str, Any]:
