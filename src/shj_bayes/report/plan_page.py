@@ -138,7 +138,7 @@ def _pictures(plan: Plan) -> dict[str, Any]:
     x = motion.displacement_mm
     drawn: dict[str, Any] = {"history": draw.history(time, x, motion.speed_mm_s), "protocol": protocol}
     leading = [next(b for b in known.beliefs if b.key == key) for key in known.keys[:2]]
-    if len(leading) < 2:
+    if len(leading) < 2 or not known.runs:  # before any test a curve is as likely above 0 as below it: no loop to draw
         return drawn
     history = known.placed(histories([time], [motion])[0])
     first, second = (_force(b, history) for b in leading)

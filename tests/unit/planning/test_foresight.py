@@ -1,6 +1,7 @@
 """What is foreseen is what the Gaussian algebra says, and what full simulations end in."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.candidates import Candidates, proposals
 from shj_bayes.planning.devices import further_devices, half_width
+from shj_bayes.planning.files import plan_record
 from shj_bayes.planning.foresight import _apart, as_read, foresee
 from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know, mechanisms_of
 from shj_bayes.planning.plan import Worth, make_plan
@@ -19,6 +21,7 @@ from shj_bayes.planning.protocol import Block, Protocol, Waveform
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rehearsal import rehearse
 from shj_bayes.planning.rig import Rig
+from shj_bayes.report.plan_page import render_plan
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.make import make
 
@@ -183,6 +186,16 @@ def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
     assert second.sd is not None
     assert first.sd is not None
     assert second.sd < first.sd < 0.02
+
+
+def test_before_any_test_no_loops_of_rivals_are_drawn(tmp_path: Path) -> None:
+    """Each curve is as likely above 0 as below it: the two loops would be one."""
+    candidates = Candidates(RIG, (LONG, SHORT))
+    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), candidates))
+    plan = make_plan([known], candidates, rehearsals=0)
+    page = render_plan(tmp_path, plan_record(plan), plan).read_text(encoding="utf-8")
+    assert "The best protocol" in page
+    assert "Where they part" not in page
 
 
 def test_further_devices_follow_the_spread() -> None:
