@@ -166,7 +166,7 @@ class Curve:
 
     def _at(self, history: History, base: Base, coefficients: FloatArray) -> FloatArray:
         """Curve of given coefficients at the points of a history."""
-        if self.over.of_base or history.time_s.size * self.n > RECALLED_NUMBERS:
+        if self.over.of_base or history.passing or history.time_s.size * self.n > RECALLED_NUMBERS:
             place = self.place(history, base)
             if self.period is not None:
                 return np.asarray(self.components(place) @ coefficients)

@@ -51,6 +51,7 @@ class History:
     near_turns: Way | None = None
     # further channels by coordinate: functions of `time_s`, which fewer or other samples leave as they are
     measured: Mapping[str, Measured] = field(default_factory=dict)
+    passing: bool = False  # whether the motion hangs on parameters, so that nothing of it is asked for again
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -253,7 +254,8 @@ def _with_way(history: History, lag_s: float, start: NDArray[np.int64]) -> tuple
     for array in (rows, position):  # so that nobody copies them
         array.setflags(write=False)
     moved = Motion(rows[1], rows[2], start + begins, motion.turning_mm, motion.direction)
-    return replace(history, motion=moved, position_mm=position, near_turns=None, **_channels(rows)), own
+    own_channels = {"position_mm": position, **_channels(rows)}
+    return replace(history, motion=moved, near_turns=None, passing=lag_s != 0.0, **own_channels), own
 
 
 def _channels(rows: FloatArray) -> dict[str, Any]:
