@@ -76,7 +76,7 @@ def main() -> None:
     parser.add_argument("-n", "--n", type=int, default=8, help="trials that count")
     parser.add_argument("--first", type=int, default=1, help="number of the first device that is drawn")
     parser.add_argument("--group", choices=tuple(GROUPS), help="devices of one group only")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--table", nargs="?", const="", metavar="FILE", help="print what is there and run nothing")
     asked = parser.parse_args()
     if asked.question == "paper":
@@ -184,8 +184,8 @@ def _trial(key: Key, seed: int, number: int, question: str) -> dict[str, Any]:
             then = _weighed(tested, both, scales)
             one |= {
                 "sd_foreseen": seen.sd,
-                "sd": quantity_of(then, quantity.unit, quantity.value).now(then.beliefs)[1],
-                "sd_before": quantity.now(known.beliefs)[1],
+                "sd": quantity_of(then, quantity.unit, quantity.value).now(then)[1],
+                "sd_before": quantity.now(known)[1],
             }
         out["tests"][name] = one
     return out
@@ -236,14 +236,14 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
         tested = Subject("device", runs, device, rivals, frozenset({"velocity"}), untold=True)
         known = know(tested, scales)
         gamma = quantity_named(known, "gamma")
-        mean, sd = gamma.now(known.beliefs)
+        mean, sd = gamma.now(known)
         prying = 100 * known.probabilities.get(class_of("prying"), 0.0)
         print(f"prying of {100 * size:.1f} %: after Table 1 {prying:.1f} %, gamma {mean:.5f} +- {sd:.5f} s/mm")
         plan = make_plan([known], candidates, Question("gamma", (gamma,)), rehearsals=0)
         for r in (*plan.best[:1], *plan.compared):
             then = _weighed(tested, [recording, _second(key, r.protocol)], scales)
             named, seen = 100 * then.probabilities.get(class_of("prying"), 0.0), r.foreseen[0].sd
-            after = quantity_of(then, gamma.unit, gamma.value).now(then.beliefs)[1]
+            after = quantity_of(then, gamma.unit, gamma.value).now(then)[1]
             print(
                 f"  {r.protocol.name}, {r.protocol.duration_s / 60:.1f} min: prying {named:.1f} %, sd of gamma "
                 f"{after:.6f} s/mm (foreseen {seen:.6f})"
@@ -271,11 +271,11 @@ def line(row: dict[str, Any]) -> str:
     head = f"{row['number']:4} {row['group']:16} {row['effect']:22} {row['size']:+8.3g} {row['outcome']:8}"
     tests = row.get("tests", {})
     body = "; ".join(
-        f"{k} {t.get('verdict', '')} {100 * t.get('truth', 0.0):.1f} % ({100 * t['foreseen']:.1f})"
+        f"{k} sd {t['sd']:.3g} ({t['sd_foreseen']:.3g})"
+        if "sd" in t
+        else f"{k} {t['verdict']} {100 * t['truth']:.1f} % ({100 * t['foreseen']:.1f})"
         for k, t in tests.items()
     )
-    if "sd" in tests.get("planned", {}):
-        body += "; sd " + ", ".join(f"{t['sd']:.3g} ({t['sd_foreseen']:.3g})" for t in tests.values())
     was = row.get("before", {})
     before = f"{was.get('verdict', '')} {100 * was.get('truth', 0):5.1f} %"
     seconds = f"{row['processor_s']:.0f} s"

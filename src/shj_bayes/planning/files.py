@@ -29,7 +29,7 @@ def plan_record(plan: Plan) -> dict[str, Any]:
     known = plan.known[0]
     now: dict[str, Any] = {"entropy_nats": plan.unsettled, "largest_probability": max(known.probabilities.values())}
     if plan.question.quantities:
-        mean, sd = plan.question.quantities[0].now(known.beliefs)
+        mean, sd = plan.question.quantities[0].now(known)
         now |= {"mean": mean, "sd": sd, "unit": plan.question.quantities[0].unit}
     return _head(plan.question.word, plan.rig, plan.seed) | {
         "devices": [_device(k) for k in plan.known],

@@ -41,11 +41,10 @@ class Quantity:
     # ``value(model, z)`` gives it for unbounded law parameters of a model, shape (n_law,)
     value: Callable[[DeviceModel, FloatArray], float]
 
-    def now(self, beliefs: Sequence[Belief]) -> tuple[float, float]:
+    def now(self, known: Known) -> tuple[float, float]:
         """Mean and standard deviation before the planned test, over all rivals."""
-        own = [float(g @ np.linalg.solve(b.precision, g)) for g, b in zip(self.slopes, beliefs, strict=True)]
-        shares = np.array([b.share for b in beliefs])
-        return float(shares @ self.values), math.sqrt(spread_of(shares, self.values, np.array(own)))
+        own = [float(g @ np.linalg.solve(b.precision, g)) for g, b in zip(self.slopes, known.beliefs, strict=True)]
+        return float(known.shares @ self.values), math.sqrt(spread_of(known.shares, self.values, np.array(own)))
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,8 @@ def foresee(
         if quantity is not None:
             values.append(quantity.values[i] + quantity.slopes[i] @ moved)
             variances.append(float(quantity.slopes[i] @ cho_solve(after, quantity.slopes[i])))
-    weights = np.array(logs).T + np.log(known.shares)
+    evidence = np.array(logs).T
+    weights = evidence + np.log(known.shares)
     p = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))  # (n_outcomes, n_beliefs)
     chance = np.repeat(known.shares / n, n)
     keys = known.keys
@@ -118,7 +118,7 @@ def foresee(
         float(chance @ (by_key.argmax(axis=1) == truth)),
         sd,
         force_kN,
-        _apart(known, np.array(logs).T.reshape(len(beliefs), n, len(beliefs))),
+        _apart(known, evidence.reshape(len(beliefs), n, len(beliefs))),
         misread_kN,
     )
 

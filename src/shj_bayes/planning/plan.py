@@ -157,7 +157,7 @@ def _gain(known: Known, seen: Foreseen, quantity: Quantity | None) -> float:
     if quantity is None:
         return _entropy(known) - seen.entropy
     assert seen.sd is not None
-    return math.log(quantity.now(known.beliefs)[1] / seen.sd)
+    return math.log(quantity.now(known)[1] / seen.sd)
 
 
 def _worth(known: Sequence[Known], best: Sequence[Row], question: str) -> Worth:

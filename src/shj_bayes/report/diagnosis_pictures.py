@@ -1,4 +1,4 @@
-"""The pictures of a diagnosis page as data URIes. Importing this imports matplotlib."""
+"""The pictures of a diagnosis page as data URIs. Importing this imports matplotlib."""
 
 from typing import Any
 

@@ -132,7 +132,7 @@ def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Known
     expected = np.linalg.inv(first.precision + white.T @ white)[3, 3]
     assert seen.sd is not None
     assert seen.sd == pytest.approx(0.02 * np.sqrt(expected), rel=1e-3)  # gamma has a normal prior of 0.02 s/mm
-    assert seen.sd < gamma.now(alone.beliefs)[1]
+    assert seen.sd < gamma.now(alone)[1]
 
 
 def test_full_simulations_end_where_it_was_foreseen(heated: Known) -> None:
@@ -165,7 +165,7 @@ def test_nothing_is_planned_for_what_is_decided(heated: Known) -> None:
 
 def test_a_margin_and_a_wrong_question(heated: Known) -> None:
     least = quantity_named(heated, "least")
-    mean, sd = least.now(heated.beliefs)
+    mean, sd = least.now(heated)
     assert least.unit == "kN"
     assert 0.0 < sd < 0.05 * mean
     with pytest.raises(PlanError, match="is no question; known are which, force, K"):
@@ -181,7 +181,7 @@ def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
     known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), Candidates(rig, (one, several))))
     assert known.keys[0] == frozenset()
     gamma = quantity_named(known, "gamma")
-    assert gamma.now(known.beliefs)[1] == pytest.approx(0.02)
+    assert gamma.now(known)[1] == pytest.approx(0.02)
     first, second = (foresee(known, p, 10.0, 1, gamma) for p in (one, several))
     assert second.sd is not None
     assert first.sd is not None

@@ -1,4 +1,4 @@
-"""Sheets to draw on, one style for all, and pictures as data URIes that a page can hold."""
+"""Sheets to draw on, one style for all, and pictures as data URIs that a page can hold."""
 
 import base64
 from io import BytesIO
