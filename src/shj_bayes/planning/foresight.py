@@ -56,8 +56,8 @@ class Foreseen:
     right: float  # chance that the most probable set is the true one
     sd: float | None  # expected standard deviation of the quantity that is asked for (root of the mean variance)
     force_kN: float  # largest force, two standard deviations above what is predicted
-    # evidence of a true contender over another, nats: median over the outcomes of one form, least over the forms and
-    # pairs. Unlike a probability it goes on growing where all are sure, so what a form misses has room in it
+    # log evidence by which a true contender leads another, nats: median over the outcomes of a form, smallest over
+    # forms and pairs. A probability stops growing near 1; this does not, and leaves room for what the forms miss
     apart: float
     # error of the force of the base law for what readers get wrong of the motion: 99th percentile, as sizes are
     misread_kN: float
@@ -124,12 +124,12 @@ def foresee(
 
 
 def _apart(known: Known, logs: FloatArray) -> float:
-    """Least evidence of a true contender over another, nats.
+    """Give the smallest log evidence by which a true contender leads another, nats.
 
     This is the maximin of the Kullback-Leibler optimum (Lopez-Fidalgo, Tommasi and Trandafir 2007, J. R. Stat. Soc. B
-    69, 231). Contenders of which one holds the other differ by a further effect, which often no test shows: they count
-    where there are no others. `logs`, shape (n_beliefs, n, n_beliefs), is the log evidence of every belief for the
-    outcomes of each.
+    69, 231). Where one contender is another with a further effect, often no test tells them apart: such pairs count
+    only if there are no other pairs. `logs`, shape (n_beliefs, n, n_beliefs), is the log evidence of every belief for
+    the outcomes of each.
     """
     of_set = {}
     for key in known.contenders:

@@ -48,8 +48,8 @@ class Row:
     def order(self) -> tuple[bool, float, float]:
         """By what protocols are ranked, larger is better: for ``which`` how far contenders are apart, else the gain.
 
-        Entropy alone would praise a test that makes sure of a wrong set. A motion that is read so roughly that the
-        error matters comes last: a diagnosis would find an effect in it.
+        Entropy alone would praise a test that makes sure of a wrong set. Protocols whose motion is read with an error
+        that matters come last: a diagnosis would take the error for an effect.
         """
         which = self.foreseen[0].sd is None
         first = float(np.mean([s.apart for s in self.foreseen])) if which else self.gain
