@@ -21,6 +21,7 @@ LOW_SPEED = 0.02  # of the peak speed, below which the logarithmic scale of the 
 SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid
 FIRST_SLID = 0.03  # of the travel in all tests, likewise for it: surfaces bed in within the first strokes
 FASTEST = 1.15  # of the peak speed (a 95th percentile)
+FELT_MM = 0.1  # slid until a contact has got used to a speed: between clean metal and debris
 PAD = 0.2  # of the half stroke: bell over which the passes over a place are counted
 STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
 # How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or
@@ -57,6 +58,7 @@ class Coordinate:
     group: str = ""
     adds: bool = False  # whether a force that is added may have a curve over it, besides the capacity
     family: str = "slow_change"  # family of the effects that a curve over it belongs to
+    memory_mm: float = 0.0  # distance slid over which the capacity follows a curve over it
     symbol: str = "u"  # letter in formulas
     of_base: bool = False  # whether it depends on the base parameters: sliding begins where the elastic branch ends
     measured: bool = False  # whether it is a further channel of the recordings: its unit is that of `History.measured`
@@ -131,6 +133,18 @@ TRAVEL = Coordinate(
     lengths=MappingProxyType({0.15: 0.2, 0.5: 0.8}),
     symbol="s",
     of_base=True,
+)
+SPEED = Coordinate(
+    "speed",
+    "mm/s",
+    "the speed",
+    lambda h, b: h.speed_mm_s,
+    lambda h: (0.0, FASTEST * h.peak_speed_mm_s),
+    scale=LOW_SPEED / FASTEST,
+    lengths=EITHER,
+    goes="stroke",
+    family="low_speed",
+    symbol="|v|",
 )
 ALL = (
     Coordinate(
@@ -216,17 +230,13 @@ ALL = (
         symbol="d",
         of_base=True,
     ),
-    Coordinate(
-        "speed",
-        "mm/s",
-        "the speed",
-        lambda h, b: h.speed_mm_s,
-        lambda h: (0.0, FASTEST * h.peak_speed_mm_s),
-        scale=LOW_SPEED / FASTEST,
-        lengths=EITHER,
-        goes="stroke",
-        family="low_speed",
-        symbol="|v|",
+    SPEED,
+    replace(
+        SPEED,
+        id="speed_felt",
+        title=f"the speed (felt over {FELT_MM:g} mm of sliding)",
+        group="speed",
+        memory_mm=FELT_MM,
     ),
     Coordinate(
         "acceleration",

@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from shj_bayes.model.coordinates import Coordinate, coordinate_named, coordinates
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
+from shj_bayes.model.effects.sliding import felt
 from shj_bayes.model.history import History
 from shj_bayes.model.measured import PREFIX
 from shj_bayes.model.parameters import FloatArray
@@ -156,7 +157,7 @@ class Curve:
         if self.over.times is not None:
             f = f * self.over.times(history)
         if self.action == "capacity":
-            return Contribution(clamping=1.0 + f)
+            return Contribution(clamping=1.0 + felt(f, history, base, self.over.memory_mm))
         return Contribution(added_kN=base.Fy_first * f)
 
     @property

@@ -21,6 +21,7 @@ Way = tuple[FloatArray, NDArray[np.int64]]
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
 
 RECALLED = 16  # arrays that a history keeps of what was worked out of it
+FEW = 40  # samples of an earlier run over each half stroke that is moved: for what it left behind
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +45,7 @@ class History:
     begun_s: float
     tested_s: float
     tested_m: float  # distance moved in all runs together, m
-    # where earlier runs began, turned and ended, one array a run: distances from the middle of the stroke, mm
-    earlier: tuple[FloatArray, ...] = ()
+    before: History | None = None  # the run before this one, at some of its samples
     # samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and where
     # those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
     near_turns: Way | None = None
@@ -86,6 +86,11 @@ class History:
         """Where the run began, turned and ended: distances from the middle of the stroke, shape (n_half + 1,), mm."""
         middle = self.motion.displacement_mm[-1] - self.position_mm[-1]
         return np.asarray(np.append(self.motion.turning_mm, self.motion.displacement_mm[-1]) - middle)
+
+    @property
+    def earlier(self) -> tuple[FloatArray, ...]:
+        """Where earlier runs began, turned and ended, one array as `turned_at` a run."""
+        return () if self.before is None else (*self.before.earlier, self.before.turned_at)
 
     def recall(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
         """Give what follows from this history alone, worked out once: a model is asked for many parameters."""
@@ -227,7 +232,7 @@ def histories(
                 begun_s=begun,
                 tested_s=tested,
                 tested_m=travelled,
-                earlier=tuple(one.turned_at for one in out),
+                before=_few(out[-1]) if out else None,
                 measured=own,
             )
         )
@@ -256,6 +261,14 @@ def _with_way(history: History, lag_s: float, start: NDArray[np.int64]) -> tuple
     moved = Motion(rows[1], rows[2], start + begins, motion.turning_mm, motion.direction)
     own_channels = {"position_mm": position, **_channels(rows)}
     return replace(history, motion=moved, near_turns=None, passing=lag_s != 0.0, **own_channels), own
+
+
+def _few(history: History) -> History:
+    """Thin a history to `FEW` samples over each half stroke that is moved, and the ends of each half-cycle."""
+    start = history.motion.start
+    step = np.floor(1000.0 * history.travel_m / history.half_stroke_mm * FEW)
+    kept = np.flatnonzero(np.diff(step, append=np.inf))
+    return history.thinned(np.unique(np.concatenate([kept, start[:-1], start[1:] - 1])))
 
 
 def _channels(rows: FloatArray) -> dict[str, Any]:

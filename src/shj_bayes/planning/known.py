@@ -165,7 +165,7 @@ class Known:
             position_mm=history.motion.displacement_mm,
             travel_m=history.travel_m + moved,
             begun_s=begun,
-            earlier=() if last is None else (*last.earlier, last.turned_at),
+            before=last,
             near_turns=turns,
             measured={} if last is None else last.held({}).measured,
             **self.scales,

@@ -205,6 +205,22 @@ def test_heat_rises_with_the_root_of_time_before_it_reaches_the_other_face():
     assert warmth[200:] == pytest.approx(closed[200:] - 30.0 / 48 / heat.DIFFUSIVITY, rel=0.03)
 
 
+def test_friction_that_follows_the_logarithm_of_the_speed_needs_short_steps():
+    """The force at a turning point hangs on how slow the last step before it is."""
+    simulator = simulators_by_id()["velocity_law"]
+
+    def force_of(steps_s):
+        time = np.arange(15 * steps_s + 1) / steps_s
+        drive = Drive(Course(time, 6.0 * np.sin(10.0 / 6.0 * time), 1), DEVICE.Fy, np.zeros(time.size), 95.0, 15.0)
+        acts = simulator.act([drive], 0.13, {"creep_mm_s": 0.035}, DEVICE)[0]
+        return rate_free(drive, DEVICE, acts, 1e3)[:: steps_s // 100]
+
+    exact = force_of(8000)
+    taken = force_of(1000 if simulator.fast else 100)
+    assert np.abs(taken - exact).max() < 0.02 * DEVICE.Fy
+    assert np.abs(force_of(100) - exact).max() > 0.04 * DEVICE.Fy
+
+
 def test_the_filter_delays_by_what_it_says():
     time = np.arange(0, 40, 0.01)
     late = two_poles(np.sin(0.3 * time), 0.01, 0.2)

@@ -25,7 +25,7 @@ def _gradual(history: History, values: Values, base: Base) -> Contribution:
     begin = goal[0]
     if history.earlier:
         begin = _doublings(history, np.abs(np.diff(history.earlier[-1])[-2:]).max() / 2.0)
-    late = begin + remembered(goal - begin, slid_since_mm(history, base), values["length"])
+    late = remembered(goal, slid_since_mm(history, base), values["length"], float(begin))
     return Contribution(clamping=1.0 + values["size"] * late)
 
 

@@ -6,23 +6,32 @@ from numba import njit
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.kernel import gone_further
 from shj_bayes.model.history import History
+from shj_bayes.model.kernel import held_at, knee_of
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior
 
 CELLS = 160  # of the slot, over 1.2 half strokes to either side, in which it is counted what slides where
+# Distance slid over which a contact follows its speed, and where a search for it begins.
+MEMORY = Prior("memory", "mm", "loguniform", 1e-4, 1.0, "At once if thermally activated; 1 to 100 um (Marone 1998).")
+MEMORIES = {"memory": (0.0003, 0.1)}
 
 
-@njit(cache=True)
-def _slid(slip, start, turning, direction, stiffness, capacity):  # type: ignore[no-untyped-def]
-    """Slip less the distance from each reversal to sliding: from the force there, by an elastic and plastic device."""
+@njit(cache=True, error_model="numpy")
+def _slid(slip, start, turning, direction, law):  # type: ignore[no-untyped-def]
+    """Part of the slip that is not elastic: from the force at each reversal along Eq. (1), whose knee is rounded."""
+    stiffness, capacity, beta = law
+    knee = knee_of(beta)
     out = np.empty(slip.size)
     force = 0.0
     for k in range(turning.size):
-        elastic = (capacity - force * direction[k]) / stiffness
+        before = force * direction[k]
+        begins = before - held_at(before, 1.0, capacity, beta, knee)
         for i in range(start[k], start[k + 1]):
-            out[i] = max(slip[i] - elastic, 0.0)
+            e = before + stiffness * slip[i]
+            out[i] = (e - held_at(e, 1.0, capacity, beta, knee) - begins) / stiffness
         if k + 1 < turning.size:
-            force += stiffness * (turning[k + 1] - turning[k])
-            force = min(max(force, -capacity), capacity)
+            e = before + stiffness * abs(turning[k + 1] - turning[k])
+            force = direction[k] * held_at(e, 1.0, capacity, beta, knee)
     return out
 
 
@@ -30,9 +39,10 @@ def slid_mm(history: History, base: Base) -> FloatArray:
     """Slip since the reversal less the elastic part, shape (n_samples,), mm: 2 Fy/K after a stroke that slid.
 
     After a reversal under load it is less, after one that came before sliding more: in an earthquake both are common.
+    Sliding sets in gradually, as the knee of Eq. (1) does.
     """
-    motion = history.motion
-    return np.asarray(_slid(history.slip_mm, motion.start, motion.turning_mm, motion.direction, base.K, base.Fy))
+    motion, law = history.motion, (base.K, base.Fy, base.beta)
+    return np.asarray(_slid(history.slip_mm, motion.start, motion.turning_mm, motion.direction, law))
 
 
 def slid_since_mm(history: History, base: Base) -> FloatArray:
@@ -43,17 +53,11 @@ def slid_since_mm(history: History, base: Base) -> FloatArray:
     return np.asarray(gone_further(slid_mm(history, base), history.motion.start))
 
 
-@njit(cache=True)
-def _slid_by(turned, stiffness, capacity):  # type: ignore[no-untyped-def]
+def _slid_by(turned: FloatArray, base: Base, capacity_kN: float) -> FloatArray:
     """Distance slid by each turning point and in the end, shape (n_half + 1,), mm."""
-    out = np.zeros(turned.size)
-    force = 0.0
-    for k in range(turned.size - 1):
-        moved = turned[k + 1] - turned[k]
-        elastic = (capacity - force * np.sign(moved)) / stiffness
-        out[k + 1] = out[k] + max(abs(moved) - elastic, 0.0)
-        force = min(max(force + stiffness * moved, -capacity), capacity)
-    return out
+    moved, law = np.abs(np.diff(turned)), (base.K, capacity_kN, base.beta)
+    each = _slid(moved, np.arange(turned.size), turned[:-1], np.sign(np.diff(turned)).astype(np.int64), law)
+    return np.append(0.0, np.cumsum(each))
 
 
 def slid_m(history: History, base: Base) -> FloatArray:
@@ -62,12 +66,11 @@ def slid_m(history: History, base: Base) -> FloatArray:
     It is the travel less what was elastic: that share of `History.travel_m`, so that whoever bounds the travel bounds
     this too.
     """
-    slid, moved = (
-        sum((float(_slid_by(t, base.K, before)[-1]) for t in history.earlier), 0.0)
-        + _slid_by(history.turned_at, base.K, now)[history.motion.half_cycle]
-        + since
-        for before, now, since in ((base.Fy_first, base.Fy, slid_mm(history, base)), (0.0, 0.0, history.slip_mm))
-    )
+    half, here = history.motion.half_cycle, history.turned_at
+    slid_before = sum(float(_slid_by(turned, base, base.Fy_first)[-1]) for turned in history.earlier)
+    moved_before = sum(float(np.abs(np.diff(turned)).sum()) for turned in history.earlier)
+    slid = slid_before + _slid_by(here, base, base.Fy)[half] + slid_mm(history, base)
+    moved = moved_before + np.append(0.0, np.cumsum(np.abs(np.diff(here))))[half] + history.slip_mm
     return np.asarray(history.travel_m * slid / np.maximum(moved, 1e-12))
 
 
@@ -125,7 +128,7 @@ def passes(history: History, base: Base, width: float) -> FloatArray:
     low = -1.2 * half
     rubbed = np.zeros(CELLS)
     for turned in history.earlier:
-        slid = np.diff(_slid_by(turned, base.K, base.Fy_first))
+        slid = np.diff(_slid_by(turned, base, base.Fy_first))
         for begin, end, distance in zip(turned[:-1], turned[1:], slid, strict=True):
             _rub(rubbed, low, cell, end, begin, distance)
     reach = int(np.ceil(3.0 * width * half / cell))
@@ -136,9 +139,20 @@ def passes(history: History, base: Base, width: float) -> FloatArray:
     return np.asarray(_passed(rubbed, low, cell, weights, place, slid_mm(history, base), motion.start, begins))
 
 
+def felt(goal: FloatArray, history: History, base: Base, memory_mm: float) -> FloatArray:
+    """Let a contact follow, over a distance slid, what changes along the motion, shape (n,); at once for 0 mm.
+
+    Friction that depends on low speeds would otherwise change within the last micrometres of each stroke, and with it
+    the force from which the next one starts.
+    """
+    if memory_mm <= 0.0:
+        return goal
+    return np.asarray(remembered(goal, slid_since_mm(history, base), memory_mm, float(goal[0])))
+
+
 @njit(cache=True)
-def remembered(goal: FloatArray, moved: FloatArray, length: float) -> FloatArray:
-    """State that follows a goal late, L dm/ds + m = u from 0, shape (n,); exact for a goal straight over each step.
+def remembered(goal: FloatArray, moved: FloatArray, length: float, begin: float) -> FloatArray:
+    """State that follows a goal late, L dm/ds + m = u, shape (n,); exact for a goal straight over each step.
 
     Parameters
     ----------
@@ -148,8 +162,11 @@ def remembered(goal: FloatArray, moved: FloatArray, length: float) -> FloatArray
         Distance slid since the sample before, mm.
     length : float
         L, mm.
+    begin : float
+        State at the first sample.
     """
-    out = np.zeros_like(goal)
+    out = np.empty_like(goal)
+    out[0] = begin
     for i in range(1, goal.size):
         step = moved[i] / length
         if step < 1e-9:
