@@ -73,6 +73,7 @@ class Search:
     curves: dict[frozenset[str], Hypothesis] = field(default_factory=dict)  # the same with curves only, no formulas
     # what could be added to each, best first
     screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
+    bends: frozenset[str] = frozenset()  # effects on the motion whose bends the blocks follow
     chatter: Chatter | None = None  # scatter that the sliding makes, beside the best hypothesis; known in the end
 
     @property
@@ -336,6 +337,23 @@ class Search:
         self.retune()
         return True
 
+    def follow_bends(self) -> None:
+        """Average the recordings in blocks that follow the bends of what acts on the motion, and fit anew.
+
+        Where a gap is crossed the force bends twice within a block of the base law: gaps were fitted far too soft.
+        """
+        h = self.best
+        bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == "motion")
+        if bends <= self.bends:
+            return
+        self.bends = bends
+        of = tuple(self.classes.values())
+        self.scene = self.scene.finer_at(h.state.model, h.state.z)
+        self.metric, rough = settle_under(self.scene, self.metric.setting, self.scene.device, self.scene.z)
+        self.looked = candidates(self.scene, rough, of)
+        self._again(h)
+        self.retune()
+
     def exchange(self) -> None:
         """Try what else could stand in the place of each class of the best hypothesis."""
         for place in range(len(self.best.members)):
@@ -435,6 +453,10 @@ class Search:
         """Find the noise beside the best hypothesis and everything that could be added; fit the best anew."""
         h = self.best
         self.metric = noise_beside(self.scene, h.state, self.screen(h), self.metric.setting)
+        self._again(h)
+
+    def _again(self, h: Hypothesis) -> None:
+        """Fit the hypotheses in contention with one of them anew."""
         kept = [*self.found.values(), *self.curves.values()]
         self.found, self.curves, self.screened = {}, {}, {}
         for one in kept:
@@ -471,10 +493,11 @@ def search(
         tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
         if not out.deepen(depth) and len(out.best.members) <= depth:
             break
+        out.follow_bends()
     out.exchange()
     out.finish()
     if "stick_slip" not in hidden and str(TEETH) not in out.best.key:
-        out.chatter = chatter_of(scene, out.best.state, out.noise_most_kN)
+        out.chatter = chatter_of(out.scene, out.best.state, out.noise_most_kN)
     return out
 
 

@@ -201,7 +201,7 @@ def test_each_half_cycle_is_followed_to_its_turning_point(lag: float):
 
 def test_the_force_at_a_turning_point_does_not_depend_on_the_sampling():
     """Friction that rises with the logarithm of falling speed, at 5 samples a second and at 500."""
-    values = {"size": -0.05, "corner": 0.003}
+    values = {"size": -0.05, "corner": 0.003, "memory": 0.0}
     out = []
     for rate in (5.0, 500.0):
         time, motion = exact_motion((Block(6.0, 0.27, 3), Block(24.0, 0.067, 2)), rate)
@@ -230,7 +230,7 @@ def test_bend_of_the_speed_law_is_as_large_as_its_size():
     time, motion = exact_motion((Block(48.0, 0.034, 2),), 200.0)
     h = histories([time], [motion])[0]
     for corner in (0.001, 0.05, 1.5):
-        bent = catalogue()["velocity_law"].act(h, {"size": 0.1, "corner": corner}, BASE)
+        bent = catalogue()["velocity_law"].act(h, {"size": 0.1, "corner": corner, "memory": 0.0}, BASE)
         assert np.max(bent.clamping + bent.gamma_s_per_mm * h.speed_mm_s) == pytest.approx(1.1, abs=1e-3)
 
 
