@@ -18,7 +18,7 @@ from shj_bayes.recording.writer import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 3), Block(24.0, 0.067, 3), Block(12.0, 0.13, 2))
 WORN = (("capacity", "travel"), ("capacity", "heat"))
-WEAR = 0.1  # 1/m: 5 % of the force over the test
+WEAR = 0.08  # 1/m: 4 % of the force over the test
 
 
 @pytest.fixture(scope="module")
