@@ -30,9 +30,9 @@ from scipy.stats import binomtest
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
+from shj_bayes.mismatch.classes import DOUBT
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
-from shj_bayes.mismatch.search import DOUBT
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.candidates import proposals

@@ -21,9 +21,11 @@ from shj_bayes.report.diagnosis_words import (
     fluctuation_words,
     over_words,
     per_cent,
+    sentences,
     shape_columns,
     spaced,
     title_of,
+    verdict_words,
 )
 
 
@@ -99,6 +101,16 @@ def test_family_and_unknown_say_their_own(pages: dict[str, Page]) -> None:
     assert "17.3 mm of the position" in unknown
     assert "up to" not in unknown.partition("What no effect explains")[0]
     assert "4.32 kN" in unknown
+
+
+def test_a_family_that_may_be_nothing_says_so() -> None:
+    held = {"verdict": "family", "effects": [], "family": [{"id": "drift", "probability": 0.92}], "shift": {}}
+    held |= {"heldout": {"n_blocks": 9}, "sets": [{"classes": ["added over time"], "probability": 0.92}]}
+    sure = verdict_words(held)[2]
+    assert sentences(held) == [f"These recordings cannot tell: {title_of('drift').lower()} (92 %)."]
+    held["sets"].append({"classes": [], "probability": 0.08})
+    assert verdict_words(held)[2] != sure == VERDICTS["family"][2]
+    assert sentences(held)[0].endswith("(92 %), or nothing of a size that matters (8 %).")
 
 
 def test_the_scatter_of_an_unknown_misfit_is_not_called_noise(pages: dict[str, Page]) -> None:

@@ -53,6 +53,8 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
 def _diagnosed(record: Mapping[str, Any], place: Path) -> Diagnosed:
     titles = [str(e.get("title", e["id"])) for e in record["effects"]]
     family = [str(e["id"]) for e in record["family"]]
+    if any(not one["classes"] for one in record.get("sets", ())):
+        family.append("nothing of a size that matters")
     verdict = Verdict(record["verdict"])
     fitted = None if record.get("quick") or not (place / "fit.json").is_file() else place
     return Diagnosed(verdict, tuple(family if verdict is Verdict.FAMILY else titles), fitted)

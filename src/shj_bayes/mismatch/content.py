@@ -12,10 +12,11 @@ from shj_bayes.mismatch.chatter import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import HeldOut, cycles_of
+from shj_bayes.mismatch.hypothesis import TEETH
 from shj_bayes.mismatch.regions import Region, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import SCHEMA, Verdict
-from shj_bayes.mismatch.search import LARGEST_OF, TEETH, Search
+from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State, drawn_from
 from shj_bayes.model.curve import Curve

@@ -14,9 +14,10 @@ from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
+from shj_bayes.mismatch.hypothesis import Hypothesis
 from shj_bayes.mismatch.scene import beside
 from shj_bayes.mismatch.screen import log_gain
-from shj_bayes.mismatch.search import ODDS, RIVAL, Hypothesis, Search
+from shj_bayes.mismatch.search import ODDS, RIVAL, Search
 from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
 

@@ -10,28 +10,16 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, lognorm
 
-from shj_bayes.mismatch.classes import SPREAD, TYPICAL, Candidate, Class
-from shj_bayes.mismatch.scene import Scene
+from shj_bayes.mismatch.classes import DOUBT, EXPLAINED, MATTERS, SPREAD, TYPICAL, Candidate, Class
+from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, Hypothesis, columns_of, replaced, second_of
 from shj_bayes.mismatch.schema import SIGMA_90, Verdict
-from shj_bayes.mismatch.search import (
-    CONSTANT,
-    DIRECTION,
-    DOUBT,
-    EXPLAINED,
-    MATTERS,
-    Hypothesis,
-    Search,
-    replaced,
-    second_of,
-)
-from shj_bayes.mismatch.state import State, beyond, drawn_from, largest, visible
+from shj_bayes.mismatch.search import Search
+from shj_bayes.mismatch.sizes import MOTION, away, forces_beside, largest_size_of, may_miss, size_of
+from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 T = TypeVar("T")
-MOTION = "motion"
-N_SIZES = 60  # draws from which the upper limit of a size is taken
-NO_FORCE = 1e6  # size of a draw whose force is not finite
 
 
 class Reason(StrEnum):
@@ -119,24 +107,29 @@ def answer_of(out: Search) -> Answer:
     for key, p in reduced.items():
         for name in sorted(key):
             inclusion[name] = inclusion.get(name, 0.0) + p
-    top = sets[0][0] if nothing < DOUBT else frozenset()
-    if not top and nothing < DOUBT:
-        top = next(key for key, _ in sets if key)
+    sure = nothing >= 1.0 - DOUBT
+    top = next((key for key, _ in sets if key and not sure), frozenset[str]())
     shown = best[top]
     findings, shown = _findings(out, shown, top, inclusion)
     left = discrepancy_size(out, shown.state)
-    verdict, reason = _verdict(out, findings, dict(sets).get(top, 0.0), left)
+    verdict, reason = _verdict(out, findings, dict(sets).get(top, 0.0), nothing, left)
     return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
 
 
-def _verdict(out: Search, findings: Sequence[Finding], probability: float, left: float) -> tuple[Verdict, Reason]:
-    """Give the verdict on findings of a probability, beside which so much is left, a share of Fy."""
+def _verdict(
+    out: Search, findings: Sequence[Finding], probability: float, nothing: float, left: float
+) -> tuple[Verdict, Reason]:
+    """Give the verdict on findings of a probability, beside which so much is left, a share of Fy.
+
+    `nothing` is the probability that nothing of a size that matters is missing.
+    """
     largest = max((f.size for f in findings), default=0.0)
     unknown = {
         Reason.SLOW_NOISE: out.is_rough and not out.chatter and out.metric.is_slow,
         Reason.FLUCTUATES: out.is_rough and not out.chatter,
         Reason.LEFT_OVER: left > out.matters_in_strokes and left > largest / 3.0,
-        Reason.NO_FORM: any(not f.named and (f.size >= out.matters or f is findings[0]) for f in findings),
+        Reason.NO_FORM: nothing < DOUBT
+        and any(not f.named and (f.size >= out.matters or f is findings[0]) for f in findings),
     }
     several = {
         Reason.SEVERAL: bool(findings) and probability < 1.0 - DOUBT,
@@ -156,7 +149,7 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     A class is left out where the upper limit of its size, exceeded with a probability of `DOUBT`, is too small. What is
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
-    sizes = [largest_size_of(out, h, i) / out.matters_of(member.of) for i, member in enumerate(h.members)]
+    sizes = [largest_size_of(out.scene, h, i) / out.matters_of(member.of) for i, member in enumerate(h.members)]
     if min(sizes, default=math.inf) >= 1.0:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
@@ -179,12 +172,12 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
     evidence is in all of them.
     """
     places = [i for i, m in enumerate(h.members) if m.of.id in key]
-    sizes = {i: size_of(out, h, i) for i in places}
+    sizes = {i: size_of(out.scene, h, i) for i in places}
     rest = {i: h.key - {h.members[i].of.id} for i in places}
     gains = {i: max(h.log_weight - out.best_within(rest[i]), 0.0) for i in places if rest[i] in out.found}
     order = gains if len(gains) == len(places) else sizes
     places.sort(key=lambda i: (-order[i], h.members[i].of.id))
-    beside = forces_beside(out, h) if len(places) > 1 else np.zeros((0, 0))
+    beside = forces_beside(out.scene, h) if len(places) > 1 else np.zeros((0, 0))
     shares = {frozenset[str](): 1.0}
     for rank, i in enumerate(places):
         one, missed = h.members[i].of, 0.0
@@ -205,80 +198,6 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
 def _may_look_alike(a: Class, b: Class) -> bool:
     """Whether what a form of `b` misses may look like `a`: a constant, or one for each direction, misses nothing."""
     return b.id not in (CONSTANT, DIRECTION) and (a.action == b.action or MOTION in (a.action, b.action))
-
-
-def forces_beside(out: Search, h: Hypothesis) -> FloatArray:
-    """Ratios of the forces that the members make and the base law could not, shape (n, n); see `ratios`."""
-    scene = out.scene
-    if any(m.of.action == MOTION for m in h.members):
-        scene = scene.finer_at(h.state.model, h.state.z)
-    changes = np.concatenate([_change(out, h, i, h.state.z[None], scene) for i in range(len(h.members))])
-    return ratios(beyond(scene, _law_slopes(h, scene), changes.T), scene.count[scene.used > 0])
-
-
-def ratios(forces: FloatArray, count: FloatArray) -> FloatArray:
-    """How large each force is over each other one where that one acts, shape (n, p) to (p, p).
-
-    Root mean square of the row's force over that of the column's, both weighted by the square of the column's: 1 on the
-    diagonal, and the ratio of the sizes of two forces that act alike; 0 beside a force of 0. `count` are the samples in
-    each of the n blocks.
-    """
-    squares = forces**2
-    products = (squares * count[:, None]).T @ squares
-    own = np.diag(products)
-    return np.asarray(np.sqrt(np.divide(products, own, out=np.zeros_like(products), where=own > 0.0)))
-
-
-def size_of(out: Search, h: Hypothesis, place: int) -> float:
-    """Size of a member at the most probable parameters, as a share of Fy.
-
-    The 99th percentile of its force that the base law could not make, by `visible`; of a constant, all of it.
-    """
-    return float(_sizes_at(out, h, place, h.state.z[None])[0])
-
-
-def largest_size_of(out: Search, h: Hypothesis, place: int) -> float:
-    """Upper limit of the size of a member, exceeded with a probability of `DOUBT`, a share of Fy."""
-    return float(np.quantile(sizes_of(out, h, place), 1.0 - DOUBT))
-
-
-def sizes_of(out: Search, h: Hypothesis, place: int) -> FloatArray:
-    """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy.
-
-    Far from what fits a model may have no force at all; nothing says that the member is small there.
-    """
-    return np.nan_to_num(_sizes_at(out, h, place, drawn_from(h.state, N_SIZES)), nan=NO_FORCE, posinf=NO_FORCE)
-
-
-def _sizes_at(out: Search, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
-    """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,).
-
-    What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long. A
-    constant is as large as it is: the law makes none, also where it begins loaded by it.
-    """
-    scene = out.scene
-    if h.members[place].of.id == CONSTANT:
-        return np.asarray(np.abs(_change(out, h, place, z, scene)[:, scene.used > 0]).max(axis=1) / scene.scale_kN)
-    if h.members[place].of.action == MOTION:
-        scene = scene.finer_at(h.state.model, h.state.z)
-    return visible(scene, _law_slopes(h, scene), _change(out, h, place, z, scene).T)
-
-
-def _change(out: Search, h: Hypothesis, place: int, z: FloatArray, scene: Scene) -> FloatArray:
-    """Force of a member for each of some parameter sets of its model, shape (m, n_law) to (m, n), kN."""
-    model, effect = h.state.model, h.members[place].variant.effect
-    rest = tuple(e for e in model.effects if e.id != effect.id)
-    others = np.delete(z, out.columns_of(h.state, place), axis=1)
-    return scene.residual(model.with_effects(rest), others) - scene.residual(model, z)
-
-
-def _law_slopes(h: Hypothesis, scene: Scene) -> FloatArray:
-    """Give the derivatives of the law by itself, shape (n, n_law), kN.
-
-    Beside a constant of many times Fy, a change of Fy is a change of the constant.
-    """
-    device, law = scene.device, h.state.of_law(scene.device)
-    return scene.jacobian(device, law, scene.residual(device, law[None])[0])
 
 
 def discrepancy_size(out: Search, state: State) -> float:
@@ -311,7 +230,7 @@ def _findings(
                 member,
                 inclusion[member.of.id],
                 h.log_weight - out.best_within(h.key - {member.of.id}),
-                size_of(out, h, place),
+                size_of(out.scene, h, place),
                 curve,
                 curves.state if curve is not None else None,
                 at if curve is not None and at is not None else place,
@@ -326,13 +245,17 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
 
     A small curve is within what matters of everything: a formula in its place must be better than nothing, and matter.
     """
-    allowed = _may_miss(out, h, place)
+    allowed = may_miss(out.scene, h, place)
     best, score = h, out.best_within(h.key - {h.members[place].of.id})
     for form in out.forms(h, place):
         new = out.fitted(replaced(h, place, form), form.start)
         if new is None:
             continue
-        if _away(out, h, new) <= allowed and new.log_weight > score and largest_size_of(out, new, place) >= MATTERS:
+        if (
+            away(out.scene, h, new) <= allowed
+            and new.log_weight > score
+            and largest_size_of(out.scene, new, place) >= MATTERS
+        ):
             best, score = new, new.log_weight
     return best
 
@@ -340,32 +263,16 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
 def _split(out: Search, h: Hypothesis) -> Hypothesis:
     """Give the hypothesis with a formula beside another class for a curve that holds both and that they follow.
 
-    No test can tell the curve from both together, and they say what it is; see `search.second_of`.
+    No test can tell the curve from both together, and they say what it is; see `hypothesis.second_of`.
     """
     for place, member in enumerate(h.members):
         second = second_of(member)
         if second is None or second in h.key:
             continue
         both = out.beside_direction(h, place) or out.found.get(h.key | {second})
-        if both is not None and _away(out, h, both) <= _may_miss(out, h, place):
+        if both is not None and away(out.scene, h, both) <= may_miss(out.scene, h, place):
             return both
     return h
-
-
-def _may_miss(out: Search, h: Hypothesis, place: int) -> float:
-    """How far a formula may be from a curve that it is the name of, a share of Fy.
-
-    At most half of the curve: a formula that leaves more than it explains says nothing.
-    """
-    size = size_of(out, h, place)
-    return min(max(MATTERS, (1.0 - EXPLAINED) * size), 0.5 * size)
-
-
-def _away(out: Search, a: Hypothesis, b: Hypothesis) -> float:
-    """How far the forces of two hypotheses are apart (99th percentile over the samples), as a share of Fy."""
-    used = out.scene.used > 0
-    apart = (b.state.residual - a.state.residual)[used, None]
-    return float(largest(apart, out.scene.count[used])[0]) / out.scene.scale_kN
 
 
 def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tuple[str, float], ...]]:
@@ -383,7 +290,7 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
         new, name = out.fitted(replaced(h, place, form), form.start), form.variant.effect.id
         if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
             continue
-        if name in forms or largest_size_of(out, new, place) >= MATTERS:
+        if name in forms or largest_size_of(out.scene, new, place) >= MATTERS:
             forms[name] = new
     whole = float(logsumexp([one.log_weight for one in forms.values()]))
     by_mechanism: dict[str, list[Hypothesis]] = {}
@@ -421,7 +328,7 @@ def curve_band(out: Search, f: Finding, n: int = 61, direction: float = 1.0) -> 
     if f.curve is None or f.curve_state is None or f.curve.variant.curve is None:
         return None
     curve, state = f.curve.variant.curve, f.curve_state
-    own = out.columns_of(state, f.place)
+    own = columns_of(out.scene, state, f.place)
     share = np.linspace(0.0, 1.0, n)
     mean, cov = state.z[own], state.covariance[np.ix_(own, own)]
     rows = curve.rows(share, np.full(n, direction))

@@ -10,10 +10,35 @@ from scipy.special import ndtr
 
 from shj_bayes.inference.squares import start_values
 from shj_bayes.mismatch.chatter import Chatter, chatter_of
-from shj_bayes.mismatch.class_id import ClassId
-from shj_bayes.mismatch.classes import FORMS, PRESENT, Candidate, Class, Variant, candidates, size_weights
+from shj_bayes.mismatch.classes import (
+    DOUBT,
+    EXPLAINED,
+    FORMS,
+    MATTERS,
+    PRESENT,
+    Candidate,
+    Class,
+    Variant,
+    candidates,
+    size_weights,
+)
+from shj_bayes.mismatch.hypothesis import (
+    CONSTANT,
+    DIRECTION,
+    DISTANCE,
+    TEETH,
+    Hypothesis,
+    columns_of,
+    is_curve,
+    joined,
+    replaced,
+    same_twice,
+    second_of,
+    without,
+)
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
+from shj_bayes.mismatch.sizes import away, may_miss
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
 from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.coordinates import coordinates_of
@@ -22,13 +47,11 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 
-MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
 NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load cell
-EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
 PROMISING = 0.7  # of what matters, to first order; less is not followed
 ROUGHLY = 2.0  # factor by which an effect may be larger than it is to first order where its search begins
-DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
 BEAM = 2
+BEAM_IN_PLACE = 4  # of two classes for a curve, the first alone comes nowhere near
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
 DEPTH = 4
 LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
@@ -37,25 +60,7 @@ WIDE = 2.0  # times the size of a curve, or of an effect where its search begins
 FLAT = 1e3  # of Fy: a constant force as large as any
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
 FOLLOWED = 100.0  # nats; while classes are still to come, likewise
-CONSTANT = str(ClassId("added", "constant"))
-TEETH = ClassId("motion", "stick-slip")
-POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 ODDS = math.log(PRESENT / (1.0 - PRESENT))
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A set of classes with the model that holds them."""
-
-    members: tuple[Candidate, ...]  # classes, in the order of the effects of the model behind those that were given
-    state: State  # the model, fitted
-    log_weight: float  # log of the evidence times the probability before the test
-    metric: Metric | None = None  # noise and discrepancy under which it was weighed; None during a search
-
-    @property
-    def key(self) -> frozenset[str]:
-        """Ids of the classes."""
-        return frozenset(member.of.id for member in self.members)
 
 
 @dataclass(eq=False)
@@ -130,7 +135,7 @@ class Search:
         new = self.fitted(members, start)
         key = frozenset(member.of.id for member in members)
         for kept in (self.found, self.curves):
-            if new is None or (kept is self.curves and not all(_is_curve(m) for m in members)):
+            if new is None or (kept is self.curves and not all(is_curve(m) for m in members)):
                 continue
             if key not in kept or kept[key].log_weight < new.log_weight:
                 kept[key] = new
@@ -152,7 +157,7 @@ class Search:
         curve = member.variant.curve
         if curve is None:
             return extra
-        own = self.columns_of(state, place)
+        own = columns_of(self.scene, state, place)
         p = state.products
         gains = []
         for size in SIZES:
@@ -164,23 +169,13 @@ class Search:
         top = float(logs.max())
         return extra + top + math.log(float(np.exp(logs - top).sum()))
 
-    def columns_of(self, state: State, place: int) -> list[int]:
-        """Positions of the parameters of a member in the vector of its model."""
-        effect = state.model.effects[len(self.scene.device.effects) + place]
-        return [i for i, name in enumerate(state.model.law_names) if name.startswith(f"{effect.id}.")]
-
-    def without(self, h: Hypothesis, place: int) -> tuple[tuple[Candidate, ...], FloatArray]:
-        """Members of a hypothesis less the one in a place, and where the rest of its model is."""
-        members = (*h.members[:place], *h.members[place + 1 :])
-        return members, np.delete(h.state.z, self.columns_of(h.state, place))
-
     def screen(self, h: Hypothesis) -> list[Candidate]:
         """Candidates to add to a hypothesis, the best of each class, best first."""
         if h.key not in self.screened:
             rest = [c for c in self.looked if c.of.id not in h.key]
             free = {c.of.id: c.of for c in rest}.values()
             again = [wave for of in free for wave in waves(self.scene, self.metric, h.state, of)]
-            apart = [c for c in (*rest, *again) if not any(_same_twice(c, m) for m in h.members)]
+            apart = [c for c in (*rest, *again) if not any(same_twice(c, m) for m in h.members)]
             self.screened[h.key] = screen(self.metric, h.state, apart)
         return self.screened[h.key]
 
@@ -213,7 +208,7 @@ class Search:
                 continue
             tried[kind] = tried.get(kind, 0) + 1
             followed.add(c.of.id)
-            self.add((*h.members, c), _joined(h, c))
+            self.add((*h.members, c), joined(h, c))
 
     def refine(self, h: Hypothesis, *, again: bool = False) -> None:
         """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
@@ -231,11 +226,13 @@ class Search:
 
     def _beside_distance(self, h: Hypothesis, place: int, form: Candidate) -> None:
         """Try a formula beside a function of the distance in the place of a curve over position, which holds both."""
-        other = [c for c in self.looked if c.of.id == DISTANCE and second_of(h.members[place]) == DISTANCE]
-        one = self.fitted(replaced(h, place, form), form.start) if other and DISTANCE not in h.key else None
+        may = second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key
+        # A curve: to first order a formula beside one that is far off may seem to do what it cannot.
+        other = [c for c in self.looked if may and c.of.id == DISTANCE and c.variant.curve is not None]
+        one = self.fitted(replaced(h, place, form), form.start) if other else None
         if one is not None:
             best = screen(self.metric, one.state, other)[0]
-            both = self.add((*one.members, best), _joined(one, best))
+            both = self.add((*one.members, best), joined(one, best))
             if both is not None:
                 self.refine(both)
 
@@ -248,18 +245,20 @@ class Search:
         member = h.members[place]
         if second_of(member) != DIRECTION or DIRECTION in h.key or DIRECTION not in self.classes:
             return None
-        rest = self.fitted(*self.without(h, place))
+        rest = self.fitted(*without(self.scene, h, place))
         if rest is None:
             return None
         best = screen(self.metric, rest.state, [c for c in self.looked if c.of.id == DIRECTION])[0]
-        one = self.fitted((*rest.members, best), _joined(rest, best))
+        one = self.fitted((*rest.members, best), joined(rest, best))
         for form in self.forms_of(member.of, one.members, one.state.z) if one is not None else ():
             self.add((*rest.members, best, form), form.start)
         return self.found.get(h.key | {DIRECTION})
 
     def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
         """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
-        return self.forms_of(h.members[place].of, *self.without(h, place), (place, self.columns_of(h.state, place)[0]))
+        return self.forms_of(
+            h.members[place].of, *without(self.scene, h, place), (place, columns_of(self.scene, h.state, place)[0])
+        )
 
     def forms_of(
         self, of: Class, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
@@ -292,14 +291,14 @@ class Search:
         if h.key in self.curves:
             return self.curves[h.key]
         for place, member in enumerate(h.members):
-            if _is_curve(member):
+            if is_curve(member):
                 continue
-            rest = self.fitted(*self.without(h, place))
+            rest = self.fitted(*without(self.scene, h, place))
             looked = [c for c in self.looked if c.of.id == member.of.id and c.variant.curve is not None]
-            if rest is None or not looked or any(_same_twice(looked[0], m) for m in rest.members):
+            if rest is None or not looked or any(same_twice(looked[0], m) for m in rest.members):
                 continue
             best = screen(self.metric, rest.state, looked)[0]
-            first = self.columns_of(h.state, place)[0]
+            first = columns_of(self.scene, h.state, place)[0]
             start = np.insert(rest.state.z, [first] * len(best.variant.effect.parameters), 0.0)
             h = self.fitted(replaced(h, place, best), start) or h
         return h
@@ -312,7 +311,7 @@ class Search:
     def shrink(self, h: Hypothesis) -> None:
         """Fit the hypotheses with one class less."""
         for place in range(len(h.members)):
-            rest, z = self.without(h, place)
+            rest, z = without(self.scene, h, place)
             known = self.found.get(frozenset(m.of.id for m in rest))
             if known is not None and all(a.variant is b.variant for a, b in zip(known.members, rest, strict=True)):
                 continue
@@ -321,7 +320,7 @@ class Search:
     def deepen(self, depth: int) -> bool:
         """Add a class to the best hypotheses with so many; whether the best of all is another one then."""
         before = self.best
-        level = sorted((h for h in self.found.values() if len(h.members) == depth), key=lambda h: -h.log_weight)
+        level = self.ranked(depth)
         for h in level[:BEAM]:
             if h.log_weight > self.best.log_weight - FOLLOWED or h is level[0]:
                 self.grow(h)
@@ -330,7 +329,7 @@ class Search:
         height = self.best.log_weight
         # A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
         least = height - max(RIVAL, (1.0 - EXPLAINED) * (height - before.log_weight))
-        for h in sorted((h for h in self.found.values() if len(h.members) == depth + 1), key=lambda h: -h.log_weight):
+        for h in self.ranked(depth + 1):
             if h.log_weight > least:
                 self.refine(h)
         self.shrink(self.best)
@@ -353,6 +352,47 @@ class Search:
         self.looked = candidates(self.scene, rough, of)
         self._again(h)
         self.retune()
+
+    def explain(self) -> None:
+        """Look for two classes, one of them with a formula, in the place of each curve that no formula follows.
+
+        A smooth curve over one coordinate can do what formulas over two others do together. Neither alone comes near
+        it, so a search that adds one after another ends in the curve.
+        """
+        for place, member in enumerate(self.best.members):
+            h = self.best
+            if place < len(h.members) and h.members[place] is member and member.variant.curve is not None:
+                self._in_place_of_curve(h, place)
+
+    def _in_place_of_curve(self, h: Hypothesis, place: int) -> None:
+        """Fit the promising hypotheses with two classes in the place of a curve that no formula follows."""
+        of, allowed = h.members[place].of, may_miss(self.scene, h, place)
+        for form in self.forms(h, place):
+            one = self.fitted(replaced(h, place, form), form.start)
+            if one is not None and away(self.scene, h, one) <= allowed:
+                return
+        rest = self.fitted(*without(self.scene, h, place))
+        if rest is None:
+            return
+        self.tell(f"looking for two dependences in the place of {of.id}")
+        looked = [c for c in self.looked if c.of.id != of.id or c.variant.curve is None]
+        part = Search(self.scene, looked, self.metric, self.hidden, found={rest.key: rest}, bends=self.bends)
+        n = len(rest.members)
+        part.grow(rest)
+        for one in part.ranked(n + 1)[:BEAM_IN_PLACE]:
+            part.grow(one)
+            for form in part.forms_of(of, one.members, one.state.z) if of.id not in one.key else ():
+                part.add((*one.members, form), form.start)
+        for one in part.ranked(n + 2)[:BEAM_IN_PLACE]:
+            part.refine(one)
+        part.shrink(part.best)
+        for one in part.found.values():
+            if one.log_weight > h.log_weight - RIVAL:
+                self.add(one.members, one.state.z)
+
+    def ranked(self, n: int) -> list[Hypothesis]:
+        """Hypotheses with so many classes, most probable first."""
+        return sorted((h for h in self.found.values() if len(h.members) == n), key=lambda h: -h.log_weight)
 
     def exchange(self) -> None:
         """Try what else could stand in the place of each class of the best hypothesis."""
@@ -494,6 +534,7 @@ def search(
         if not out.deepen(depth) and len(out.best.members) <= depth:
             break
         out.follow_bends()
+    out.explain()
     out.exchange()
     out.finish()
     if "stick_slip" not in hidden and str(TEETH) not in out.best.key:
@@ -522,38 +563,9 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
     return Metric(scene, setting, state.slope)
 
 
-def _joined(h: Hypothesis, c: Candidate) -> FloatArray:
-    """Start of a hypothesis with one more class: the parameters of the smaller one, and where the class begins."""
-    return np.concatenate([h.state.z, c.start[-len(c.variant.effect.parameters) :]])
-
-
 def _free(constant: Candidate, size: float) -> FloatArray:
     """Size of a constant force, a share of Fy, in its unbounded space."""
     return constant.variant.effect.parameters[0].to_free(np.asarray(size))
-
-
-def replaced(h: Hypothesis, place: int, member: Candidate) -> tuple[Candidate, ...]:
-    """Give the members of a hypothesis with another one in a place."""
-    return (*h.members[:place], member, *h.members[place + 1 :])
-
-
-def _is_curve(member: Candidate) -> bool:
-    """Whether a class has no formula here: it is a curve, or it acts on the motion."""
-    return member.variant.curve is not None or not any(v.curve is not None for v in member.of.variants)
-
-
-def second_of(member: Candidate) -> str | None:
-    """Class that a curve may hold beside its own: position and distance, or time and direction where both count."""
-    curve = member.variant.curve
-    if curve is not None and curve.sides:
-        return DIRECTION
-    return DISTANCE if curve is not None and member.of.id == POSITION else None
-
-
-def _same_twice(a: Candidate, b: Candidate) -> bool:
-    """Whether one of two is a curve over position and the other a function of the distance, its even part."""
-    pairs = [(m, n) for m, n in ((a, b), (b, a)) if (m.of.id, n.of.id) == (POSITION, DISTANCE)]
-    return any(m.variant.curve is not None for m, _ in pairs)
 
 
 def noise_of_size(device: DeviceModel, size_kN: float) -> tuple[float, ...]:

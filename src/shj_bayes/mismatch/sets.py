@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from shj_bayes.mismatch.classes import PRESENT
-from shj_bayes.mismatch.search import DOUBT, MATTERS, PROMISING
+from shj_bayes.mismatch.classes import DOUBT, MATTERS, PRESENT
+from shj_bayes.mismatch.search import PROMISING
 from shj_bayes.model.parameters import FloatArray
 
 ALONE = PRESENT * 0.5 / (1.0 - PRESENT)  # of a device whose set has not what it has; see the module

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shj_bayes.mismatch.search import MATTERS
+from shj_bayes.mismatch.classes import MATTERS
 from shj_bayes.model.parameters import FloatArray
 
 

@@ -22,10 +22,11 @@ from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.class_id import ClassId
-from shj_bayes.mismatch.classes import CURVES, PRESENT, TYPICAL, candidates, classes
+from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
+from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
-from shj_bayes.mismatch.search import CONSTANT, DOUBT, MATTERS, ODDS, Hypothesis, Search, noise_beside, noise_of_size
+from shj_bayes.mismatch.search import ODDS, Search, noise_beside, noise_of_size
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel

@@ -6,7 +6,7 @@ from typing import Any
 
 from shj_bayes.errors import ReportError, shown
 from shj_bayes.mismatch.class_id import ClassId
-from shj_bayes.mismatch.search import DOUBT, MATTERS
+from shj_bayes.mismatch.classes import DOUBT, MATTERS
 from shj_bayes.mismatch.sets import LIKELY
 from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.diagnosis_words import over_words, percent

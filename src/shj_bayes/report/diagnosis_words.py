@@ -112,11 +112,18 @@ def channel_words(record: Mapping[str, Any]) -> list[str]:
 def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
     """Sign, class of the colour and sentence of a verdict; two cycles that show nothing prove nothing."""
     sign, colour, sentence = VERDICTS[record["verdict"]]
+    if record["verdict"] == Verdict.FAMILY and nothing_missing(record) > 0.0:
+        sentence = "The model may have left something out; these recordings cannot tell whether it did."
     cycles = number((record["heldout"] or {}).get("n_blocks"))
     if record["verdict"] == Verdict.ADEQUATE and cycles < FEWEST_CYCLES:
         few = f"{cycles:.0f} cycle{'s' * (cycles != 1)}"
         return "?", "part", f"Nothing beyond noise was found, but {few} are too few to say that nothing is missing."
     return sign, colour, sentence
+
+
+def nothing_missing(record: Mapping[str, Any]) -> float:
+    """Probability that nothing of a size that matters is missing, where the sets that hold 95 % count it in; else 0."""
+    return sum(number(one.get("probability")) for one in record.get("sets") or () if not one.get("classes"))
 
 
 def sentences(record: Mapping[str, Any]) -> list[str]:
@@ -139,6 +146,8 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     if verdict == Verdict.FAMILY:
         lead = "Not excluded" if found and len(record["family"]) == 1 else "These recordings cannot tell"
         members = [f"{title_of(m.get('id')).lower()} ({percent(m.get('probability'))})" for m in record["family"]]
+        if nothing := nothing_missing(record):
+            members.append(f"nothing of a size that matters ({percent(nothing)})")
         out.append(f"{lead}: {', or '.join(members)}.")
     for c in record.get("coordinates") or ():
         if not c.get("matches") and number(c.get("probability")) >= LIKELY:

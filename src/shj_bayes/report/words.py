@@ -27,7 +27,7 @@ FIT = {
 DIAGNOSED_WORDS: dict[str, str] = {
     Verdict.ADEQUATE: "The diagnosis of these recordings found nothing beyond noise.",
     Verdict.NAMED: "The diagnosis of these recordings says what the law leaves out.",
-    Verdict.FAMILY: "The diagnosis of these recordings found that the law leaves something out, and what it may be.",
+    Verdict.FAMILY: "The diagnosis of these recordings says what the law may leave out; it could not tell which.",
     Verdict.UNKNOWN: "The diagnosis of these recordings found that the law leaves something out that has no name.",
 }
 _DETERMINES = {

@@ -70,6 +70,17 @@ def test_one_device_is_worked_out_by_hand():
     assert share == pytest.approx((1 / 6 + 9 / 3) / ((1 + 9) / 2))
 
 
+@pytest.mark.parametrize(("n", "enters"), [(2, False), (3, True)])
+def test_three_devices_that_cannot_tell_two_classes_make_a_set_sure(n, enters):
+    """Two that each have the one or the other may still have one each: 7 % at even odds, where 5 % are given up."""
+    common = common_to([device((40.0, 40.0, 40.0), own=(A,))] * n)
+    first, second = common.shared
+    assert (first.enters, {first.id, second.id}) == (enters, {A, B})
+    nothing_shared = dict(common.combinations)[frozenset()]
+    apart = PRESENT / (1.0 - PRESENT) / ((n + 1) * (2.0 * ALONE) ** n) * 2.0
+    assert nothing_shared == pytest.approx(1.0 / (1.0 + apart), rel=0.2)
+
+
 @pytest.mark.parametrize(
     "evidence",
     [

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+from shj_bayes.model.effects.breakaway import _ages
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.sliding import slid_m
@@ -123,6 +124,27 @@ def test_breakaway_peaks_where_sliding_starts_and_grows_with_rest():
     assert rested > 290
     assert factor[after + 1] == pytest.approx(1 + 0.2 * (1 + 0.5 * np.log10(1 + rested)))
     assert factor[after + 1] > factor[stroke][0]
+
+
+def test_an_aged_contact_is_renewed_by_sliding():
+    """Where it slides at an even speed the age has a closed form: T = D/v + (T0 - D/v) exp(-d/D)."""
+    slid, speed, length, rest = np.linspace(0.0, 6.0, 121)[1:], 5.0, 1.5, 800.0
+    ages = _ages(np.diff(slid, prepend=0.0) / length, np.full(120, 0.05 / speed), rest)
+    np.testing.assert_allclose(ages, length / speed + (rest - length / speed) * np.exp(-slid / length), rtol=1e-9)
+    assert _ages(np.zeros(3), np.full(3, 2.0), 1.0).tolist() == [3.0, 5.0, 7.0]
+
+
+def test_the_peak_of_an_aged_contact_grows_with_the_logarithm_of_rest():
+    peaks = []
+    for pause in (60.0, 600.0):
+        history, _, after = with_pause(pause)
+        factor = clamping("breakaway_aged", history, size=0.02, length=1.0, rest=300.0)
+        begin = int(np.searchsorted(history.motion.start, after, side="right"))
+        stroke = slice(after, history.motion.start[begin])
+        peaks.append(factor[stroke].max())
+        assert factor[stroke][-1] < 1.005
+    rested = np.array([60.0, 600.0])
+    assert peaks[1] - peaks[0] == pytest.approx(0.02 * np.log(rested[1] / rested[0]), rel=0.1)
 
 
 def test_tension_step_counts_shares_of_the_testing_time_and_may_be_one_sided():

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 
 from shj_bayes.errors import ModelError
-from shj_bayes.mismatch.search import MATTERS
+from shj_bayes.mismatch.classes import MATTERS
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion

@@ -54,7 +54,7 @@ EFFECT = Effect(
     equation="Fy -> Fy (1 + c m), L dm/ds + m = log2(A/A_max), s slid",
     parameters=(
         SIZE,
-        Prior("length", "mm", "loguniform", 10.0, 3000.0, "From a part of a stroke to all strokes of a block."),
+        Prior("length", "mm", "loguniform", 1.0, 3000.0, "From a part of a stroke to all strokes of a block."),
     ),
     act=_gradual,
     source="Debris is swept out stroke by stroke: the film follows with a slip length, as in rate and state friction.",

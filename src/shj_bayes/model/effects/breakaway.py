@@ -1,10 +1,12 @@
 """A peak when sliding starts, decaying with slip, higher after a rest."""
 
 import numpy as np
+from numba import njit
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
-from shj_bayes.model.effects.sliding import slid_mm
+from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm
 from shj_bayes.model.history import History
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 
@@ -20,7 +22,31 @@ def _linear(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 + values["size"] * np.maximum(1.0 - share, 0.0))
 
 
-EFFECT = Effect(
+@njit(cache=True)
+def _ages(slips: FloatArray, step: FloatArray, begin: float) -> FloatArray:
+    """Age of the contact, dT/dt = 1 - v T/D, shape (n,), s; exact for a speed of sliding that is even over each step.
+
+    `slips` is the distance slid since the sample before, as a share of D; `step` the time since then, s.
+    """
+    out = np.empty_like(slips)
+    age = begin
+    for i in range(slips.size):
+        keep = np.exp(-slips[i])
+        age = age * keep + ((1.0 - keep) / slips[i] if slips[i] > 1e-9 else 1.0) * step[i]
+        out[i] = age
+    return out
+
+
+def _aged(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + a max(0, ln(v T/D)); the age T of the contact is D/v where it slides steadily."""
+    step = np.diff(history.time_s, prepend=history.time_s[0])
+    slips = slid_since_mm(history, base) / values["length"]
+    rate = np.divide(slips, step, out=np.zeros_like(slips), where=step > 0.0)
+    ages = _ages(slips, step, values["rest"])
+    return Contribution(clamping=1.0 + values["size"] * np.log(np.maximum(rate * ages, 1.0)))
+
+
+_EXPONENTIAL = Effect(
     id="breakaway",
     family="start_of_stroke",
     title="Breakaway peak",
@@ -38,7 +64,8 @@ EFFECT = Effect(
     acts=(("capacity", "slip"),),
     source="Ageing of contacts with the logarithm of rest (Hulikal, Bhattacharya and Lapusta, arXiv 1405.3643).",
     start={"size": (0.1,), "decay": (0.5, 2.0, 6.0), "growth": (0.2,)},
-).with_form(
+)
+_OR_LINEAR = _EXPONENTIAL.with_form(
     "linear",
     statement="Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding.",
     equation="Fy -> Fy (1 + a max(0, 1 - d/D)), d = slip - 2 Fy/K",
@@ -49,4 +76,20 @@ EFFECT = Effect(
     act=_linear,
     source="Linear slip weakening (Ida 1972, J. Geophys. Res. 77, 3796; Andrews 1976, J. Geophys. Res. 81, 3575).",
     start={"size": (0.1,), "length": (2.0, 6.0, 18.0)},
+)
+EFFECT = _OR_LINEAR.with_form(
+    "aged",
+    statement=(
+        "Sliding starts with a peak {size:.1%} of the force higher for each e-fold of the time at rest; "
+        "a few times {length:.1f} mm of sliding take it away."
+    ),
+    equation="Fy -> Fy (1 + a max(0, ln(v T/D))), dT/dt = 1 - v T/D, v speed of sliding",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 0.3, "For an e-fold of the age: 0.01 for rock and steel, more if worn."),
+        Prior("length", "mm", "loguniform", 0.05, 15.0, "Slip that renews the contacts: debris, coatings, soft grips."),
+        Prior("rest", "s", "loguniform", 1.0, 100000.0, "Age of the contact when a run begins: up to a day."),
+    ),
+    act=_aged,
+    source="Rate and state friction whose steady value does not depend on speed (Dieterich 1979; Ruina 1983).",
+    start={"size": (0.02,), "length": (0.3, 1.0, 3.0), "rest": (100.0, 3000.0)},
 )
