@@ -162,6 +162,13 @@ def test_tension_step_counts_shares_of_the_testing_time_and_may_be_one_sided():
     np.testing.assert_allclose(one_sided[late & (first.direction > 0)], 0.6, atol=1e-3)
 
 
+def test_what_is_remembered_of_the_amplitude_goes_on_from_run_to_run():
+    """A run that ends before the contact has got used to its last block leaves it there."""
+    first, second = (clamping("amplitude_gradual", h, size=0.1, length=2000.0) for h in two_runs())
+    assert second[0] == pytest.approx(first[-1], abs=2e-3)
+    assert abs(second[0] - 1.0) > 0.05  # the last block is the largest, of which it would be 1
+
+
 def test_amplitude_compares_with_the_largest_block():
     history = two_runs()[0]
     factor = clamping("amplitude", history, size=0.1)

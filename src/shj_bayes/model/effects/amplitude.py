@@ -3,7 +3,7 @@
 import numpy as np
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
-from shj_bayes.model.effects.sliding import remembered, slid_since_mm
+from shj_bayes.model.effects.sliding import remembered_through
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -17,15 +17,8 @@ def act(history: History, values: Values, base: Base) -> Contribution:
 
 
 def _gradual(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + c m, m the doublings log2(A/A_max) that the contact has got used to over a distance slid.
-
-    A run begins with what the one before it ended with.
-    """
-    goal = _doublings(history, history.amplitude_mm)
-    begin = goal[0]
-    if history.earlier:
-        begin = _doublings(history, np.abs(np.diff(history.earlier[-1])[-2:]).max() / 2.0)
-    late = remembered(goal, slid_since_mm(history, base), values["length"], float(begin))
+    """Clamping 1 + c m, m the doublings log2(A/A_max) that the contact has got used to over a distance slid."""
+    late = remembered_through(lambda run: _doublings(run, run.amplitude_mm), history, base, values["length"])
     return Contribution(clamping=1.0 + values["size"] * late)
 
 

@@ -1,11 +1,8 @@
 """Friction differs while speeding up and slowing down."""
 
-from dataclasses import replace
-
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
-from shj_bayes.model.effects.sliding import remembered, slid_since_mm
+from shj_bayes.model.effects.sliding import remembered_through
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 
@@ -15,16 +12,8 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     At a steady speed both cancel. The speed of the moment acts as Eq. (2) does, on the elastic branches as well.
     """
     peak = history.peak_speed_mm_s
-    late = _late(history, base, values["length"]) / peak
+    late = remembered_through(lambda run: run.speed_mm_s, history, base, values["length"]) / peak
     return Contribution(clamping=1.0 - values["size"] * late, gamma_s_per_mm=values["size"] / peak)
-
-
-def _late(history: History, base: Base, length: float) -> FloatArray:
-    """Speed that the contact remembers, mm/s: a run begins with what the one before it ended with, the first at 0."""
-    before, begin = history.before, 0.0
-    if before is not None:
-        begin = float(_late(before, replace(base, Fy=base.Fy_first), length)[-1])
-    return remembered(history.speed_mm_s, slid_since_mm(history, base), length, begin)
 
 
 EFFECT = Effect(

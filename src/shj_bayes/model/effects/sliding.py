@@ -1,5 +1,8 @@
 """Distance slid: what is left of the motion once the connection has unloaded and loaded again; it heats and wears."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 
@@ -148,6 +151,20 @@ def felt(goal: FloatArray, history: History, base: Base, memory_mm: float) -> Fl
     if memory_mm <= 0.0:
         return goal
     return np.asarray(remembered(goal, slid_since_mm(history, base), memory_mm, float(goal[0])))
+
+
+def remembered_through(
+    goal: Callable[[History], FloatArray], history: History, base: Base, length_mm: float
+) -> FloatArray:
+    """State that follows a goal late over a distance slid, shape (n,), through all runs: nothing slides between them.
+
+    `goal(history)` is what it follows in a run; the first run begins with that of its first sample.
+    """
+    own, before = goal(history), history.before
+    begin = float(own[0])
+    if before is not None:
+        begin = float(remembered_through(goal, before, replace(base, Fy=base.Fy_first), length_mm)[-1])
+    return np.asarray(remembered(own, slid_since_mm(history, base), length_mm, begin))
 
 
 @njit(cache=True)
