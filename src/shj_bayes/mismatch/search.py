@@ -103,7 +103,7 @@ class Search:
         goes = {over.goes for over in coordinates_of(of.coordinate)}
         if "stroke" in goes or of.action == "motion":
             return self.matters_in_strokes
-        if self.chatter and "test" in goes and of.action == "capacity":
+        if self.chatter and of.action == "capacity" and ("test" in goes or of.id == DIRECTION):
             return max(self.matters, self.chatter.apart)
         return self.matters
 
@@ -138,15 +138,19 @@ class Search:
         return max((h.log_weight for own, h in self.found.items() if own <= key), default=-math.inf)
 
     def add(self, members: tuple[Candidate, ...], start: FloatArray) -> Hypothesis | None:
-        """Fit a hypothesis from a start, and keep it if it is better than what was known under its key."""
-        new = self.fitted(members, start)
-        key = frozenset(member.of.id for member in members)
+        """Fit a hypothesis from a start, and keep it; gives the best that is known under its key."""
+        self._keep(self.fitted(members, start))
+        return self.found.get(frozenset(member.of.id for member in members))
+
+    def _keep(self, new: Hypothesis | None) -> None:
+        """Keep a hypothesis if it is better than what was known under its key; nothing where there was no fit."""
+        if new is None:
+            return
         for kept in (self.found, self.curves):
-            if new is None or (kept is self.curves and not all(is_curve(m) for m in members)):
+            if kept is self.curves and not all(is_curve(m) for m in new.members):
                 continue
-            if key not in kept or kept[key].log_weight < new.log_weight:
-                kept[key] = new
-        return self.found.get(key)
+            if new.key not in kept or kept[new.key].log_weight < new.log_weight:
+                kept[new.key] = new
 
     def fitted(self, members: tuple[Candidate, ...], start: FloatArray) -> Hypothesis | None:
         """Fit a hypothesis from a start; None where there is no fit."""
@@ -227,17 +231,17 @@ class Search:
             curve = h.members[place].variant.curve
             if again or curve is not None:
                 for form in self.forms(h, place):
-                    self.add(replaced(h, place, form), form.start)
-                    self._beside_distance(h, place, form)
+                    one = self.fitted(replaced(h, place, form), form.start)
+                    self._keep(one)
+                    if one is not None and second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key:
+                        self._beside_distance(one)
             self.beside_direction(h, place)
 
-    def _beside_distance(self, h: Hypothesis, place: int, form: Candidate) -> None:
-        """Try a formula beside a function of the distance in the place of a curve over position, which holds both."""
-        may = second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key
+    def _beside_distance(self, one: Hypothesis) -> None:
+        """Try a function of the distance beside a formula in the place of a curve over position, which holds both."""
         # A curve: to first order a formula beside one that is far off may seem to do what it cannot.
-        other = [c for c in self.looked if may and c.of.id == DISTANCE and c.variant.curve is not None]
-        one = self.fitted(replaced(h, place, form), form.start) if other else None
-        if one is not None:
+        other = [c for c in self.looked if c.of.id == DISTANCE and c.variant.curve is not None]
+        if other:
             best = screen(self.metric, one.state, other)[0]
             both = self.add((*one.members, best), joined(one, best))
             if both is not None:

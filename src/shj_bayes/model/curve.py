@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
@@ -105,7 +105,7 @@ class Curve:
     size: float = 0.05  # standard deviation before the test, as a share of Fy
     period: float | None = None  # after what it comes again, in the unit of the coordinate; None where it does not
 
-    @property
+    @cached_property
     def over(self) -> Coordinate:
         """The coordinate."""
         return coordinate_named(self.coordinate)
@@ -118,7 +118,7 @@ class Curve:
             own += f"_every_{round(PERIODS_PER_UNIT * self.period)}"
         return f"{self.action}_over_{self.coordinate}{own}_{round(100 * self.length):02d}_{round(100 * self.size):02d}"
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of coefficients."""
         each = int(self._spline.c.shape[-1]) if self.period is None else 2 * harmonics(self.length).size
@@ -126,9 +126,12 @@ class Curve:
 
     def place(self, history: History, base: Base) -> FloatArray:
         """Where the points of a history lie, shape (n,): shares of the range, or periods since 0."""
-        if self.period is None:
+        if self.period is not None:
+            return np.asarray(self.over.values(history, base) / self.period)
+        if history.passing or not self.over.of_base:
             return self.over.share(history, base)
-        return np.asarray(self.over.values(history, base) / self.period)
+        # Most parameters of a model are those of its curves: where these lie stays as it is.
+        return history.recall((self.coordinate, base), lambda: self.over.share(history, base))
 
     def components(self, place: FloatArray) -> FloatArray:
         """Components at given places, shape (n, r); of a curve that comes again, the waves of its period and parts."""
@@ -148,7 +151,7 @@ class Curve:
 
     def act(self, history: History, values: Values, base: Base) -> Contribution:
         """Clamping 1 + f, or Fy_first f added to the force."""
-        coefficients = self.size * np.array([values[f"c{i}"] for i in range(1, self.n + 1)])
+        coefficients = self.size * np.array([values[name] for name in self._names])
         if self.sides:
             push, pull = np.split(coefficients, 2)
             f = np.where(history.direction > 0, self._at(history, base, push), self._at(history, base, pull))
@@ -159,6 +162,11 @@ class Curve:
         if self.action == "capacity":
             return Contribution(clamping=1.0 + felt(f, history, base, self.over.memory_mm))
         return Contribution(added_kN=base.Fy_first * f)
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return tuple(f"c{i}" for i in range(1, self.n + 1))
 
     @property
     def _spline(self) -> CubicSpline:
@@ -192,10 +200,9 @@ class Curve:
             shows=f"Alike wherever {self.over.title} is alike.",
             next_test=f"A test in which {self.over.title} changes on its own.",
             parameters=tuple(
-                Prior(f"c{i}", "1", "normal", 0.0, 1.0, "Coefficient of a principal component.")
-                for i in range(1, self.n + 1)
+                Prior(name, "1", "normal", 0.0, 1.0, "Coefficient of a principal component.") for name in self._names
             ),
-            neutral={f"c{i}": 0.0 for i in range(1, self.n + 1)},
+            neutral=dict.fromkeys(self._names, 0.0),
             act=self.act,
             source="Gaussian process in its principal components.",
         )

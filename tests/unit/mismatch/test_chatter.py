@@ -103,6 +103,7 @@ def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
     ("capacity", "speed_by_travel", 0.1),
     ("motion", "second surface", 0.1),
     ("capacity", "travel", 0.06),
+    ("capacity", "direction", 0.06),
     ("capacity", "position", 0.01),
     ("added", "time", 0.01),
 ])  # fmt: skip
