@@ -365,10 +365,10 @@ class Search:
         self.retune()
 
     def explain(self) -> None:
-        """Look for two classes, one of them with a formula, in the place of each curve that no formula follows.
+        """Look for two classes in the place of each curve that no formula follows.
 
-        A smooth curve over one coordinate can do what formulas over two others do together. Neither alone comes near
-        it, so a search that adds one after another ends in the curve.
+        A smooth curve over one coordinate can do what formulas over two others, or a formula over its own and something
+        over another, do together. Neither alone comes near it, so a search that adds one after another ends in it.
         """
         for place, member in enumerate(self.best.members):
             h = self.best

@@ -51,7 +51,7 @@ _EXPONENTIAL = Effect(
     family="start_of_stroke",
     title="Breakaway peak",
     statement="Sliding starts with a peak {size:.0%} above the plateau that decays within {decay:.1f} mm of sliding.",
-    equation="Fy -> Fy (1 + a (1 + b log10(1 + rest/1 s)) exp(-d/Dc)), d = slip - 2 Fy/K",
+    equation="Fy -> Fy (1 + a (1 + b log10(1 + rest/1 s)) exp(-d/Dc)), d slid since the reversal",
     cause="Contacts that strengthen while at rest and must be broken before sliding: ageing, debris, corrosion, paint.",
     shows="A peak at the start of each stroke only, fixed in millimetres of slip; highest after a pause.",
     next_test="Pauses of 1, 10, 100 and 1000 s at mid-run: the peak grows in step with the logarithm of the pause.",
@@ -68,7 +68,7 @@ _EXPONENTIAL = Effect(
 _OR_LINEAR = _EXPONENTIAL.with_form(
     "linear",
     statement="Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding.",
-    equation="Fy -> Fy (1 + a max(0, 1 - d/D)), d = slip - 2 Fy/K",
+    equation="Fy -> Fy (1 + a max(0, 1 - d/D)), d slid since the reversal",
     parameters=(
         Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound)."),
         Prior("length", "mm", "loguniform", 0.3, 50.0, "Three times the decay length of the exponential form."),

@@ -24,7 +24,7 @@ EFFECT = Effect(
     family="oscillation",
     title="Stick-slip",
     statement="The plateau saws by {size:.1%} of Fy up and down, one tooth every {wave:.1f} mm of sliding.",
-    equation="Fy -> Fy (1 + a saw(d/w)), d = slip - 2 Fy/K",
+    equation="Fy -> Fy (1 + a saw(d/w)), d slid since the reversal",
     cause="Friction that falls with speed against a soft frame: the surfaces stick, load up and jump.",
     shows="Teeth on every plateau, slow rise and fast drop, at the same slip in every stroke.",
     next_test="Another speed or a stiffer grip: the teeth change; sample at 20 times the tooth frequency or faster.",

@@ -41,8 +41,8 @@ EFFECT = Effect(
     family="low_speed",
     title="Speed dependence that is not linear",
     statement="Speed dependence is bent: at low speed the sliding force is up to {size:+.0%} off a linear speed law.",
-    equation="Fy -> Fy (1 + c b/max[b - u]), gamma |v| -> gamma |v| - c u/max[b - u], "
-    "b = ln(1 + u/u0)/ln(1 + 1/u0), u = |v|/v_peak",
+    equation="Fy -> Fy (1 + c h/max[b - u]), gamma |v| -> gamma |v| - c u/max[b - u], L dh/ds + h = b, "
+    "b = ln(1 + u/u0)/ln(1 + 1/u0), u = |v|/v_peak, s slid",
     cause="Friction that follows the logarithm of speed or saturates, as most contacts do; a power law looks alike.",
     shows="Shoulders near both ends of every stroke, where the speed falls; flat around mid-stroke.",
     next_test="Triangular cycles at three or more speeds a factor of 5 apart: the law is then read off directly.",
@@ -58,7 +58,8 @@ EFFECT = Effect(
 ).with_form(
     "power",
     statement="Sliding force follows the power {power:.2f} of the speed: {size:+.1%} beside the linear law at most.",
-    equation="Fy (1 + gamma v) -> Fy (1 + gamma v + c ((v/vp)^n - v/vp)/m), m the largest value of that bracket",
+    equation="Fy -> Fy (1 + c h/max[u^n - u]), gamma |v| -> gamma |v| - c u/max[u^n - u], L dh/ds + h = u^n, "
+    "u = |v|/v_peak, s slid",
     parameters=(
         Prior("size", "1", "normal", 0.0, 0.15, "Largest departure from the linear law; either sign."),
         Prior("power", "1", "loguniform", 0.05, 0.9, "Fluid films and lubricants: 0.1 to 0.8."),
