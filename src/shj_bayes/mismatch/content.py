@@ -46,14 +46,15 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
         told: dict[str, Any] = {}
         if finding.member.variant.curve is not None:
             own, told = _following(finding.member.variant.curve, own, out.scene.measured)
-        means = {key: float(values.mean()) for key, values in own.items()}
+        # A mean lies beyond what fits where a size is hardly known.
+        middle = {key: float(np.median(values)) for key, values in own.items()}
         found.append(
             {
                 "id": effect.mechanism,
                 "form": effect.form,
                 "family": effect.family,
                 "title": effect.title,
-                "statement": effect.statement.format(**means, **told),
+                "statement": effect.statement.format(**middle, **told),
                 "equation": effect.equation,
                 "cause": effect.cause,
                 "shows": effect.shows,

@@ -210,7 +210,6 @@ def _findings(
     out: Search, h: Hypothesis, top: frozenset[str], inclusion: dict[str, float]
 ) -> tuple[tuple[Finding, ...], Hypothesis]:
     """Put formulas in the place of curves that they follow; give the findings, and the hypothesis with them."""
-    curves = out.as_curves(h)
     for place, member in enumerate(h.members):
         if member.variant.curve is not None and member.of.id in top:
             h = _followed(out, h, place)
@@ -223,17 +222,16 @@ def _findings(
     for place, member in enumerate(h.members):
         if member.of.id not in top:
             continue
-        at = next((i for i, m in enumerate(curves.members) if m.of.id == member.of.id), None)
-        curve = curves.members[at] if at is not None and curves.members[at].variant.curve is not None else None
+        drawn = out.as_curve(h, place)
         found.append(
             Finding(
                 member,
                 inclusion[member.of.id],
                 h.log_weight - out.best_within(h.key - {member.of.id}),
                 size_of(out.scene, h, place),
-                curve,
-                curves.state if curve is not None else None,
-                at if curve is not None and at is not None else place,
+                drawn.members[place] if drawn is not None else None,
+                drawn.state if drawn is not None else None,
+                place,
                 names.get(place, ()),
             )
         )

@@ -297,22 +297,25 @@ class Search:
             out += [replace(form, start=starts[i], model=model) for i in best]
         return out
 
-    def as_curves(self, h: Hypothesis) -> Hypothesis:
-        """Give a hypothesis with curves in the place of its formulas, where its classes have any: what can be drawn."""
-        if h.key in self.curves:
-            return self.curves[h.key]
-        for place, member in enumerate(h.members):
-            if is_curve(member):
-                continue
-            rest = self.fitted(*without(self.scene, h, place))
-            looked = [c for c in self.looked if c.of.id == member.of.id and c.variant.curve is not None]
-            if rest is None or not looked or any(same_twice(looked[0], m) for m in rest.members):
-                continue
-            best = screen(self.metric, rest.state, looked)[0]
-            first = columns_of(self.scene, h.state, place)[0]
-            start = np.insert(rest.state.z, [first] * len(best.variant.effect.parameters), 0.0)
-            h = self.fitted(replaced(h, place, best), start) or h
-        return h
+    def as_curve(self, h: Hypothesis, place: int) -> Hypothesis | None:
+        """Give a hypothesis with a curve in the place of a formula, beside all else that it holds: what can be drawn.
+
+        A curve stays as it is; None where the class has none.
+        """
+        member = h.members[place]
+        if member.variant.curve is not None:
+            return h
+        members, z = without(self.scene, h, place)
+        looked = [c for c in self.looked if c.of.id == member.of.id and c.variant.curve is not None]
+        if not looked or any(same_twice(looked[0], m) for m in members):
+            return None
+        rest = self.fitted(members, z)
+        if rest is None:
+            return None
+        best = screen(self.metric, rest.state, looked)[0]
+        first = columns_of(self.scene, h.state, place)[0]
+        start = np.insert(z, [first] * len(best.variant.effect.parameters), 0.0)
+        return self.fitted(replaced(h, place, best), start)
 
     def model_of(self, members: tuple[Candidate, ...]) -> DeviceModel:
         """Model that holds given classes."""

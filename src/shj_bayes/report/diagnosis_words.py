@@ -139,15 +139,15 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
             "A part of it: "
             if e.get("partial")
             else "Most probable: "
-            if verdict == Verdict.FAMILY and e.get("rivals")
+            if verdict == Verdict.FAMILY and (e.get("rivals") or nothing_missing(record))
             else ""
         )
         out.append(spaced(f"{lead}{e['statement']}{cause}"))
     if verdict == Verdict.FAMILY:
-        lead = "Not excluded" if found and len(record["family"]) == 1 else "These recordings cannot tell"
         members = [f"{title_of(m.get('id')).lower()} ({percent(m.get('probability'))})" for m in record["family"]]
         if nothing := nothing_missing(record):
             members.append(f"nothing of a size that matters ({percent(nothing)})")
+        lead = "Not excluded" if found and len(members) == 1 else "These recordings cannot tell"
         out.append(f"{lead}: {', or '.join(members)}.")
     for c in record.get("coordinates") or ():
         if not c.get("matches") and number(c.get("probability")) >= LIKELY:

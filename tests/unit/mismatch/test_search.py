@@ -1,9 +1,11 @@
 """The search for the classes that a device holds."""
 
+import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
+from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.scene import scene_of
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.device import DeviceModel
@@ -22,6 +24,10 @@ def test_two_dependences_are_found_that_one_curve_over_another_coordinate_follow
     heat = {"size": 0.18, "cooling": 300.0, "spread": 0.6}
     out = _searched(trials, {"tension_step_swing": swing, "thermal": heat}, ("time", "heat", "amplitude"))
     assert {m.variant.effect.id for m in out.best.members} == {"tension_step_swing", "thermal"}
+    # Each is drawn beside the other one: a curve over time beside a curve over heat would take most of the heating up.
+    drawn = {f.member.of.coordinate: curve_band(out, f)["mean"] for f in answer_of(out).findings}
+    assert np.ptp(drawn["time"][10:]) == pytest.approx(2 * 4.5, rel=0.3)
+    assert drawn["heat"].min() < -8.0
 
 
 def test_a_formula_over_position_is_found_beside_one_over_the_distance(trials):

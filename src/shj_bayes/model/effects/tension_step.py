@@ -1,4 +1,4 @@
-"""Sudden change of clamping at one moment."""
+"""Clamping that changes with time: suddenly at one moment, or in a swing."""
 
 import numpy as np
 from numba import njit
@@ -42,7 +42,7 @@ def _swing(history: History, values: Values, base: Base) -> Contribution:
 EFFECT = Effect(
     id="tension_step",
     family="slow_change",
-    title="Sudden change of clamping",
+    title="Clamping changes with time",
     statement="Clamping changes by {size:+.0%} at {begin:.0%} of the testing time, for {length:.0%} of it.",
     equation="Fy -> Fy (1 + c (1 + side q)) for begin < (n_run - 1 + t/T)/N < begin + length",
     cause="A bolt loosened, cracked, yielded or was re-tightened; or the clamping was adjusted during the test.",
