@@ -108,6 +108,8 @@ def test_a_family_that_may_be_nothing_says_so() -> None:
     held |= {"heldout": {"n_blocks": 9}, "sets": [{"classes": ["added over time"], "probability": 0.92}]}
     sure = verdict_words(held)[2]
     assert sentences(held) == [f"These recordings cannot tell: {title_of('drift').lower()} (92 %)."]
+    same = {"before": {"mean": -4e-5}, "after": {"mean": 4e-5}}
+    assert not any("gamma" in line for line in sentences(held | {"modelled": {"drift": {}}, "shift": {"gamma": same}}))
     held["sets"].append({"classes": [], "probability": 0.08})
     assert verdict_words(held)[2] != sure == VERDICTS["family"][2]
     assert sentences(held)[0].endswith("(92 %), or nothing of a size that matters (8 %).")

@@ -162,8 +162,9 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
             out.append(str(record["unknown"]["words"]))
     gamma = record["shift"].get("gamma")
     if gamma and record.get("modelled"):
-        before, after = gamma["before"]["mean"], gamma["after"]["mean"]
-        out.append(f"Including this changes gamma from {before:+.4f} to {after:+.4f} s/mm.")
+        before, after = (f"{gamma[stage]['mean']:+.4f}" for stage in ("before", "after"))
+        if float(before) != float(after):
+            out.append(f"Including this changes gamma from {before} to {after} s/mm.")
     if record.get("next_test"):
         out.append(f"Next test: {record['next_test']}")
     return out
