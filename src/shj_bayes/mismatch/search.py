@@ -79,8 +79,7 @@ class Search:
     # what could be added to each, best first
     screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
     bends: frozenset[str] = frozenset()  # effects on the motion whose bends the blocks follow
-    # scatter that the sliding makes, first beside the base law, in the end beside the best hypothesis
-    chatter: Chatter | None = None
+    chatter: Chatter | None = None  # scatter that the sliding makes, beside the best hypothesis; known in the end
 
     @property
     def classes(self) -> dict[str, Class]:
@@ -106,12 +105,6 @@ class Search:
         if self.chatter and of.action == "capacity" and ("test" in goes or of.id == DIRECTION):
             return max(self.matters, self.chatter.apart)
         return self.matters
-
-    def chatter_beside(self, h: Hypothesis) -> Chatter | None:
-        """Scatter that the sliding makes beside a hypothesis; None where there is none, or it is not looked for."""
-        if "stick_slip" in self.hidden or str(TEETH) in h.key:
-            return None
-        return chatter_of(self.scene, h.state, self.noise_most_kN)
 
     @property
     def is_rough(self) -> bool:
@@ -215,7 +208,7 @@ class Search:
             if len(followed) >= MOST and c.of.id not in followed:
                 continue
             size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
-            if size < PROMISING * self.matters_of(c.of):
+            if size < PROMISING * self.matters:
                 continue
             tried[kind] = tried.get(kind, 0) + 1
             followed.add(c.of.id)
@@ -542,7 +535,6 @@ def search(
     out = Search(scene, looked, metric, hidden, tell)
     base = out.add((), scene.z)
     assert base is not None
-    out.chatter = out.chatter_beside(base)
     out.try_constant()
     for depth in range(DEPTH):
         tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
@@ -552,7 +544,8 @@ def search(
     out.explain()
     out.exchange()
     out.finish()
-    out.chatter = out.chatter_beside(out.best)
+    if "stick_slip" not in hidden and str(TEETH) not in out.best.key:
+        out.chatter = chatter_of(out.scene, out.best.state, out.noise_most_kN)
     return out
 
 
