@@ -12,7 +12,7 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     At a steady speed both cancel. The speed of the moment acts as Eq. (2) does, on the elastic branches as well.
     """
     peak = history.peak_speed_mm_s
-    late = remembered_through(lambda run: run.speed_mm_s, history, base, values["length"]) / peak
+    late = remembered_through(lambda run: run.speed_mm_s, history, base, values["length"], begin=0.0) / peak
     return Contribution(clamping=1.0 - values["size"] * late, gamma_s_per_mm=values["size"] / peak)
 
 

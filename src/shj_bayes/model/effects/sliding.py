@@ -154,17 +154,17 @@ def felt(goal: FloatArray, history: History, base: Base, memory_mm: float) -> Fl
 
 
 def remembered_through(
-    goal: Callable[[History], FloatArray], history: History, base: Base, length_mm: float
+    goal: Callable[[History], FloatArray], history: History, base: Base, length_mm: float, begin: float | None = None
 ) -> FloatArray:
     """State that follows a goal late over a distance slid, shape (n,), through all runs: nothing slides between them.
 
-    `goal(history)` is what it follows in a run; the first run begins with that of its first sample.
+    `goal(history)` is what it follows in a run; the first run begins with `begin`, by default with what it follows.
     """
     own, before = goal(history), history.before
-    begin = float(own[0])
+    first = float(own[0]) if begin is None else begin
     if before is not None:
-        begin = float(remembered_through(goal, before, replace(base, Fy=base.Fy_first), length_mm)[-1])
-    return np.asarray(remembered(own, slid_since_mm(history, base), length_mm, begin))
+        first = float(remembered_through(goal, before, replace(base, Fy=base.Fy_first), length_mm, begin)[-1])
+    return np.asarray(remembered(own, slid_since_mm(history, base), length_mm, first))
 
 
 @njit(cache=True)
