@@ -99,7 +99,7 @@ def _following(
     """Change of the force over the range of a further channel, a share of Fy, and that range: for its sentence."""
     over = measured[curve.coordinate]
     ends = curve.rows(np.array([0.0, 1.0]), np.ones(2))
-    change = (ends[1] - ends[0]) @ np.stack([drawn[f"c{i}"] for i in range(1, curve.n + 1)])
+    change = (ends[1] - ends[0]) @ np.stack([drawn[name] for name in curve.names])
     return {"change": change}, {"low": over.low, "high": over.high, "unit": f" {over.unit}" if over.unit else ""}
 
 

@@ -151,7 +151,7 @@ class Curve:
 
     def act(self, history: History, values: Values, base: Base) -> Contribution:
         """Clamping 1 + f, or Fy_first f added to the force."""
-        coefficients = self.size * np.array([values[name] for name in self._names])
+        coefficients = self.size * np.array([values[name] for name in self.names])
         if self.sides:
             push, pull = np.split(coefficients, 2)
             f = np.where(history.direction > 0, self._at(history, base, push), self._at(history, base, pull))
@@ -164,7 +164,7 @@ class Curve:
         return Contribution(added_kN=base.Fy_first * f)
 
     @cached_property
-    def _names(self) -> tuple[str, ...]:
+    def names(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return tuple(f"c{i}" for i in range(1, self.n + 1))
 
@@ -200,9 +200,9 @@ class Curve:
             shows=f"Alike wherever {self.over.title} is alike.",
             next_test=f"A test in which {self.over.title} changes on its own.",
             parameters=tuple(
-                Prior(name, "1", "normal", 0.0, 1.0, "Coefficient of a principal component.") for name in self._names
+                Prior(name, "1", "normal", 0.0, 1.0, "Coefficient of a principal component.") for name in self.names
             ),
-            neutral=dict.fromkeys(self._names, 0.0),
+            neutral=dict.fromkeys(self.names, 0.0),
             act=self.act,
             source="Gaussian process in its principal components.",
         )
