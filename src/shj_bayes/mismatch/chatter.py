@@ -44,6 +44,8 @@ class Chatter:
     share: float  # of the sliding time in which it is larger than noise
     of_strokes: FloatArray  # shape (n,): largest distance in each stroke that chatters, as a share of Fy
     apart: float  # largest less smallest of these over all strokes that slide, 0 for those that do not chatter
+    # direction that it lowers the mean force of, 1 push, -1 pull: the one with the larger distances in the mean
+    lowers: float
 
 
 def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
@@ -64,23 +66,29 @@ def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
     return found
 
 
-def _half_cycles(fine: Scene, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of so many readings."""
+def _half_cycles(fine: Scene, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray, float]]:
+    """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of so many readings.
+
+    And its direction, 1 or -1.
+    """
     first = 0
     for part in fine.posterior.averages:
-        for a, b in zip(part.timing.half[:-1], part.timing.half[1:], strict=True):
+        halves = zip(part.timing.half[:-1], part.timing.half[1:], part.history.motion.direction, strict=True)
+        for a, b, direction in halves:
             own = rows[:, first + a : first + b][:, part.count[a:b] > 0]
             n = own.shape[1] // together
             if n > TOGETHER + 3:
                 means = own[:, : n * together].reshape(2, n, together).mean(axis=2)
-                yield means[0], means[1]
+                yield means[0], means[1], float(direction)
         first += part.n
 
 
-def _at_scale(half_cycles: list[tuple[FloatArray, FloatArray]], scale_kN: float, most_kN: float) -> Chatter | None:
+def _at_scale(
+    half_cycles: list[tuple[FloatArray, FloatArray, float]], scale_kN: float, most_kN: float
+) -> Chatter | None:
     """Compare the scatter while sliding with that on the elastic branches; None where there is no chatter."""
     products, sliding, elastic, local, away, stroke = [], [], [], [], [], []
-    for i, (residual, load) in enumerate(half_cycles):
+    for i, (residual, load, _) in enumerate(half_cycles):
         bends = np.diff(residual, 2)
         product = -bends[1:] * bends[:-1]
         products.append(product)
@@ -102,4 +110,6 @@ def _at_scale(half_cycles: list[tuple[FloatArray, FloatArray]], scale_kN: float,
     if np.count_nonzero(largest) < FEWEST_STROKES:
         return None
     size, apart = float(np.percentile(distance, 99)), float(np.ptp(largest[np.unique(of)]))
-    return Chatter(size, float(loud.mean()), largest[largest > 0.0], apart)
+    direction = np.array([one for _, _, one in half_cycles])
+    lowers = 1.0 if float(np.average(direction, weights=largest)) > 0.0 else -1.0
+    return Chatter(size, float(loud.mean()), largest[largest > 0.0], apart, lowers)

@@ -149,7 +149,7 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     A class is left out where the upper limit of its size, exceeded with a probability of `DOUBT`, is too small. What is
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
-    sizes = [largest_size_of(out.scene, h, i) / out.matters_of(member.of) for i, member in enumerate(h.members)]
+    sizes = [largest_size_of(out.scene, h, i) / out.matters_of(h, i) for i in range(len(h.members))]
     if min(sizes, default=math.inf) >= 1.0:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}

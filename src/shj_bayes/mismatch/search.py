@@ -22,6 +22,7 @@ from shj_bayes.mismatch.classes import (
     candidates,
     size_weights,
 )
+from shj_bayes.mismatch.cycles import follows_cycles, is_clock
 from shj_bayes.mismatch.hypothesis import (
     CONSTANT,
     DIRECTION,
@@ -97,14 +98,20 @@ class Search:
         """Size that what begins anew in each stroke must have: teeth lower the mean force there by up to their size."""
         return self.chatter.size if self.chatter else self.matters
 
-    def matters_of(self, of: Class) -> float:
-        """Size that a class must have: from stroke to stroke teeth lower the mean force by as much as they differ."""
+    def matters_of(self, h: Hypothesis, place: int) -> float:
+        """Size that a member must have: from stroke to stroke teeth lower the mean force by as much as they differ.
+
+        They lower it most where they are largest: a larger force in that direction is not of their making.
+        """
+        of = h.members[place].of
         goes = {over.goes for over in coordinates_of(of.coordinate)}
         if "stroke" in goes or of.action == "motion":
             return self.matters_in_strokes
-        if self.chatter and of.action == "capacity" and ("test" in goes or of.id == DIRECTION):
-            return max(self.matters, self.chatter.apart)
-        return self.matters
+        if self.chatter is None or of.action != "capacity":
+            return self.matters
+        if of.id == DIRECTION and self.chatter.lowers * h.state.z[columns_of(self.scene, h.state, place)[0]] > 0.0:
+            return self.matters
+        return max(self.matters, self.chatter.apart) if "test" in goes or of.id == DIRECTION else self.matters
 
     @property
     def is_rough(self) -> bool:
@@ -151,9 +158,19 @@ class Search:
             state = settle(self.scene, self.metric, self.model_of(members), start)
         except np.linalg.LinAlgError:
             return None
+        if any(self._follows_cycles(state, place, member) for place, member in enumerate(members)):
+            return None
         weight = state.evidence + len(members) * ODDS
         weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         return Hypothesis(members, state, weight) if math.isfinite(weight) else None
+
+    def _follows_cycles(self, state: State, place: int, member: Candidate) -> bool:
+        """Whether a dependence on time only does the same in each cycle."""
+        if not _over_a_clock(member.of):
+            return False
+        effect, law = state.model.effects[len(self.scene.device.effects) + place], state.model.law_values(state.z)
+        values, curve = {name: law[f"{effect.id}.{name}"] for name in effect.names}, member.variant.curve
+        return follows_cycles(self.scene, effect, values, sides="side" in values if curve is None else curve.sides)
 
     def _about_size(self, state: State, place: int, member: Candidate) -> float:
         """Log evidence that a class gains when its size and its smoothness are averaged over."""
@@ -210,9 +227,12 @@ class Search:
             size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
             if size < PROMISING * self.matters:
                 continue
-            tried[kind] = tried.get(kind, 0) + 1
-            followed.add(c.of.id)
-            self.add((*h.members, c), joined(h, c))
+            new = self.fitted((*h.members, c), joined(h, c))
+            self._keep(new)
+            # A curve that follows the cycles leaves its place to the next one.
+            if new is not None or c.variant.curve is None:
+                tried[kind] = tried.get(kind, 0) + 1
+                followed.add(c.of.id)
 
     def refine(self, h: Hypothesis, *, again: bool = False) -> None:
         """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
@@ -241,7 +261,9 @@ class Search:
                 self.refine(both)
 
     def beside_direction(self, h: Hypothesis, place: int) -> Hypothesis | None:
-        """Try a formula beside a difference of push and pull in the place of curves for push and pull: they hold both.
+        """Try a formula or a curve beside a difference of push and pull in the place of curves for push and pull.
+
+        They hold both.
 
         The rest is fitted with the difference first: beside such curves the parameters of the law may be anywhere.
         Gives the best of these hypotheses; None where there is none.
@@ -254,8 +276,13 @@ class Search:
             return None
         best = screen(self.metric, rest.state, [c for c in self.looked if c.of.id == DIRECTION])[0]
         one = self.fitted((*rest.members, best), joined(rest, best))
-        for form in self.forms_of(member.of, one.members, one.state.z) if one is not None else ():
-            self.add((*rest.members, best, form), form.start)
+        self._keep(one)
+        if one is not None:
+            curves = [c for c in self.looked if c.of.id == member.of.id and c.variant.curve is not None]
+            curve = screen(self.metric, one.state, curves)[0]
+            self.add((*one.members, curve), joined(one, curve))
+            for form in self.forms_of(member.of, one.members, one.state.z):
+                self.add((*one.members, form), form.start)
         return self.found.get(h.key | {DIRECTION})
 
     def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
@@ -568,6 +595,11 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     setting = find_noise(scene, state, wide, start, NOISE_MOST * scene.largest_kN)
     return Metric(scene, setting, state.slope)
+
+
+def _over_a_clock(of: Class) -> bool:
+    """Whether a class is a dependence on time."""
+    return any(is_clock(over) for over in coordinates_of(of.coordinate))
 
 
 def _free(constant: Candidate, size: float) -> FloatArray:

@@ -14,7 +14,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 Z_LIMIT = 12.0
-ROUNDS = 12
+ROUNDS = 40
 CLOSE = 1e-2  # square of the last step, in posterior standard deviations
 
 

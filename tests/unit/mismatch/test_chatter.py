@@ -66,12 +66,14 @@ def test_what_the_law_misses_is_no_chatter(trials):
 def test_what_happens_in_one_stroke_is_no_chatter(n_strokes):
     rng = np.random.default_rng(3)
     load = np.repeat([0.2, 1.0], [40, 60])
-    strokes = [(0.05 * rng.standard_normal(100), load) for _ in range(3)]
-    for residual, _ in strokes[:n_strokes]:
+    strokes = [(0.05 * rng.standard_normal(100), load, (-1.0) ** i) for i in range(3)]
+    for residual, _, _ in strokes[:n_strokes]:
         residual[60:] += 4.0 * (-1.0) ** np.arange(40)
     found = _at_scale(strokes, 50.0, 1.0)
     assert (found is None) == (n_strokes == 1)
-    assert found is None or (found.of_strokes.size == n_strokes and found.apart == found.of_strokes.max())
+    if found is not None:
+        assert (found.of_strokes.size, found.apart) == (n_strokes, found.of_strokes.max())
+        assert found.lowers == (1.0 if found.of_strokes[0] > found.of_strokes[1] else -1.0)
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +111,19 @@ def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
 ])  # fmt: skip
 def test_beside_chatter_what_its_mean_may_be_must_be_larger_than_it(action, coordinate, size):
     """Within a stroke than the teeth, from stroke to stroke than these differ; an added force is no friction."""
-    smooth = SimpleNamespace(fluctuation=0.0)
-    out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], smooth, chatter=Chatter(0.1, 0.5, np.ones(2), 0.06))
-    assert out.matters_of(Class(action, coordinate, "1", ())) == size
+    assert _matters(action, coordinate, -0.1) == size
+
+
+def test_more_force_where_it_chatters_most_is_not_of_its_making():
+    """Teeth lower the mean of the push here."""
+    assert (_matters("capacity", "direction", -0.1), _matters("capacity", "direction", 0.1)) == (0.06, 0.01)
+
+
+def _matters(action, coordinate, value):
+    """Size that a class must have beside teeth in push, with a value of its parameter."""
+    quiet = SimpleNamespace(fluctuation=0.0)
+    scene = SimpleNamespace(scale_kN=1.0, largest_kN=1.0, device=SimpleNamespace(effects=()))
+    model = SimpleNamespace(effects=(SimpleNamespace(id="own"),), law_names=("Fy", "own.size"))
+    member = SimpleNamespace(of=Class(action, coordinate, "1", ()))
+    h = SimpleNamespace(members=(member,), state=SimpleNamespace(model=model, z=np.array([0.0, value])))
+    return Search(scene, [], quiet, chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)

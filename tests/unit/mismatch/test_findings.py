@@ -37,7 +37,7 @@ def search(monkeypatch):
         return known[tuple(m.of.id for m in h.members)][place] * np.array([1.0] * 9 + [1.5])
 
     monkeypatch.setattr(sizes, "sizes_of", draws)
-    own = {"scene": None, "matters": 0.01, "matters_of": lambda of: 0.01, "best_within": lambda key: 0.0}
+    own = {"scene": None, "matters": 0.01, "matters_of": lambda h, place: 0.01, "best_within": lambda key: 0.0}
     return SimpleNamespace(found=found | {frozenset(): _hypothesis()}, **own)
 
 
@@ -77,7 +77,7 @@ def test_a_draw_without_a_force_does_not_make_a_class_small(monkeypatch):
     forces = {0: np.where(np.arange(60) == 7, np.nan, 0.2), 1: np.full(60, 0.002)}
     monkeypatch.setattr(sizes, "drawn_from", lambda state, n: np.zeros((n, 1)))
     monkeypatch.setattr(sizes, "_sizes_at", lambda scene, h, place, z: forces[place])
-    out = SimpleNamespace(scene=None, found={}, matters_of=lambda of: 0.01)
+    out = SimpleNamespace(scene=None, found={}, matters_of=lambda h, place: 0.01)
     assert findings.that_matter(out, h) == {"delay"}
 
 
@@ -117,7 +117,9 @@ def test_a_small_class_that_acts_where_a_large_one_does_not_is_nothing_that_this
 def test_what_is_left_within_strokes_that_chatter_is_no_more_than_the_teeth(left, verdict):
     """Smooth functions within a stroke take up the mean of the teeth, too."""
     smooth = SimpleNamespace(fluctuation=0.0)
-    out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], smooth, chatter=Chatter(0.1, 0.5, np.ones(2), 0.0))
+    out = Search(
+        SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], smooth, chatter=Chatter(0.1, 0.5, np.ones(2), 0.0, 1.0)
+    )
     assert findings._verdict(out, (), 1.0, 0.0, left)[0] == verdict
 
 

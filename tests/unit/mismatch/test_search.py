@@ -5,11 +5,18 @@ import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
+from shj_bayes.mismatch.cycles import follows_cycles
 from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.scene import scene_of
 from shj_bayes.mismatch.search import search
+from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
+from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.recording import Recording
 
 
 def _searched(trials, effects, coordinates):
@@ -35,6 +42,32 @@ def test_a_formula_over_position_is_found_beside_one_over_the_distance(trials):
     prying = {"size": 0.043, "gap": 0.08}
     out = _searched(trials, {"taper": {"size": -0.11}, "prying_gap": prying}, ("position", "distance"))
     assert {m.variant.effect.mechanism for m in out.best.members} == {"taper", "prying"}
+
+
+@pytest.fixture
+def sine():
+    """Seven cycles of one period, push and pull 15 % off their mean."""
+    rng, time = np.random.default_rng(5), np.arange(0.0, 28.0, 0.02)
+    motion = motion_of(Recording(time, 25.0 * np.sin(2 * np.pi * time / 4.0), np.zeros(time.size)))
+    (history,) = histories([time], [motion])
+    force = force_with_effects(
+        history, Base(10.0, 15.0, 20.0, 0.0, 15.0), [(catalogue()["asymmetry"], {"size": -0.15})]
+    )
+    recording = Recording(time, motion.displacement_mm, force + 0.1 * rng.standard_normal(time.size))
+    return scene_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
+
+
+def test_what_is_the_same_in_each_cycle_is_no_dependence_on_time(sine):
+    """A wave of the period of the strokes, and a curve that follows them, do what the direction does."""
+    out = search(sine, [one for one in classes() if one.coordinate in ("time", "direction")])
+    assert out.best.key == {"capacity over direction"}
+
+
+def test_a_wave_is_told_from_the_strokes_by_its_period(sine):
+    swing = catalogue()["tension_step_swing"]
+    for period, same in ((4.0, True), (2.0, True), (5.6, False), (9.3, False), (3.1, False)):
+        values = {"size": 0.1, "period": period / 28.0, "phase": 0.1}
+        assert follows_cycles(sine, swing, values, sides=False) == same, period
 
 
 def test_a_gap_shorter_than_a_block_is_found_as_large_as_it_is(trials):

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from shj_bayes.errors import ProofError
+from shj_validation.proof import pool
 from shj_validation.proof.cases import draw_keys
 from shj_validation.proof.pool import Blind
 from shj_validation.proof.run import write_recordings
@@ -94,3 +96,16 @@ def test_the_worker_is_told_nothing_and_answers(tmp_path):
         blind.close()
     assert record["schema"] == "shj-bayes/diagnosis/2"
     assert not blind.folder.exists()
+
+
+def test_what_diagnoses_must_be_what_was_asked_for(tmp_path, monkeypatch):
+    """A worker of another installation than the one that scores would prove another engine."""
+    (tmp_path / "run1.csv").write_text("nothing\n")
+    blind = Blind()
+    try:
+        assert set(blind.diagnose([tmp_path / "run1.csv"])) == {"error"}
+        monkeypatch.setattr(pool, "INSTALLED", "elsewhere")
+        with pytest.raises(ProofError, match="this one runs that in elsewhere"):
+            blind.diagnose([tmp_path / "run1.csv"])
+    finally:
+        blind.close()

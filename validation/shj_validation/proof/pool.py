@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import shj_bayes
 from shj_bayes.errors import ProofError
 from shj_validation.proof.fence import scratch
 
 ENDED = "the process behind the fence has ended; what it printed stands above; run the same command again to go on"
+INSTALLED = str(Path(shj_bayes.__file__).parent)
 KEPT = ("SYSTEMROOT", "TEMP", "TMP", "TMPDIR")  # all that a process needs of the environment, Windows included
 
 
@@ -71,6 +73,12 @@ class Blind:
         if not line:
             raise ProofError(ENDED)
         answer: dict[str, Any] = json.loads(line)
+        installed = answer.pop("installed", INSTALLED)
+        if installed != INSTALLED:  # it does not read PYTHONPATH
+            raise ProofError(
+                f"the process behind the fence runs the installation in {installed}, this one runs that in "
+                f"{INSTALLED}; use the Python of an environment in which the latter is installed"
+            )
         return dict(answer.get("record", answer))
 
     def close(self) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+import shj_bayes
 from shj_bayes.errors import ShjError
 from shj_validation.proof.blind import diagnose_blind
 from shj_validation.proof.fence import raise_fence
@@ -32,6 +33,7 @@ def main() -> None:
             answer: dict[str, Any] = {"record": diagnose_blind(paths, **task)}
         except (ShjError, ArithmeticError, ValueError) as error:  # one unusable trial must not end the proof
             answer = {"error": f"{type(error).__name__}: {error}"}
+        answer["installed"] = str(Path(shj_bayes.__file__).parent)
         answers.write(json.dumps(answer, allow_nan=False) + "\n")
         answers.flush()
 
