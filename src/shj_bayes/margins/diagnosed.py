@@ -13,7 +13,7 @@ from typing import Any
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import InferenceError, PopulationError
 from shj_bayes.inference.record import read_record
-from shj_bayes.mismatch.schema import READ, Verdict
+from shj_bayes.mismatch.schema import NOTHING_MISSING, READ, Verdict
 
 PLACES = ("diagnosis.json", "diagnosis/diagnosis.json")
 Key = tuple[str, str]
@@ -54,7 +54,7 @@ def _diagnosed(record: Mapping[str, Any], place: Path) -> Diagnosed:
     titles = [str(e.get("title", e["id"])) for e in record["effects"]]
     family = [str(e["id"]) for e in record["family"]]
     if any(not one["classes"] for one in record.get("sets", ())):
-        family.append("nothing of a size that matters")
+        family.append(NOTHING_MISSING)
     verdict = Verdict(record["verdict"])
     fitted = None if record.get("quick") or not (place / "fit.json").is_file() else place
     return Diagnosed(verdict, tuple(family if verdict is Verdict.FAMILY else titles), fitted)

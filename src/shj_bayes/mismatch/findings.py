@@ -12,7 +12,7 @@ from scipy.stats import halfnorm, lognorm
 
 from shj_bayes.mismatch.classes import DOUBT, EXPLAINED, MATTERS, SPREAD, TYPICAL, Candidate, Class
 from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, Hypothesis, columns_of, replaced, second_of
-from shj_bayes.mismatch.schema import SIGMA_90, Verdict
+from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.mismatch.search import Search
 from shj_bayes.mismatch.sizes import MOTION, away, forces_beside, largest_size_of, may_miss, size_of
 from shj_bayes.mismatch.state import State, visible
@@ -25,7 +25,7 @@ T = TypeVar("T")
 class Reason(StrEnum):
     """Why a verdict is what it is."""
 
-    NOTHING = "nothing of a size that matters"
+    NOTHING = NOTHING_MISSING
     SURE = "one set of coordinates holds all but 5 % of the probability"
     SEVERAL = "no set of coordinates holds 95 % of the probability"
     NAMES = "several mechanisms have the curve that was found"
@@ -243,17 +243,9 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
 
     A small curve is within what matters of everything: a formula in its place must be better than nothing, and matter.
     """
-    allowed = may_miss(out.scene, h, place)
     best, score = h, out.best_within(h.key - {h.members[place].of.id})
-    for form in out.forms(h, place):
-        new = out.fitted(replaced(h, place, form), form.start)
-        if new is None:
-            continue
-        if (
-            away(out.scene, h, new) <= allowed
-            and new.log_weight > score
-            and largest_size_of(out.scene, new, place) >= MATTERS
-        ):
+    for new in out.following(h, place):
+        if new.log_weight > score and largest_size_of(out.scene, new, place) >= MATTERS:
             best, score = new, new.log_weight
     return best
 

@@ -14,3 +14,6 @@ class Verdict(StrEnum):
     NAMED = "named"
     FAMILY = "family"
     UNKNOWN = "unknown"
+
+
+NOTHING_MISSING = "nothing of a size that matters"  # words for a set without classes

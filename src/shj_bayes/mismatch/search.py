@@ -1,7 +1,7 @@
 """Which classes a device holds: sets of them are compared by their evidence, grown and shrunk until none is better."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -317,6 +317,14 @@ class Search:
             out += [replace(form, start=starts[i], model=model) for i in best]
         return out
 
+    def following(self, h: Hypothesis, place: int) -> Iterator[Hypothesis]:
+        """Give the hypotheses with a formula in the place of a curve that it follows: within what it may miss."""
+        allowed = may_miss(self.scene, h, place)
+        for form in self.forms(h, place):
+            one = self.fitted(replaced(h, place, form), form.start)
+            if one is not None and away(self.scene, h, one) <= allowed:
+                yield one
+
     def as_curve(self, h: Hypothesis, place: int) -> Hypothesis | None:
         """Give a hypothesis with a curve in the place of a formula, beside all else that it holds: what can be drawn.
 
@@ -400,11 +408,9 @@ class Search:
 
     def _in_place_of_curve(self, h: Hypothesis, place: int) -> None:
         """Fit the promising hypotheses with two classes in the place of a curve that no formula follows."""
-        of, allowed = h.members[place].of, may_miss(self.scene, h, place)
-        for form in self.forms(h, place):
-            one = self.fitted(replaced(h, place, form), form.start)
-            if one is not None and away(self.scene, h, one) <= allowed:
-                return
+        if next(self.following(h, place), None) is not None:
+            return
+        of = h.members[place].of
         rest = self.fitted(*without(self.scene, h, place))
         if rest is None:
             return

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ModelError
-from shj_bayes.mismatch.schema import SIGMA_90, Verdict
+from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
@@ -146,7 +146,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     if verdict == Verdict.FAMILY:
         members = [f"{title_of(m.get('id')).lower()} ({percent(m.get('probability'))})" for m in record["family"]]
         if nothing := nothing_missing(record):
-            members.append(f"nothing of a size that matters ({percent(nothing)})")
+            members.append(f"{NOTHING_MISSING} ({percent(nothing)})")
         lead = "Not excluded" if found and len(members) == 1 else "These recordings cannot tell"
         out.append(f"{lead}: {', or '.join(members)}.")
     for c in record.get("coordinates") or ():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -190,10 +191,10 @@ def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(
     out = SimpleNamespace(
         scene=None, forms=lambda h, place: [form], fitted=lambda *_: as_form, best_within=lambda key: -100.0
     )
-    for module in (findings, sizes):
-        monkeypatch.setattr(module, "size_of", lambda scene, h, place: size)
+    out.following = partial(Search.following, out)
+    monkeypatch.setattr(sizes, "size_of", lambda scene, h, place: size)
     monkeypatch.setattr(findings, "largest_size_of", lambda scene, h, place: size)
-    monkeypatch.setattr(findings, "away", lambda scene, a, b: away)
+    monkeypatch.setattr("shj_bayes.mismatch.search.away", lambda scene, a, b: away)
     assert (findings._followed(out, as_curve, 0) is as_form) == is_name
 
 
