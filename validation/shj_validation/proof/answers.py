@@ -233,7 +233,7 @@ def _change(expected: bool) -> Judge:
         slow = [one["id"] for one in answer["effects"] if catalogue()[one["id"]].family == "slow_change"]
         slow += [
             f"a curve over {row['coordinate']}"
-            for row in answer["coordinates"]
+            for row in answer.get("coordinates", [])
             if row["curve"] and not row["matches"] and _slow(row["coordinate"])
         ]
         known = "the force grows from cycle to cycle" if expected else "the force is steady from cycle to cycle"
