@@ -4,8 +4,10 @@ Nothing outside a device follows the strokes, so what is the same in each cycle 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.model.coordinates import Coordinate
@@ -21,37 +23,40 @@ def is_clock(over: Coordinate) -> bool:
 
 
 def follows_cycles(scene: Scene, effect: Effect, values: Values, *, sides: bool) -> bool:
-    """Whether most of what an effect does (more than half its variance) is the same in each cycle.
-
-    With `sides` for one that has a curve for push and one for pull: about its mean in each.
-    """
+    """Whether what an effect does keeps step with the cycles; `sides` as of `keep_step`."""
     columns = []
     for part in scene.posterior.averages:
         does = effect.act(part.history, values, scene.base)
         share = np.broadcast_to(does.clamping + does.added_kN / scene.scale_kN, part.history.time_s.shape)
         columns.append(share[:, None])
-    return bool(share_in_step(scene, columns, sides=sides)[0] > 0.5)
+    return bool(keep_step(by_stroke(scene, columns), sides=sides)[0])
 
 
-def share_in_step(scene: Scene, columns: Sequence[FloatArray], *, sides: bool = False) -> FloatArray:
-    """Share of the variance of functions that is the same in each cycle, shape (p,).
+def by_stroke(scene: Scene, columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Functions at `PER_STROKE` places of each push and of each pull, shapes (strokes, places, p).
 
-    The functions, which may be complex, are given at the points of each run, shapes (n_points, p); with `sides` their
-    variance is that about their means in push and in pull. 1 where there is none, 0 where a test has no second cycle.
+    They are given at the points of each run, shapes (n_points, p).
     """
     at = (np.arange(PER_STROKE) + 0.5) / PER_STROKE
-    phases: dict[float, list[FloatArray]] = {1.0: [], -1.0: []}
+    strokes: dict[float, list[FloatArray]] = {1.0: [], -1.0: []}
     for part, column in zip(scene.posterior.averages, columns, strict=True):
         motion = part.history.motion
         for k, direction in enumerate(motion.direction):
             begin, end = motion.start[k], motion.start[k + 1]
-            phases[float(direction)].append(column[np.minimum((begin + at * (end - begin)).astype(int), end - 1)])
-    if min(len(strokes) for strokes in phases.values()) < 2:
-        return np.zeros(columns[0].shape[1])
-    # shape (strokes, places, p) each; a place has a mean over the strokes of its direction
-    whole = [np.array(strokes) for strokes in phases.values()]
+            strokes[float(direction)].append(column[np.minimum((begin + at * (end - begin)).astype(int), end - 1)])
+    return [np.array(own).reshape(len(own), PER_STROKE, columns[0].shape[1]) for own in strokes.values()]
+
+
+def keep_step(strokes: Sequence[NDArray[Any]], *, sides: bool = False) -> NDArray[np.bool_]:
+    """Whether most of each function, more than half its variance, is the same in each cycle, shape (p,).
+
+    Of functions, which may be complex, as from `by_stroke`; with `sides` their variance is that about their means in
+    push and in pull. A constant keeps step; nothing does where a test has no second cycle.
+    """
+    if min(len(own) for own in strokes) < 2:
+        return np.zeros(strokes[0].shape[2], dtype=bool)
     if sides:
-        whole = [one - one.mean(axis=(0, 1)) for one in whole]
-    means = np.concatenate([one.mean(axis=0) for one in whole])
-    total = sum(np.var(one, axis=0).mean(axis=0) for one in whole) / len(whole) + np.var(means, axis=0)
-    return np.asarray(np.divide(np.var(means, axis=0), total, out=np.ones(total.shape), where=total > 0.0))
+        strokes = [own - own.mean(axis=(0, 1)) for own in strokes]
+    same = np.var(np.concatenate([own.mean(axis=0) for own in strokes]), axis=0)
+    apart = np.mean([np.var(own, axis=0).mean(axis=0) for own in strokes], axis=0)
+    return np.asarray((same > apart) | (same + apart == 0.0))

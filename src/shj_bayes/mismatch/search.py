@@ -158,18 +158,18 @@ class Search:
             state = settle(self.scene, self.metric, self.model_of(members), start)
         except np.linalg.LinAlgError:
             return None
-        if any(self._follows_cycles(state, place, member) for place, member in enumerate(members)):
+        if any(self._follows_cycles(state, member) for member in members):
             return None
         weight = state.evidence + len(members) * ODDS
         weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         return Hypothesis(members, state, weight) if math.isfinite(weight) else None
 
-    def _follows_cycles(self, state: State, place: int, member: Candidate) -> bool:
+    def _follows_cycles(self, state: State, member: Candidate) -> bool:
         """Whether a dependence on time only does the same in each cycle."""
         if not _over_a_clock(member.of):
             return False
-        effect, law = state.model.effects[len(self.scene.device.effects) + place], state.model.law_values(state.z)
-        values, curve = {name: law[f"{effect.id}.{name}"] for name in effect.names}, member.variant.curve
+        effect, curve, law = member.variant.effect, member.variant.curve, state.model.law_values(state.z)
+        values = {name: law[f"{effect.id}.{name}"] for name in effect.names}
         return follows_cycles(self.scene, effect, values, sides="side" in values if curve is None else curve.sides)
 
     def _about_size(self, state: State, place: int, member: Candidate) -> float:

@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import FORMS, Candidate, Class, Variant, candidates, size_weights
-from shj_bayes.mismatch.cycles import is_clock, share_in_step
+from shj_bayes.mismatch.cycles import by_stroke, is_clock, keep_step
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.screen import log_gain, screen
 from shj_bayes.mismatch.state import State, settle_under
@@ -38,9 +38,9 @@ def waves(scene: Scene, metric: Metric, state: State, of: Class, most: int = 2) 
     spacing = slowest / 4.0
     frequencies = np.arange(slowest, fastest, spacing)
     if is_clock(over):
-        places = [over.values(part.history, scene.base) for part in scene.posterior.averages]
-        turns = [np.exp(2j * np.pi * frequencies * place[:, None]) for place in places]
-        frequencies = frequencies[share_in_step(scene, turns) <= 0.5]
+        places = [over.values(part.history, scene.base)[:, None] for part in scene.posterior.averages]
+        turns = [np.exp(2j * np.pi * frequencies * place) for place in by_stroke(scene, places)]
+        frequencies = frequencies[~keep_step(turns)]
     if frequencies.size < 3:
         return []
     response = _response(scene, state, of.action)

@@ -192,15 +192,10 @@ def _straight(answer: Answer, file: Path) -> FloatArray:
     (history,) = histories([recording.time_s], [motion_of(recording)])
     law = {name: row["after"]["mean"] for name, row in answer["shift"].items()}
     base = Base(law["K"], law["Fy"], law["beta"], law["gamma"], law["Fy"])
-    known = {e.id: e for e in catalogue().values()}
-    names = [one["id"] + (f"_{one['form']}" if one["form"] else "") for one in answer["effects"]]
-    acting = [(known[name], one) for name, one in zip(names, answer["effects"], strict=True) if name in known]
+    forms = {(form.mechanism, form.form): form for form in catalogue().values()}
+    acting = [(forms.get((one["id"], one["form"])), effect(answer, one["id"])) for one in answer["effects"]]
     does = combine(
-        [
-            e.act(history, {key: row["mean"] for key, row in one["parameters"].items()}, base)
-            for e, one in acting
-            if e.mechanism != "inertia"
-        ]
+        [form.act(history, values, base) for form, values in acting if form and values and form.id != "inertia"]
     )
     speed = history.speed_mm_s
     friction = history.direction * base.Fy * does.clamping * (1.0 + (base.gamma + does.gamma_s_per_mm) * speed)
@@ -234,18 +229,14 @@ def _change(expected: bool) -> Judge:
         slow += [
             f"a curve over {row['coordinate']}"
             for row in answer.get("coordinates", [])
-            if row["curve"] and not row["matches"] and _slow(row["coordinate"])
+            if row["curve"] and not row["matches"]
+            if any(over.family == "slow_change" for over in coordinates_of(row["coordinate"]))
         ]
         known = "the force grows from cycle to cycle" if expected else "the force is steady from cycle to cycle"
         own = f"diagnosed {', '.join(slow)}" if slow else "no slow change was found"
         return [Judged(bool(slow) == expected, f"{known}; {own}")]
 
     return judge
-
-
-def _slow(word: str) -> bool:
-    """Whether a curve over a coordinate is a slow change."""
-    return any(over.family == "slow_change" for over in coordinates_of(word))
 
 
 def _no_friction(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:

@@ -13,6 +13,10 @@ from shj_bayes.model.priors import Prior
 SIZE = Prior("size", "1", "normal", 0.0, 0.15, "Largest departure from the linear law; either sign.")
 CORNER = Prior("corner", "1", "loguniform", 5e-4, 2.0, "Of the peak speed: below it linear, above it logarithmic.")
 
+BENT = "Speed dependence is bent: at low speed the sliding force is up to {size:+.0%} off a linear law."
+BESIDE = "Fy -> Fy (1 + c h/max[b - u]), gamma |v| -> gamma |v| - c u/max[b - u], L dh/ds + h = b"
+STARTS, CORNERS = {"size": (0.05, -0.05), **MEMORIES}, (0.01, 0.2)
+
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + c b / max(b - u), b = ln(1 + u/u0) / ln(1 + 1/u0), u = |v|/v_peak; the straight part from gamma.
@@ -59,9 +63,8 @@ EFFECT = (
         id="velocity_law",
         family="low_speed",
         title="Speed dependence that is not linear",
-        statement="Speed dependence is bent: at low speed the sliding force is up to {size:+.0%} off a linear law.",
-        equation="Fy -> Fy (1 + c h/max[b - u]), gamma |v| -> gamma |v| - c u/max[b - u], L dh/ds + h = b, "
-        "b = ln(1 + u/u0)/ln(1 + 1/u0), u = |v|/v_peak, s slid",
+        statement=BENT,
+        equation=f"{BESIDE}, b = ln(1 + u/u0)/ln(1 + 1/u0), u = |v|/v_peak, s slid",
         cause="Friction that follows the logarithm of speed or saturates, as most contacts do; a power law looks "
         "alike.",
         shows="Shoulders near both ends of every stroke, where the speed falls; flat around mid-stroke.",
@@ -70,7 +73,7 @@ EFFECT = (
         act=act,
         acts=(("capacity", "speed"),),
         source="Rate-and-state friction with a cut-off: ln(1 + |v|/v0).",
-        start={"size": (0.05, -0.05), "corner": (0.01, 0.2), **MEMORIES},
+        start=STARTS | {"corner": CORNERS},
     )
     .with_form(
         "power",
@@ -84,16 +87,15 @@ EFFECT = (
         ),
         act=_power,
         source="Power law of viscous dampers: Constantinou and Symans (1993), F = C |v|^n sgn v.",
-        start={"size": (0.05, -0.05), "power": (0.2, 0.5), **MEMORIES},
+        start=STARTS | {"power": (0.2, 0.5)},
     )
     .with_form(
         "asinh",
-        statement="Speed dependence is bent: at low speed the sliding force is up to {size:+.0%} off a linear law.",
-        equation="Fy -> Fy (1 + c h/max[b - u]), gamma |v| -> gamma |v| - c u/max[b - u], L dh/ds + h = b, "
-        "b = asinh(u/u0)/asinh(1/u0), u = |v|/v_peak, s slid",
+        statement=BENT,
+        equation=f"{BESIDE}, b = asinh(u/u0)/asinh(1/u0), u = |v|/v_peak, s slid",
         parameters=(SIZE, CORNER, MEMORY),
         act=_activated,
         source="Thermally activated sliding, regular at rest: Rice, Lapusta and Ranjith (2001), J. Mech. Phys. Solids.",
-        start={"size": (0.05, -0.05), "corner": (0.01, 0.2), **MEMORIES},
+        start=STARTS | {"corner": CORNERS},
     )
 )
