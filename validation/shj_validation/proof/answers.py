@@ -186,7 +186,7 @@ def _emps(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     return [*out, Judged(near, f"mass {EMPS['mass']} kg; {own}")]
 
 
-def _straight(answer: Answer, file: Path) -> FloatArray:
+def _straight(answer: Answer, file: Path) -> tuple[float, float, float]:
     """Fit Coulomb friction (N), viscous friction (N s/m) and offset (N) to the friction of a diagnosed model."""
     recording = read(file, columns=EMPS_COLUMNS, units="s,m,N")
     (history,) = histories([recording.time_s], [motion_of(recording)])
@@ -202,7 +202,8 @@ def _straight(answer: Answer, file: Path) -> FloatArray:
     columns = np.stack([history.direction, history.direction * speed / 1000.0, np.ones(speed.size)], axis=1)
     slides = speed > 0.01 * history.peak_speed_mm_s
     force_N = 1000.0 * np.broadcast_to(friction + does.added_kN, speed.shape)
-    return np.asarray(np.linalg.lstsq(columns[slides], force_N[slides], rcond=None)[0])
+    coulomb, viscous, offset = np.linalg.lstsq(columns[slides], force_N[slides], rcond=None)[0].tolist()
+    return coulomb, viscous, offset
 
 
 def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
