@@ -181,9 +181,9 @@ def _emps(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     ):
         out.append(Judged(abs(own - known) < near, f"{words.format(known)}; diagnosed {words.format(own)}"))
     mass = effect(answer, "inertia")
-    own = f"diagnosed {mass['size']:.1f} kg" if mass else "no mass was named"
+    weighed = f"diagnosed {mass['size']:.1f} kg" if mass else "no mass was named"
     near = mass is not None and abs(mass["size"] / EMPS["mass"] - 1) < 0.1
-    return [*out, Judged(near, f"mass {EMPS['mass']} kg; {own}")]
+    return [*out, Judged(near, f"mass {EMPS['mass']} kg; {weighed}")]
 
 
 def _straight(answer: Answer, file: Path) -> tuple[float, float, float]:
