@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-MOTION = "motion"  # action of what changes the motion, as slack does
-
 
 class ClassId(NamedTuple):
     """A class by its action and its coordinate; its word is ``capacity over travel`` and the like."""

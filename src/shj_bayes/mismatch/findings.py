@@ -10,12 +10,11 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, lognorm
 
-from shj_bayes.mismatch.class_id import MOTION
 from shj_bayes.mismatch.classes import DOUBT, EXPLAINED, MATTERS, SPREAD, TYPICAL, Candidate, Class
 from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, Hypothesis, columns_of, replaced, second_of
 from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.mismatch.search import Search
-from shj_bayes.mismatch.sizes import away, forces_beside, largest_size_of, may_miss, size_of
+from shj_bayes.mismatch.sizes import MOTION, away, forces_beside, largest_size_of, may_miss, size_of
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray

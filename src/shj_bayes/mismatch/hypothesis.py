@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shj_bayes.mismatch.class_id import MOTION, ClassId
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import Candidate
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.parameters import FloatArray
 
 CONSTANT = str(ClassId("added", "constant"))
-TEETH = ClassId(MOTION, "stick-slip")
+TEETH = ClassId("motion", "stick-slip")
 POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
 
 

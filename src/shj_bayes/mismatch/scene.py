@@ -239,27 +239,23 @@ class Metric:
         Noise and discrepancy.
     slope : array, shape (n,)
         Slope of the modelled force in each block, through which the error of the displacement acts, kN/mm.
-    wide : array, shape (n, q), optional
-        Further functions that count for nothing, kN, with standard normal coefficients.
 
     Attributes
     ----------
-    other : array, shape (n_evidence, p + 1 + q + n_runs)
-        Whitened functions of the discrepancy, then Masing's rule, what is `wide`, and the zeros of the load cell, each
-        at its size before the test.
+    other : array, shape (n_evidence, p + 1 + n_runs)
+        Whitened functions of the discrepancy, then Masing's rule, then the zeros of the load cell, each at its size
+        before the test.
     zero_kN : array, shape (n_runs,)
         Standard deviation of the load cell's zero in each run before the test, kN.
     """
 
-    def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray, wide: FloatArray | None = None) -> None:
+    def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
         self.scene, self.setting, self.slope = scene, setting, slope
         self.noise = setting.values(scene)
         self.rougher = rougher(setting.at_rest, scene.slow)
         self.zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
-        unit = np.column_stack([scene.memory] if wide is None else [scene.memory, wide])
-        of_device = np.full(scene.discrepancy.shape[1], setting.model_error_kN)
-        sizes = np.concatenate([of_device, np.ones(unit.shape[1]), self.zero_kN])
-        white, log_det = self.whitened(np.column_stack([scene.discrepancy, unit, scene.zeros]))
+        sizes = np.concatenate([np.full(scene.discrepancy.shape[1], setting.model_error_kN), [1.0], self.zero_kN])
+        white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.memory, scene.zeros]))
         self.other = white * sizes
         inner = np.eye(white.shape[1]) + self.other.T @ self.other
         self._root = cho_factor(inner, lower=True)

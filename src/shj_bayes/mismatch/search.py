@@ -1,7 +1,6 @@
 """Which classes a device holds: sets of them are compared by their evidence, grown and shrunk until none is better."""
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -11,7 +10,6 @@ from scipy.special import ndtr
 
 from shj_bayes.inference.squares import start_values
 from shj_bayes.mismatch.chatter import Chatter, chatter_of
-from shj_bayes.mismatch.class_id import MOTION
 from shj_bayes.mismatch.classes import (
     DOUBT,
     EXPLAINED,
@@ -54,10 +52,8 @@ NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load
 PROMISING = 0.7  # of what matters, to first order; less is not followed
 ROUGHLY = 2.0  # factor by which an effect may be larger than it is to first order where its search begins
 BEAM = 2
-IN_PLACE = 3  # classes in the place of a curve at most
 BEAM_IN_PLACE = 4  # wider: one of two classes that do together what a curve does comes nowhere near it alone
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
-STARTS = 2  # of an effect that are followed
 DEPTH = 4
 LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
 LARGEST = 160  # parameters of a model that is grown further
@@ -109,7 +105,7 @@ class Search:
         """
         of = h.members[place].of
         goes = {over.goes for over in coordinates_of(of.coordinate)}
-        if "stroke" in goes or of.action == MOTION:
+        if "stroke" in goes or of.action == "motion":
             return self.matters_in_strokes
         if self.chatter is None or of.action != "capacity":
             return self.matters
@@ -211,45 +207,22 @@ class Search:
         if self.constant is not None and abs(size) > MATTERS:
             self.add((self.constant,), np.append(self.scene.z, _free(self.constant, size)))
 
-    def begin_with_motion(self, looked: Sequence[Candidate]) -> None:
-        """Find what acts on the motion beside everything that other candidates can take up.
-
-        To first order, beside a law that fits badly, curves do better than a free travel that is there, and where they
-        come first they leave nothing of its shape.
-        """
-        h, metric = self.best, self.metric
-        wide = wide_columns(self.scene, h.state, [c for c in looked if c.of.action != MOTION])
-        self.metric = Metric(self.scene, metric.setting, h.state.slope, wide)
-        best = self.fitted(h.members, h.state.z)
-        while best is not None:
-            h, tried = best, Counter[str]()
-            of = tuple(c for c in self.classes.values() if c.action == MOTION and c.id not in h.key)
-            for c in screen(self.metric, h.state, candidates(self.scene, h.state, of)):
-                if c.gain + ODDS > 0.0 and tried[c.of.id] < STARTS:
-                    tried[c.of.id] += 1
-                    new = self.fitted((*h.members, c), joined(h, c))
-                    best = max((best, *([new] if new else [])), key=lambda one: one.log_weight)
-            if best is h:
-                break
-        self.metric = metric
-        self.add(h.members, h.state.z)
-
     def grow(self, h: Hypothesis) -> None:
         """Fit the promising larger hypotheses."""
         if h.state.z.size > LARGEST:
             return
         listed = self.screen(h)
         best = max((c.gain for c in listed), default=0.0)
-        tried = Counter[tuple[str, bool]]()
+        tried: dict[tuple[str, bool], int] = {}
         followed: set[str] = set()
         for c in listed:
             enough = c.gain + ODDS > -1.0 and c.gain > 0.5 * best - 20.0
             effect = c.variant.curve is None and c.gain > 10.0
+            allowed = 2 if c.variant.curve is None else 1
             kind = (c.of.id, c.variant.curve is None)
-            if not (enough or effect) or tried[kind] >= (STARTS if c.variant.curve is None else 1):
+            if not (enough or effect) or tried.get(kind, 0) >= allowed:
                 continue
-            # The first order says little of what acts on the motion.
-            if len(followed) >= MOST and c.of.id not in followed and c.of.action != MOTION:
+            if len(followed) >= MOST and c.of.id not in followed:
                 continue
             size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
             if size < PROMISING * self.matters:
@@ -258,8 +231,8 @@ class Search:
             self._keep(new)
             # A curve that follows the cycles leaves its place to the next one.
             if new is not None or c.variant.curve is None:
-                tried[kind] += 1
-                followed |= {c.of.id} if c.of.action != MOTION else set()
+                tried[kind] = tried.get(kind, 0) + 1
+                followed.add(c.of.id)
 
     def refine(self, h: Hypothesis, *, again: bool = False) -> None:
         """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
@@ -340,7 +313,7 @@ class Search:
             with np.errstate(all="ignore"):
                 residual = self.scene.residual(model, starts)
                 heights = np.diag(self.metric.products(np.nan_to_num(residual.T, nan=1e6)))
-            best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else STARTS]
+            best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else 2]
             out += [replace(form, start=starts[i], model=model) for i in best]
         return out
 
@@ -411,7 +384,7 @@ class Search:
         Where a gap is crossed the force bends twice within a block of the base law: gaps were fitted far too soft.
         """
         h = self.best
-        bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == MOTION)
+        bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == "motion")
         if bends <= self.bends:
             return
         self.bends = bends
@@ -423,7 +396,7 @@ class Search:
         self.retune()
 
     def explain(self) -> None:
-        """Look for two or three classes in the place of each curve that no formula follows.
+        """Look for two classes in the place of each curve that no formula follows.
 
         A smooth curve over one coordinate can do what formulas over two others, or a formula over its own and something
         over another, do together. Neither alone comes near it, so a search that adds one after another ends in it.
@@ -434,31 +407,24 @@ class Search:
                 self._in_place_of_curve(h, place)
 
     def _in_place_of_curve(self, h: Hypothesis, place: int) -> None:
-        """Fit the promising hypotheses with several classes in the place of a curve that no formula follows.
-
-        A third is looked for where two come near the curve: they gain as large a part of what it gains as a formula
-        must follow of a curve.
-        """
+        """Fit the promising hypotheses with two classes in the place of a curve that no formula follows."""
         if next(self.following(h, place), None) is not None:
             return
         of = h.members[place].of
         rest = self.fitted(*without(self.scene, h, place))
         if rest is None:
             return
-        self.tell(f"looking for several dependences in the place of {of.id}")
+        self.tell(f"looking for two dependences in the place of {of.id}")
         looked = [c for c in self.looked if c.of.id != of.id or c.variant.curve is None]
         part = Search(self.scene, looked, self.metric, self.hidden, found={rest.key: rest}, bends=self.bends)
         n = len(rest.members)
-        for depth in range(n, n + IN_PLACE):
-            for one in part.ranked(depth)[:BEAM_IN_PLACE]:
-                part.grow(one)
-                for form in part.forms_of(of, one.members, one.state.z) if of.id not in one.key and depth > n else ():
-                    part.add((*one.members, form), form.start)
-            if depth > n:
-                for one in part.ranked(depth + 1)[:BEAM_IN_PLACE]:
-                    part.refine(one)
-                if part.best.log_weight < rest.log_weight + EXPLAINED * (h.log_weight - rest.log_weight):
-                    break
+        part.grow(rest)
+        for one in part.ranked(n + 1)[:BEAM_IN_PLACE]:
+            part.grow(one)
+            for form in part.forms_of(of, one.members, one.state.z) if of.id not in one.key else ():
+                part.add((*one.members, form), form.start)
+        for one in part.ranked(n + 2)[:BEAM_IN_PLACE]:
+            part.refine(one)
         part.shrink(part.best)
         for one in part.found.values():
             if one.log_weight > h.log_weight - RIVAL:
@@ -603,17 +569,13 @@ def search(
     base = out.add((), scene.z)
     assert base is not None
     out.try_constant()
-    out.begin_with_motion([*looked, *again])
     for depth in range(DEPTH):
         tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
         if not out.deepen(depth) and len(out.best.members) <= depth:
             break
         out.follow_bends()
     out.explain()
-    before = out.best.key
     out.exchange()
-    if out.best.key != before:
-        out.explain()
     out.finish()
     if "stick_slip" not in hidden and str(TEETH) not in out.best.key:
         out.chatter = chatter_of(out.scene, out.best.state, out.noise_most_kN)
@@ -626,15 +588,6 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
     What is larger is left to the classes until the end: beside several effects that no single class makes up for, a
     large noise would take them all.
     """
-    setting = find_noise(scene, state, wide_columns(scene, state, looked), start, NOISE_MOST * scene.largest_kN)
-    return Metric(scene, setting, state.slope)
-
-
-def wide_columns(scene: Scene, state: State, looked: Sequence[Candidate]) -> FloatArray:
-    """Functions of everything that classes and a constant force can do, kN, shape (n, p).
-
-    Their coefficients are standard normal.
-    """
     columns, seen = [], set()
     for c in looked:
         curve = c.variant.curve
@@ -645,7 +598,9 @@ def wide_columns(scene: Scene, state: State, looked: Sequence[Candidate]) -> Flo
         seen.add(kind)
         columns.append(WIDE * c.columns)
     columns.append(FLAT * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise
-    return np.concatenate(columns, axis=1)
+    wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
+    setting = find_noise(scene, state, wide, start, NOISE_MOST * scene.largest_kN)
+    return Metric(scene, setting, state.slope)
 
 
 def _over_a_clock(of: Class) -> bool:

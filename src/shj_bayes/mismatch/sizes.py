@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from shj_bayes.mismatch.class_id import MOTION
 from shj_bayes.mismatch.classes import DOUBT, EXPLAINED, MATTERS
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis, columns_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.state import beyond, drawn_from, largest, visible
 from shj_bayes.model.parameters import FloatArray
 
+MOTION = "motion"
 N_SIZES = 60  # draws from which the upper limit of a size is taken
 NO_FORCE = 1e6  # size of a draw whose force is not finite
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.cycles import follows_cycles
@@ -69,35 +68,6 @@ def test_a_wave_is_told_from_the_strokes_by_its_period(sine):
     for period, same in ((4.0, True), (2.0, True), (5.6, False), (9.3, False), (3.1, False)):
         values = {"size": 0.1, "period": period / 28.0, "phase": 0.1}
         assert follows_cycles(sine, swing, values, sides=False) == same, period
-
-
-@pytest.fixture
-def brake():
-    """A band brake: seven growing cycles with free travel, a clamping that swings, a taper, and push unlike pull."""
-    rng, time = np.random.default_rng(5), np.arange(0.0, 14.0, 0.01)
-    grown = 25.0 * np.clip(time / 5.0, 0.0, 1.0) * np.sin(np.pi * time)
-    motion = motion_of(Recording(time, grown, np.zeros(time.size)))
-    (history,) = histories([time], [motion])
-    effects = {
-        "slack": {"size": 3.0, "softness": 0.7, "start": 0.5},
-        "asymmetry": {"size": 0.35},
-        "tension_step_swing": {"size": 0.4, "period": 0.3, "phase": 0.1},
-        "taper": {"size": 0.15},
-    }
-    acting = [(catalogue()[name], values) for name, values in effects.items()]
-    force = force_with_effects(history, Base(6.5, 10.0, 20.0, 0.0, 10.0), acting)
-    recording = Recording(time, motion.displacement_mm, force + 0.3 * rng.standard_normal(time.size))
-    return scene_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
-
-
-def test_free_travel_and_three_formulas_are_found_where_curves_over_time_resolve_the_strokes(brake):
-    """In a short test these do what free travel, direction, position and a swing do together."""
-    told: list[str] = []
-    out = one_blas_thread(search)(brake, classes(), tell=told.append)
-    found = {m.variant.effect.id for m in out.best.members}
-    assert found == {"slack", "asymmetry", "tension_step_swing", "taper"}
-    # Free travel comes before any curve: to first order eight curves do better.
-    assert "motion over slack" in next(line for line in told if line.startswith("looking beyond"))
 
 
 def test_a_gap_shorter_than_a_block_is_found_as_large_as_it_is(trials):
