@@ -128,7 +128,7 @@ class Curve:
         """Where the points of a history lie, shape (n,): shares of the range, or periods since 0."""
         if self.period is not None:
             return np.asarray(self.over.values(history, base) / self.period)
-        if history.passing or not self.over.of_base:
+        if not self.over.of_base:
             return self.over.share(history, base)
         # Most parameters of a model are those of its curves: where these lie stays as it is.
         return history.recall((self.coordinate, base), lambda: self.over.share(history, base))

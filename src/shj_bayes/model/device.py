@@ -104,7 +104,19 @@ class DeviceModel:
 
     def natural(self, z: FloatArray) -> FloatArray:
         """Unbounded vectors, shape (..., d), to parameters in natural units, shape (..., d)."""
-        return np.stack([prior.from_free(z[..., i]) for i, prior in enumerate(self.laws_of_parameters)], axis=-1)
+        mean, sd, others = self._normal
+        out = mean + sd * z
+        for i in others:
+            out[..., i] = self.laws_of_parameters[i].from_free(z[..., i])
+        return np.asarray(out)
+
+    @cached_property
+    def _normal(self) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
+        """Mean and standard deviation of the normal priors, and the places of the others: curves have many of these."""
+        laws = self.laws_of_parameters
+        others = tuple(i for i, law in enumerate(laws) if law.law != "normal")
+        normal = np.array([(law.a, law.b) if law.law == "normal" else (0.0, 0.0) for law in laws])
+        return normal[:, 0], normal[:, 1], others
 
     def natural_of_law(self, z: FloatArray) -> FloatArray:
         """Unbounded vectors of the law alone, shape (m, n_law), to all, shape (m, d), noise at its median."""

@@ -45,7 +45,8 @@ def slid_mm(history: History, base: Base) -> FloatArray:
     Sliding sets in gradually, as the knee of Eq. (1) does.
     """
     motion, law = history.motion, (base.K, base.Fy, base.beta)
-    return np.asarray(_slid(history.slip_mm, motion.start, motion.turning_mm, motion.direction, law))
+    at = (history.slip_mm, motion.start, motion.turning_mm, motion.direction, law)
+    return history.recall(("slid", law), lambda: np.asarray(_slid(*at)))
 
 
 def slid_since_mm(history: History, base: Base) -> FloatArray:
@@ -53,7 +54,9 @@ def slid_since_mm(history: History, base: Base) -> FloatArray:
 
     Motion of the elastic branches is not sliding; in small cycles it is most of the travel.
     """
-    return np.asarray(gone_further(slid_mm(history, base), history.motion.start))
+    slid = slid_mm(history, base)
+    key = ("slid since", base.K, base.Fy, base.beta)
+    return history.recall(key, lambda: np.asarray(gone_further(slid, history.motion.start)))
 
 
 def _slid_by(turned: FloatArray, base: Base, capacity_kN: float) -> FloatArray:
@@ -69,6 +72,10 @@ def slid_m(history: History, base: Base) -> FloatArray:
     It is the travel less what was elastic: that share of `History.travel_m`, so that whoever bounds the travel bounds
     this too.
     """
+    return history.recall(("slid through runs", base), lambda: _slid_m(history, base))
+
+
+def _slid_m(history: History, base: Base) -> FloatArray:
     half, here = history.motion.half_cycle, history.turned_at
     slid_before = sum(float(_slid_by(turned, base, base.Fy_first)[-1]) for turned in history.earlier)
     moved_before = sum(float(np.abs(np.diff(turned)).sum()) for turned in history.earlier)
