@@ -17,6 +17,7 @@ PLAIN = {
     ClassId("added", "constant"): "a constant force beside friction",
     ClassId("capacity", "direction"): "another force in push than in pull",
 }
+ACTS = {"capacity": "Sliding force", "added": "Added force", "motion": "Motion"}
 NUMBERS = ("None", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine", "Ten")
 
 
@@ -169,8 +170,17 @@ def table(record: Mapping[str, Any]) -> dict[str, Any] | None:
             {"name": name or ALL, "n": next(len(r.folders) for r in rows if r.set_name == name)} for name in names
         ],
         "classes": [{"words": class_words(one), "cells": [kept[one].get(name) for name in names]} for one in order],
-        "excluded": [class_words(one) for one in sorted(by_class, key=str) if one not in kept],
+        "excluded": _by_action([one for one in sorted(by_class, key=str) if one not in kept]),
     }
+
+
+def _by_action(classes: Iterable[ClassId]) -> dict[str, list[str]]:
+    """Name classes by what they act on."""
+    out: dict[str, list[str]] = {}
+    for one in classes:
+        word = PLAIN.get(one) or over_words(one.coordinate)
+        out.setdefault(ACTS.get(one.action, one.action), []).append(word)
+    return out
 
 
 def _count(n: int) -> str:
