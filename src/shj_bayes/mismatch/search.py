@@ -22,7 +22,7 @@ from shj_bayes.mismatch.classes import (
     candidates,
     size_weights,
 )
-from shj_bayes.mismatch.cycles import follows_cycles, is_clock
+from shj_bayes.mismatch.cycles import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.hypothesis import (
     CONSTANT,
     DIRECTION,
@@ -54,7 +54,7 @@ ROUGHLY = 2.0  # factor by which an effect may be larger than it is to first ord
 BEAM = 2
 BEAM_IN_PLACE = 4  # wider: one of two classes that do together what a curve does comes nowhere near it alone
 MOST, MOST_FINAL = 5, 6  # candidates that are followed at each step
-DEPTH = 4
+DEPTH = 5
 LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
 LARGEST = 160  # parameters of a model that is grown further
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
@@ -156,21 +156,18 @@ class Search:
         """Fit a hypothesis from a start; None where there is no fit."""
         try:
             state = settle(self.scene, self.metric, self.model_of(members), start)
+            np.linalg.cholesky(np.eye(state.z.size) + state.products[1:, 1:])  # or nothing can be weighed beside it
+            weight = state.evidence + len(members) * ODDS
+            weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
             return None
-        if any(self._follows_cycles(state, member) for member in members):
-            return None
-        weight = state.evidence + len(members) * ODDS
-        weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
+        law = state.model.law_values(state.z)
+        for member in members:
+            curve, effect = member.variant.curve, member.variant.effect
+            values = {name: law[f"{effect.id}.{name}"] for name in effect.names}
+            if (curve is None or curve.period) and follows_cycles(self.scene, member.of, effect, values):
+                return None
         return Hypothesis(members, state, weight) if math.isfinite(weight) else None
-
-    def _follows_cycles(self, state: State, member: Candidate) -> bool:
-        """Whether a dependence on time only does the same in each cycle."""
-        if not _over_a_clock(member.of):
-            return False
-        effect, curve, law = member.variant.effect, member.variant.curve, state.model.law_values(state.z)
-        values = {name: law[f"{effect.id}.{name}"] for name in effect.names}
-        return follows_cycles(self.scene, effect, values, sides="side" in values if curve is None else curve.sides)
 
     def _about_size(self, state: State, place: int, member: Candidate) -> float:
         """Log evidence that a class gains when its size and its smoothness are averaged over."""
@@ -214,6 +211,7 @@ class Search:
         listed = self.screen(h)
         best = max((c.gain for c in listed), default=0.0)
         tried: dict[tuple[str, bool], int] = {}
+        # What acts on the motion has places of its own: to first order many curves do as well as a gap.
         followed: set[str] = set()
         for c in listed:
             enough = c.gain + ODDS > -1.0 and c.gain > 0.5 * best - 20.0
@@ -222,17 +220,19 @@ class Search:
             kind = (c.of.id, c.variant.curve is None)
             if not (enough or effect) or tried.get(kind, 0) >= allowed:
                 continue
-            if len(followed) >= MOST and c.of.id not in followed:
+            moves = c.of.action == "motion"
+            if len(followed) >= MOST and not moves and c.of.id not in followed:
                 continue
             size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
             if size < PROMISING * self.matters:
                 continue
             new = self.fitted((*h.members, c), joined(h, c))
             self._keep(new)
-            # A curve that follows the cycles leaves its place to the next one.
+            # A wave that follows the cycles leaves its place to the next one.
             if new is not None or c.variant.curve is None:
                 tried[kind] = tried.get(kind, 0) + 1
-                followed.add(c.of.id)
+                if not moves:
+                    followed.add(c.of.id)
 
     def refine(self, h: Hypothesis, *, again: bool = False) -> None:
         """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
@@ -378,6 +378,14 @@ class Search:
         self.retune()
         return True
 
+    def deepen_from(self, first: int) -> None:
+        """Add classes, one after another, to the best hypotheses with so many and more, until none is better."""
+        for depth in range(first, DEPTH):
+            self.tell(f"looking beyond {' and '.join(sorted(self.best.key)) or 'the base law'}")
+            if not self.deepen(depth) and len(self.best.members) <= depth:
+                break
+            self.follow_bends()
+
     def follow_bends(self) -> None:
         """Average the recordings in blocks that follow the bends of what acts on the motion, and fit anew.
 
@@ -388,10 +396,14 @@ class Search:
         if bends <= self.bends:
             return
         self.bends = bends
-        of = tuple(self.classes.values())
         self.scene = self.scene.finer_at(h.state.model, h.state.z)
+        self.look_for(tuple(self.classes.values()))
+
+    def look_for(self, classes: tuple[Class, ...]) -> None:
+        """Look for given classes from here on, beside what was found."""
+        h = self.best
         self.metric, rough = settle_under(self.scene, self.metric.setting, self.scene.device, self.scene.z)
-        self.looked = candidates(self.scene, rough, of)
+        self.looked = candidates(self.scene, rough, classes)
         self._again(h)
         self.retune()
 
@@ -555,25 +567,26 @@ def search(
     `tell` gets one line for each step.
     """
     tell("fitting the base law")
+    whole = [of_whole_cycles(scene, of) for of in classes]
     size = float(np.std(scene.residual(scene.device, scene.z[None])[0]))
     start = NoiseSetting(noise_of_size(scene.device, size), MODEL_ERROR * scene.scale_kN)
     metric, rough = settle_under(scene, start, scene.device, scene.z)
-    shown = resolved(scene, metric, rough, classes)
+    shown = resolved(scene, metric, rough, whole)
     if shown is not scene:
         scene = shown
         metric, rough = settle_under(scene, start, scene.device, scene.z)
-    looked = candidates(scene, rough, tuple(classes))
-    again = [w for of in classes for w in waves(scene, metric, rough, of)]
+    looked = candidates(scene, rough, tuple(whole))
+    again = [w for of in whole for w in waves(scene, metric, rough, of)]
     metric = noise_beside(scene, rough, [*looked, *again], None)
     out = Search(scene, looked, metric, hidden, tell)
     base = out.add((), scene.z)
     assert base is not None
     out.try_constant()
-    for depth in range(DEPTH):
-        tell(f"looking beyond {' and '.join(sorted(out.best.key)) or 'the base law'}")
-        if not out.deepen(depth) and len(out.best.members) <= depth:
-            break
-        out.follow_bends()
+    out.deepen_from(0)
+    if whole != list(classes):
+        # Only now: beside few classes, curves over time that change within a cycle do what many others do together.
+        out.look_for(tuple(classes))
+        out.deepen_from(len(out.best.members))
     out.explain()
     out.exchange()
     out.finish()
@@ -601,11 +614,6 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     setting = find_noise(scene, state, wide, start, NOISE_MOST * scene.largest_kN)
     return Metric(scene, setting, state.slope)
-
-
-def _over_a_clock(of: Class) -> bool:
-    """Whether a class is a dependence on time."""
-    return any(is_clock(over) for over in coordinates_of(of.coordinate))
 
 
 def _free(constant: Candidate, size: float) -> FloatArray:

@@ -1,11 +1,13 @@
 """The search for the classes that a device holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
-from shj_bayes.mismatch.cycles import follows_cycles
+from shj_bayes.mismatch.cycles import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.scene import scene_of
 from shj_bayes.mismatch.search import search
@@ -44,17 +46,51 @@ def test_a_formula_over_position_is_found_beside_one_over_the_distance(trials):
     assert {m.variant.effect.mechanism for m in out.best.members} == {"taper", "prying"}
 
 
+def _brake(effects, period_s=2.0, noise_kN=0.3):
+    """Scene of a band brake over seven cycles of 25 mm, the first ones growing."""
+    rng, time = np.random.default_rng(5), np.arange(0.0, 7 * period_s, 0.005 * period_s)
+    growing = np.minimum(time / (2.5 * period_s), 1.0)
+    motion = motion_of(Recording(time, 25.0 * growing * np.sin(2 * np.pi * time / period_s), np.zeros(time.size)))
+    (history,) = histories([time], [motion])
+    acting = [(catalogue()[name], values) for name, values in effects.items()]
+    force = force_with_effects(history, Base(6.5, 10.0, 20.0, 0.0, 10.0), acting)
+    recording = Recording(time, motion.displacement_mm, force + noise_kN * rng.standard_normal(time.size))
+    return scene_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
+
+
+BRAKE = {
+    "slack": {"size": 3.0, "softness": 0.7, "start": 0.5},
+    "asymmetry": {"size": 0.3},
+    "breakaway": {"size": 0.6, "decay": 4.0, "growth": 0.2},
+    "taper": {"size": 0.2},
+    "tension_step": {"size": 0.4, "begin": 0.25, "length": 0.35, "side": 0.9},
+}
+
+
+def test_five_effects_in_a_test_of_seven_cycles_are_told_apart():
+    """Curves over time that change within a stroke did what four of them do, beside an Fy of 21 kN for 10."""
+    out = search(_brake(BRAKE), classes())
+    assert {m.variant.effect.id for m in out.best.members} == set(BRAKE)
+    values = out.best.state.model.law_values(out.best.state.z)
+    assert values["Fy"] == pytest.approx(10.0, rel=0.03)
+    assert values["slack.size"] == pytest.approx(3.0, abs=0.1)
+
+
+def test_curves_over_time_do_not_change_within_a_cycle():
+    scene = _brake({"asymmetry": {"size": -0.15}})
+    for one in classes():
+        own = of_whole_cycles(scene, one)
+        if one.coordinate != "time":
+            assert own is one
+            continue
+        assert sum(v.weight for v in own.variants) == pytest.approx(sum(v.weight for v in one.variants))
+        assert {v.curve.length for v in own.variants if v.curve} == {0.15, 0.5}  # a cycle is 1/7 of the test
+
+
 @pytest.fixture
 def sine():
-    """Seven cycles of one period, push and pull 15 % off their mean."""
-    rng, time = np.random.default_rng(5), np.arange(0.0, 28.0, 0.02)
-    motion = motion_of(Recording(time, 25.0 * np.sin(2 * np.pi * time / 4.0), np.zeros(time.size)))
-    (history,) = histories([time], [motion])
-    force = force_with_effects(
-        history, Base(10.0, 15.0, 20.0, 0.0, 15.0), [(catalogue()["asymmetry"], {"size": -0.15})]
-    )
-    recording = Recording(time, motion.displacement_mm, force + 0.1 * rng.standard_normal(time.size))
-    return scene_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
+    """Push and pull 15 % off their mean."""
+    return _brake({"asymmetry": {"size": -0.15}}, period_s=4.0, noise_kN=0.1)
 
 
 def test_what_is_the_same_in_each_cycle_is_no_dependence_on_time(sine):
@@ -64,10 +100,10 @@ def test_what_is_the_same_in_each_cycle_is_no_dependence_on_time(sine):
 
 
 def test_a_wave_is_told_from_the_strokes_by_its_period(sine):
-    swing = catalogue()["tension_step_swing"]
+    swing, over_time = catalogue()["tension_step_swing"], next(one for one in classes() if one.coordinate == "time")
     for period, same in ((4.0, True), (2.0, True), (5.6, False), (9.3, False), (3.1, False)):
         values = {"size": 0.1, "period": period / 28.0, "phase": 0.1}
-        assert follows_cycles(sine, swing, values, sides=False) == same, period
+        assert follows_cycles(sine, over_time, swing, values) == same, period
 
 
 def test_a_gap_shorter_than_a_block_is_found_as_large_as_it_is(trials):
@@ -80,3 +116,13 @@ def test_a_gap_shorter_than_a_block_is_found_as_large_as_it_is(trials):
     assert values["slack.size"] == pytest.approx(0.35, abs=0.03)
     assert values["slack.softness"] < 0.5
     assert out.scene.count.size > scene.count.size
+
+
+def test_a_fit_that_is_singular_to_rounding_is_no_fit(monkeypatch):
+    """A hypothesis with absurd parameters ended the diagnosis of a recording."""
+    scene = _brake({"asymmetry": {"size": -0.15}})
+    out = search(scene, [one for one in classes() if one.coordinate == "direction"])
+    steep = out.best.state.products.copy()
+    steep[1:, 1:] -= 2.0 * steep[1:, 1:].max() * np.eye(len(steep) - 1)
+    monkeypatch.setattr("shj_bayes.mismatch.search.settle", lambda *_: replace(out.best.state, products=steep))
+    assert out.fitted(out.best.members, out.best.state.z) is None
