@@ -24,12 +24,17 @@ def is_clock(over: Coordinate) -> bool:
     return over.goes == "test" and over.repeats > 0.0
 
 
+def is_over_a_clock(of: Class) -> bool:
+    """Whether a class is a dependence on time."""
+    return any(is_clock(over) for over in coordinates_of(of.coordinate))
+
+
 def of_whole_cycles(scene: Scene, of: Class) -> Class:
     """Give a class over a clock without the curves that change within a cycle, as position and direction do.
 
     The smoothest curves stay, and have the probability of those that are left out. The class itself where nothing is.
     """
-    if not _is_over_a_clock(of):
+    if not is_over_a_clock(of):
         return of
     histories = [part.history for part in scene.posterior.averages]
     moved_s = sum(float(h.time_s[-1] - h.time_s[0]) for h in histories)
@@ -37,28 +42,22 @@ def of_whole_cycles(scene: Scene, of: Class) -> Class:
     if all(v.curve is None or v.curve.length >= cycle for v in of.variants):
         return of
     kept = tuple(v for v in of.variants if v.curve is None)
-    for sides in (False, True):
+    for sides in sorted({v.curve.sides for v in of.variants if v.curve}):
         own = [v for v in of.variants if v.curve is not None and v.curve.sides == sides]
         slow = [v for v in own if v.curve and v.curve.length >= cycle] or own[-1:]
-        more = sum(v.weight for v in own) / max(sum(v.weight for v in slow), 1e-300)
+        more = sum(v.weight for v in own) / sum(v.weight for v in slow)
         kept += tuple(replace(v, weight=v.weight * more) for v in slow)
     return replace(of, variants=kept)
 
 
-def follows_cycles(scene: Scene, of: Class, effect: Effect, values: Values) -> bool:
-    """Whether what an effect of a class does keeps step with the cycles, though the class is one over a clock."""
-    if not _is_over_a_clock(of):
-        return False
+def follows_cycles(scene: Scene, effect: Effect, values: Values) -> bool:
+    """Whether what an effect does keeps step with the cycles."""
     columns = []
     for part in scene.posterior.averages:
         does = effect.act(part.history, values, scene.base)
         share = np.broadcast_to(does.clamping + does.added_kN / scene.scale_kN, part.history.time_s.shape)
         columns.append(share[:, None])
     return bool(keep_step(by_stroke(scene, columns), sides="side" in values)[0])
-
-
-def _is_over_a_clock(of: Class) -> bool:
-    return any(is_clock(over) for over in coordinates_of(of.coordinate))
 
 
 def by_stroke(scene: Scene, columns: Sequence[FloatArray]) -> list[FloatArray]:

@@ -22,7 +22,7 @@ from shj_bayes.mismatch.classes import (
     candidates,
     size_weights,
 )
-from shj_bayes.mismatch.cycles import follows_cycles, of_whole_cycles
+from shj_bayes.mismatch.cycles import follows_cycles, is_over_a_clock, of_whole_cycles
 from shj_bayes.mismatch.hypothesis import (
     CONSTANT,
     DIRECTION,
@@ -39,7 +39,7 @@ from shj_bayes.mismatch.hypothesis import (
 )
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.sizes import away, may_miss
+from shj_bayes.mismatch.sizes import MOTION, away, may_miss
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
 from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.coordinates import coordinates_of
@@ -105,7 +105,7 @@ class Search:
         """
         of = h.members[place].of
         goes = {over.goes for over in coordinates_of(of.coordinate)}
-        if "stroke" in goes or of.action == "motion":
+        if "stroke" in goes or of.action == MOTION:
             return self.matters_in_strokes
         if self.chatter is None or of.action != "capacity":
             return self.matters
@@ -161,13 +161,17 @@ class Search:
             weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
             return None
-        law = state.model.law_values(state.z)
-        for member in members:
-            curve, effect = member.variant.curve, member.variant.effect
-            values = {name: law[f"{effect.id}.{name}"] for name in effect.names}
-            if (curve is None or curve.period) and follows_cycles(self.scene, member.of, effect, values):
-                return None
+        if any(self._follows_cycles(state, member) for member in members):
+            return None
         return Hypothesis(members, state, weight) if math.isfinite(weight) else None
+
+    def _follows_cycles(self, state: State, member: Candidate) -> bool:
+        """Whether a formula or a wave over a clock does the same in each cycle."""
+        curve, effect = member.variant.curve, member.variant.effect
+        if not is_over_a_clock(member.of) or (curve is not None and curve.period is None):
+            return False
+        law = state.model.law_values(state.z)
+        return follows_cycles(self.scene, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names})
 
     def _about_size(self, state: State, place: int, member: Candidate) -> float:
         """Log evidence that a class gains when its size and its smoothness are averaged over."""
@@ -220,7 +224,7 @@ class Search:
             kind = (c.of.id, c.variant.curve is None)
             if not (enough or effect) or tried.get(kind, 0) >= allowed:
                 continue
-            moves = c.of.action == "motion"
+            moves = c.of.action == MOTION
             if len(followed) >= MOST and not moves and c.of.id not in followed:
                 continue
             size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
@@ -392,7 +396,7 @@ class Search:
         Where a gap is crossed the force bends twice within a block of the base law: gaps were fitted far too soft.
         """
         h = self.best
-        bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == "motion")
+        bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == MOTION)
         if bends <= self.bends:
             return
         self.bends = bends

@@ -141,8 +141,8 @@ def class_words(one: ClassId) -> str:
     """Name a class."""
     if one in PLAIN:
         return PLAIN[one]
-    what = {"capacity": "sliding force over ", "added": "added force over ", "motion": ""}.get(one.action, "")
-    return f"{what}{over_words(one.coordinate)}"
+    over = over_words(one.coordinate)
+    return f"{ACTS[one.action].lower()} over {over}" if one.action in ("capacity", "added") else over
 
 
 def set_words(row: Row) -> str:

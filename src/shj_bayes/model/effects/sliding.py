@@ -45,8 +45,10 @@ def slid_mm(history: History, base: Base) -> FloatArray:
     Sliding sets in gradually, as the knee of Eq. (1) does.
     """
     motion, law = history.motion, (base.K, base.Fy, base.beta)
-    at = (history.slip_mm, motion.start, motion.turning_mm, motion.direction, law)
-    return history.recall(("slid", law), lambda: np.asarray(_slid(*at)))
+    return history.recall(
+        ("slid", law),
+        lambda: np.asarray(_slid(history.slip_mm, motion.start, motion.turning_mm, motion.direction, law)),
+    )
 
 
 def slid_since_mm(history: History, base: Base) -> FloatArray:
@@ -54,9 +56,10 @@ def slid_since_mm(history: History, base: Base) -> FloatArray:
 
     Motion of the elastic branches is not sliding; in small cycles it is most of the travel.
     """
-    slid = slid_mm(history, base)
-    key = ("slid since", base.K, base.Fy, base.beta)
-    return history.recall(key, lambda: np.asarray(gone_further(slid, history.motion.start)))
+    return history.recall(
+        ("slid since", base.K, base.Fy, base.beta),
+        lambda: np.asarray(gone_further(slid_mm(history, base), history.motion.start)),
+    )
 
 
 def _slid_by(turned: FloatArray, base: Base, capacity_kN: float) -> FloatArray:
