@@ -4,13 +4,12 @@ from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 
-from shj_bayes.model.effects.effect import Base, Contribution, Effect, combine
+from shj_bayes.model.effects.effect import LEAST, Base, Contribution, Effect, combine
 from shj_bayes.model.effects.kernel import limit_rise, rate_free_force
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
 UNLOADED = 0.1  # of the sliding force: a test that begins with less than this begins unloaded
-LEAST = 1e-3  # of the clamping: effects that take more than all of it leave this
 
 
 def force_with_effects(

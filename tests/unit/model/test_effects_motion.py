@@ -257,17 +257,21 @@ def test_stick_slip_has_one_tooth_per_wave_length():
 
 
 @pytest.mark.parametrize(
-    ("name", "own"), [("stribeck", {"speed": 5.0, "shape": 1.0}), ("velocity_law", {"corner": 0.01})]
+    ("name", "own", "sticks"),
+    [("stribeck", {"speed": 5.0, "shape": 1.0}, 1.1), ("velocity_law", {"corner": 0.01}, 1.0)],
 )
-def test_a_contact_follows_its_speed_over_its_memory(name, own):
-    """At once for 0 mm, as in a fit without that parameter; in a long stroke as much later as it is long."""
+def test_a_contact_follows_its_speed_over_its_memory(name, own, sticks):
+    """At once for 0 mm, as in a fit without that parameter; in a long stroke as much later as it is long.
+
+    What slides begins at the force that holds at rest.
+    """
     time, motion = exact_motion((Block(48.0, 0.034, 2),), 200.0)
     (h,) = histories([time], [motion])
 
     def law(memory):
         return np.asarray(catalogue()[name].act(h, {"size": 0.1, **own, "memory": memory}, BASE).clamping)
 
-    slid, stroke = slid_mm(h, BASE), slice(h.motion.start[2], h.motion.start[3])
+    slid, stroke = slid_mm(h, BASE.sliding_from(sticks)), slice(h.motion.start[2], h.motion.start[3])
     moving = stroke.start + np.flatnonzero((slid[stroke] > 5.0) & (slid[stroke] < 60.0))
     at_once, late = law(0.0), law(1.0)
     assert np.ptp(at_once[moving]) > 0.01

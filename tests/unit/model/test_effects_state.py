@@ -129,9 +129,21 @@ def test_breakaway_peaks_where_sliding_starts_and_grows_with_rest():
 def test_an_aged_contact_is_renewed_by_sliding():
     """Where it slides at an even speed the age has a closed form: T = D/v + (T0 - D/v) exp(-d/D)."""
     slid, speed, length, rest = np.linspace(0.0, 6.0, 121)[1:], 5.0, 1.5, 800.0
-    ages = _ages(np.diff(slid, prepend=0.0) / length, np.full(120, 0.05 / speed), rest)
+    rate = np.full(120, speed / length)
+    ages = _ages(np.diff(slid, prepend=0.0) / length, rate, np.full(120, 0.05 / speed), rest)
     np.testing.assert_allclose(ages, length / speed + (rest - length / speed) * np.exp(-slid / length), rtol=1e-9)
-    assert _ages(np.zeros(3), np.full(3, 2.0), 1.0).tolist() == [3.0, 5.0, 7.0]
+    assert _ages(np.zeros(3), np.zeros(3), np.full(3, 2.0), 1.0).tolist() == [3.0, 5.0, 7.0]
+
+
+def test_the_age_of_a_contact_is_the_same_however_far_samples_are_apart():
+    """A rest of 3.7 s, then 5 mm/s: where sliding begins within a step the contact ages first and is renewed then."""
+    fine, coarse = np.linspace(0.0, 6.0, 6001), np.linspace(0.0, 6.0, 7)
+    both = []
+    for time in (fine, coarse):
+        slid = 5.0 * np.maximum(time - 3.7, 0.0)
+        rate = np.where(slid > 0.0, 5.0 / 1.5, 0.0)
+        both.append(_ages(np.diff(slid, prepend=0.0) / 1.5, rate, np.diff(time, prepend=0.0), 20.0))
+    np.testing.assert_allclose(both[1], both[0][::1000], rtol=1e-9)
 
 
 def test_the_peak_of_an_aged_contact_grows_with_the_logarithm_of_rest():

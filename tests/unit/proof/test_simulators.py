@@ -8,7 +8,10 @@ from scipy.integrate import solve_ivp, trapezoid
 
 from shj_bayes.errors import ModelError
 from shj_bayes.mismatch.classes import MATTERS
+from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.history import histories
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.reversals import hysteresis
@@ -332,3 +335,59 @@ def test_a_capacity_that_rises_behind_a_reversal_does_not_raise_the_force_before
         before, behind = own[first - 50 : first - 3], own[first - 3 : first + 4]
         assert np.abs(behind).max() < 1.01 * np.abs(before).max()
     assert np.abs(own).max() > 1.1 * DEVICE.Fy  # but sliding begins with a peak
+
+
+def test_a_contact_that_sticks_to_more_slides_later():
+    time, motion = exact_motion((Block(48.0, 0.03, 2),), 400.0)
+    drive = drives([Course(time, motion.displacement_mm, 1)], DEVICE, 95.0, float(time[-1]), 1e6)[0]
+    elastic = []
+    for clamping in (1.0, 1.3):
+        stroke = motion.half_cycle == 2
+        slides = (drive.sliding_from(DEVICE, clamping) > 0.5 * drive.speed)[stroke]
+        moved = np.abs(motion.displacement_mm[stroke] - motion.turning_mm[2])
+        elastic.append(moved[np.argmax(slides)])
+    assert elastic[0] == pytest.approx(2 * DEVICE.Fy / DEVICE.K, rel=0.05)
+    assert elastic[1] / elastic[0] == pytest.approx(1.3, rel=0.02)
+
+
+POWER = 0.5
+BEND = POWER ** (POWER / (1.0 - POWER)) - POWER ** (1.0 / (1.0 - POWER))
+
+
+@pytest.mark.parametrize("rate_Hz", [5.0, 100.0])
+@pytest.mark.parametrize(
+    ("name", "size", "shape", "form", "values"),
+    [
+        # Fy of the catalogue's law is the force at rest, that of the simulator the one at the peak speed.
+        ("velocity_law_power", -0.06, {"power": POWER}, "velocity_law_power", {"power": POWER, "memory": 0.1}),
+        ("velocity_law_power", 0.06, {"power": POWER}, "velocity_law_power", {"power": POWER, "memory": 0.1}),
+        (
+            "breakaway",
+            0.3,
+            {"length_mm": 1.0, "rest_s": 300.0},
+            "breakaway_aged",
+            {"size": 0.3 / np.log(50.0), "length": 1.0, "rest": 300.0},
+        ),
+    ],
+)
+def test_formulas_follow_simulators_of_the_same_physics_where_cycles_are_small(
+    name, size, shape, form, values, rate_Hz
+):
+    """In small cycles the elastic part is most of the motion: what slides must begin at the same force in both."""
+    blocks = tuple(Block(a, 10.0 / (2.0 * np.pi * a), n) for a, n in ((6.0, 4), (24.0, 2)))
+    time, motion = exact_motion(blocks, 500.0)
+    drive = drives([Course(time, motion.displacement_mm, 1)], DEVICE, 24.0, float(time[-1]), 1e6)[0]
+    own = rate_free(drive, DEVICE, simulators_by_id()[name].act([drive], size, shape, DEVICE)[0], 1e6)
+    sampled, moved = exact_motion(blocks, rate_Hz)
+    (history,) = histories([sampled], [moved])
+    at_rest, gamma = 1.0, 0.0
+    if form == "velocity_law_power":
+        at_rest = 1.0 - size / BEND * (history.peak_speed_mm_s / 10.0) ** POWER
+        values = values | {"size": size / at_rest}
+        gamma = size / at_rest / BEND / history.peak_speed_mm_s  # the straight part, which the simulator has not
+    base = Base(DEVICE.K, at_rest * DEVICE.Fy, DEVICE.beta, gamma, at_rest * DEVICE.Fy)
+    model = force_with_effects(history, base, [(catalogue()[form], values)], variant="continuous")
+    later = history.motion.half_cycle > 0  # the first loading follows Masing's rule
+    off = np.abs(np.interp(sampled, time, own) - model)[later] / DEVICE.Fy
+    assert np.percentile(off, 95) < 0.02
+    assert np.sqrt(np.mean(off**2)) < 0.01

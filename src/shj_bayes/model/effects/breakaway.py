@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
-from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm
+from shj_bayes.model.effects.sliding import slid_mm, slid_since_mm, sliding_mm_s
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -23,16 +23,22 @@ def _linear(history: History, values: Values, base: Base) -> Contribution:
 
 
 @njit(cache=True)
-def _ages(slips: FloatArray, step: FloatArray, begin: float) -> FloatArray:
-    """Age of the contact, dT/dt = 1 - v T/D, shape (n,), s; exact for a speed of sliding that is even over each step.
+def _ages(slips: FloatArray, rate: FloatArray, step: FloatArray, begin: float) -> FloatArray:
+    """Age of the contact, dT/dt = 1 - v T/D, shape (n,), s; exact where it rests first and slides evenly afterwards.
 
-    `slips` is the distance slid since the sample before, as a share of D; `step` the time since then, s.
+    `slips` is the distance slid since the sample before, as a share of D; `rate` the speed of sliding, D/s; `step` the
+    time since the sample before, s.
     """
     out = np.empty_like(slips)
     age = begin
     for i in range(slips.size):
-        keep = np.exp(-slips[i])
-        age = age * keep + ((1.0 - keep) / slips[i] if slips[i] > 1e-9 else 1.0) * step[i]
+        slides = min(slips[i] / rate[i], step[i]) if rate[i] > 0.0 else 0.0
+        age += step[i] - slides
+        if slips[i] > 1e-9:
+            keep = np.exp(-slips[i])
+            age = age * keep + (1.0 - keep) * slides / slips[i]
+        else:
+            age += slides
         out[i] = age
     return out
 
@@ -41,8 +47,9 @@ def _aged(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + a max(0, ln(v T/D)); the age T of the contact is D/v where it slides steadily."""
     step = np.diff(history.time_s, prepend=history.time_s[0])
     slips = slid_since_mm(history, base) / values["length"]
-    rate = np.divide(slips, step, out=np.zeros_like(slips), where=step > 0.0)
-    ages = _ages(slips, step, values["rest"])
+    # At the sample: where sliding begins within a step it is far more than the mean over the step.
+    rate = sliding_mm_s(history, base) / values["length"]
+    ages = _ages(slips, rate, step, values["rest"])
     return Contribution(clamping=1.0 + values["size"] * np.log(np.maximum(rate * ages, 1.0)))
 
 

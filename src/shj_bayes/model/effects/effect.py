@@ -20,6 +20,7 @@ FAMILIES = (
     "odd_in_position",
     "oscillation",
 )
+LEAST = 1e-3  # of the clamping: effects that take more than all of it leave this
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,11 @@ class Base:
     beta: float
     gamma: float
     Fy_first: float
+
+    def sliding_from(self, clamping: float) -> Base:
+        """Give the base with a clamping in Fy: for what slides where contacts stick up to another force."""
+        share = max(clamping, LEAST)
+        return replace(self, Fy=share * self.Fy, Fy_first=share * self.Fy_first)
 
 
 Values = Mapping[str, float]

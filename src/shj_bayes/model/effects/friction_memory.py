@@ -1,5 +1,7 @@
 """Friction differs while speeding up and slowing down."""
 
+import numpy as np
+
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.effects.sliding import remembered_through
 from shj_bayes.model.history import History
@@ -12,7 +14,8 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     At a steady speed both cancel. The speed of the moment acts as Eq. (2) does, on the elastic branches as well.
     """
     peak = history.peak_speed_mm_s
-    late = remembered_through(lambda run: run.speed_mm_s, history, base, values["length"], begin=0.0) / peak
+    slides = base.sliding_from(1.0 - values["size"] * float(np.mean(history.speed_mm_s)) / peak)
+    late = remembered_through(lambda run: run.speed_mm_s, history, slides, values["length"], begin=0.0) / peak
     return Contribution(clamping=1.0 - values["size"] * late, gamma_s_per_mm=values["size"] / peak)
 
 

@@ -9,7 +9,7 @@ from numba import njit
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.kernel import gone_further
 from shj_bayes.model.history import History
-from shj_bayes.model.kernel import held_at, knee_of
+from shj_bayes.model.kernel import held_at, knee_of, saturate_with_slope
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
@@ -21,17 +21,19 @@ MEMORIES = {"memory": (0.0003, 0.1)}
 
 @njit(cache=True, error_model="numpy")
 def _slid(slip, start, turning, direction, law):  # type: ignore[no-untyped-def]
-    """Part of the slip that is not elastic: from the force at each reversal along Eq. (1), whose knee is rounded."""
+    """Part of the slip that is not elastic, and its slope: from each reversal along Eq. (1), whose knee is rounded."""
     stiffness, capacity, beta = law
     knee = knee_of(beta)
-    out = np.empty(slip.size)
+    out = np.empty((2, slip.size))
     force = 0.0
     for k in range(turning.size):
         before = force * direction[k]
         begins = before - held_at(before, 1.0, capacity, beta, knee)
         for i in range(start[k], start[k + 1]):
             e = before + stiffness * slip[i]
-            out[i] = (e - held_at(e, 1.0, capacity, beta, knee) - begins) / stiffness
+            held, slope = (e, 1.0) if e < 0.0 else saturate_with_slope(e, capacity, 1.0 / capacity, beta, knee)
+            out[0, i] = (e - held - begins) / stiffness
+            out[1, i] = 1.0 - slope
         if k + 1 < turning.size:
             e = before + stiffness * abs(turning[k + 1] - turning[k])
             force = direction[k] * held_at(e, 1.0, capacity, beta, knee)
@@ -44,6 +46,15 @@ def slid_mm(history: History, base: Base) -> FloatArray:
     After a reversal under load it is less, after one that came before sliding more: in an earthquake both are common.
     Sliding sets in gradually, as the knee of Eq. (1) does.
     """
+    return np.asarray(_slid_along(history, base)[0])
+
+
+def sliding_mm_s(history: History, base: Base) -> FloatArray:
+    """Speed of sliding at each sample, shape (n_samples,), mm/s: that of the motion, less what is elastic."""
+    return np.asarray(_slid_along(history, base)[1] * history.speed_mm_s)
+
+
+def _slid_along(history: History, base: Base) -> FloatArray:
     motion, law = history.motion, (base.K, base.Fy, base.beta)
     return history.recall(
         ("slid", law),
@@ -65,7 +76,7 @@ def slid_since_mm(history: History, base: Base) -> FloatArray:
 def _slid_by(turned: FloatArray, base: Base, capacity_kN: float) -> FloatArray:
     """Distance slid by each turning point and in the end, shape (n_half + 1,), mm."""
     moved, law = np.abs(np.diff(turned)), (base.K, capacity_kN, base.beta)
-    each = _slid(moved, np.arange(turned.size), turned[:-1], np.sign(np.diff(turned)).astype(np.int64), law)
+    each = _slid(moved, np.arange(turned.size), turned[:-1], np.sign(np.diff(turned)).astype(np.int64), law)[0]
     return np.append(0.0, np.cumsum(each))
 
 

@@ -11,7 +11,8 @@ from shj_bayes.model.priors import Prior
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + a exp(-(|v|/vs)^n); the exponential follows the speed over the memory."""
     share = (history.speed_mm_s / values["speed"]) ** values["shape"]
-    return Contribution(clamping=1.0 + values["size"] * felt(np.exp(-share), history, base, values["memory"]))
+    sticks = base.sliding_from(1.0 + values["size"])
+    return Contribution(clamping=1.0 + values["size"] * felt(np.exp(-share), history, sticks, values["memory"]))
 
 
 EFFECT = Effect(

@@ -36,12 +36,17 @@ def _over_distance(law: Callable[[FloatArray, Shape], FloatArray]) -> Callable[.
 
 
 def _over_speed(law: Callable[[FloatArray, float, Shape], FloatArray]) -> Callable[..., list[Acts]]:
-    """Multiply the capacity by a law of the speed (mm/s), reached over a tenth of a millimetre of slip."""
+    """Multiply the capacity by a law of the speed (mm/s), reached over a tenth of a millimetre of slip.
+
+    A contact that has come to rest sticks up to the capacity that it has there.
+    """
 
     def act(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -> list[Acts]:
+        rest = max(float(law(np.zeros(1), size, shape)[0]), LEAST)
+        slides = [d.sliding_from(device, rest) * d.dt for d in drives]
         return [
-            Acts(clamping=follow(law(d.speed, size, shape), d.slip_mm_s * d.dt, 0.1, law(np.zeros(1), size, shape)[0]))
-            for d in drives
+            Acts(clamping=follow(law(d.speed, size, shape), slid, 0.1, rest))
+            for d, slid in zip(drives, slides, strict=True)
         ]
 
     return act

@@ -51,11 +51,15 @@ def _breakaway(drives: Sequence[Drive], size: float, shape: Shape, device: Devic
 
 
 def _stribeck(drives: Sequence[Drive], size: float, shape: Shape, device: Device) -> list[Acts]:
-    """Bend LuGre bristles: more friction at low speed (Gaussian in speed), reached over a bristle's length."""
+    """Bend LuGre bristles: more friction at low speed (Gaussian in speed), reached over a bristle's length.
+
+    A contact that has come to rest sticks up to its static friction.
+    """
     out = []
     for drive in drives:
         goal = 1.0 + size * np.exp(-((drive.speed / shape["fades_mm_s"]) ** 2))
-        out.append(Acts(clamping=follow(goal, drive.slip_mm_s * drive.dt, shape["bristle_mm"], 1.0)))
+        slid = drive.sliding_from(device, 1.0 + size) * drive.dt
+        out.append(Acts(clamping=follow(goal, slid, shape["bristle_mm"], 1.0 + size)))
     return out
 
 

@@ -1,6 +1,6 @@
 """The testing rig: two contacts, bolts, grip, mass and what is added, stepped through time on a fine grid."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import prod
 from typing import Any
 
@@ -96,6 +96,8 @@ class Drive:
         Largest displacement of the tests, mm.
     test_s : float
         Duration of one test run, s.
+    frame_kN_mm, rule
+        Stiffness of the frame, and the reversal rule.
     """
 
     course: Course
@@ -103,6 +105,8 @@ class Drive:
     slip_mm_s: FloatArray
     stroke_mm: float
     test_s: float
+    frame_kN_mm: float = 1e3
+    rule: str = "continuous"
 
     @property
     def x(self) -> FloatArray:
@@ -127,6 +131,14 @@ class Drive:
         """Step, s."""
         return self.course.dt_s
 
+    def sliding_from(self, device: Device, clamping: float) -> FloatArray:
+        """Speed of sliding of a contact that sticks up to a clamping, shape (n,), mm/s; as for `slip_mm_s`."""
+        course = self.course
+        force = rate_free(self, device, Acts(clamping=clamping), self.frame_kN_mm, self.rule)
+        sliding = np.abs(course.v_mm_s - np.gradient(force, course.dt_s) / device.K)
+        slides = np.abs(force) > 0.5 * clamping * self.capacity_kN
+        return np.where(slides, np.minimum(sliding, np.abs(course.v_mm_s)), 0.0)
+
 
 def drives(
     courses: list[Course],
@@ -140,11 +152,9 @@ def drives(
     out = []
     for run, course in enumerate(courses, start=1):
         capacity = device.Fy * (device.ratio if run > 1 else 1.0)
-        bare = Drive(course, capacity, np.zeros(course.x_mm.size), stroke_mm, test_s)
-        force = rate_free(bare, device, Acts(), frame_kN_mm, rule)
-        sliding = np.abs(course.v_mm_s - np.gradient(force, course.dt_s) / device.K)
-        slip = np.where(np.abs(force) > 0.5 * capacity, np.minimum(sliding, np.abs(course.v_mm_s)), 0.0)
-        out.append(Drive(course, capacity, slip, stroke_mm, test_s))
+        rests = np.zeros(course.x_mm.size)
+        bare = Drive(course, capacity, rests, stroke_mm, test_s, frame_kN_mm, rule)
+        out.append(replace(bare, slip_mm_s=bare.sliding_from(device, 1.0)))
     return out
 
 
