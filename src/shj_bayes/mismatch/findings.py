@@ -251,16 +251,21 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
 
 
 def _split(out: Search, h: Hypothesis) -> Hypothesis:
-    """Give the hypothesis with a formula beside another class for a curve that holds both and that they follow.
+    """Give the hypothesis with formulas for a curve that holds their class beside its own, where they follow it.
 
-    No test can tell the curve from both together, and they say what it is; see `hypothesis.second_of`.
+    Of the other class alone, or of both. No test can tell the curve from them, and they say what it is; see
+    `hypothesis.second_of`.
     """
     for place, member in enumerate(h.members):
         second = second_of(member)
-        if second is None or second in h.key:
+        if second is None or second in h.key or second not in out.classes:
             continue
+        allowed = may_miss(out.scene, h, place)
+        for one in out.in_place_of(h, place, out.classes[second]):
+            if away(out.scene, h, one) <= allowed:
+                return one
         both = out.beside_direction(h, place) or out.found.get(h.key | {second})
-        if both is not None and away(out.scene, h, both) <= may_miss(out.scene, h, place):
+        if both is not None and away(out.scene, h, both) <= allowed:
             return both
     return h
 

@@ -119,6 +119,11 @@ class Search:
         return self.metric.fluctuation * self.scene.scale_kN > self.noise_most_kN
 
     @property
+    def is_capped(self) -> bool:
+        """Whether the noise would be larger than that of a load cell if it could: what is left is no smooth curve."""
+        return self.metric.setting.size_kN(self.scene) > 0.999 * self.noise_most_kN
+
+    @property
     def noise_most_kN(self) -> float:
         """Largest standard deviation that the noise of a load cell may have, kN."""
         return NOISE_MOST * self.scene.largest_kN
@@ -245,12 +250,13 @@ class Search:
         """
         for place in range(len(h.members)):
             h = self.found[h.key]
-            curve = h.members[place].variant.curve
-            if again or curve is not None:
-                for form in self.forms(h, place):
-                    one = self.fitted(replaced(h, place, form), form.start)
+            if again or h.members[place].variant.curve is not None:
+                ones = [self.fitted(replaced(h, place, form), form.start) for form in self.forms(h, place)]
+                for one in ones:
                     self._keep(one)
-                    if one is not None and second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key:
+                if second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key:
+                    known = [one for one in ones if one is not None]
+                    for one in sorted(known, key=lambda one: -one.log_weight)[:BEAM]:
                         self._beside_distance(one)
             self.beside_direction(h, place)
 
@@ -328,6 +334,13 @@ class Search:
             one = self.fitted(replaced(h, place, form), form.start)
             if one is not None and away(self.scene, h, one) <= allowed:
                 yield one
+
+    def in_place_of(self, h: Hypothesis, place: int, of: Class) -> Iterator[Hypothesis]:
+        """Give the hypotheses with a formula of another class in the place of a curve, most probable first."""
+        rest = self.fitted(*without(self.scene, h, place))
+        if rest is not None:
+            ones = [self.fitted((*rest.members, f), f.start) for f in self.forms_of(of, rest.members, rest.state.z)]
+            yield from sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
 
     def as_curve(self, h: Hypothesis, place: int) -> Hypothesis | None:
         """Give a hypothesis with a curve in the place of a formula, beside all else that it holds: what can be drawn.
@@ -591,7 +604,8 @@ def search(
         # Only now: beside few classes, curves over time that change within a cycle do what many others do together.
         out.look_for(tuple(classes))
         out.deepen_from(len(out.best.members))
-    out.explain()
+    if not out.is_capped:
+        out.explain()
     out.exchange()
     out.finish()
     if "stick_slip" not in hidden and str(TEETH) not in out.best.key:

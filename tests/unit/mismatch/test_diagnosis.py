@@ -23,6 +23,8 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.diagnosis_words import sentences
+from shj_validation.proof.cases import development_keys
+from shj_validation.proof.make import make
 
 CONTRACT = {
     "schema", "verdict", "p_value", "coordinates", "sets", "effects", "modelled", "family", "location", "unknown",
@@ -108,6 +110,19 @@ def test_a_constant_of_many_times_the_friction_is_as_large_as_it_is(trials):
     out = search(scene, [one for one in all_classes() if one.coordinate == "constant"])
     (finding,) = answer_of(out).findings
     assert finding.size * scene.scale_kN == pytest.approx(1500.0, rel=0.02)
+
+
+def test_a_trough_too_steep_for_a_smooth_curve_over_the_distance_is_still_one_of_the_distance():
+    """A finer curve over position follows it best; a formula over the distance follows that curve."""
+    key = development_keys(101, 43, "one")[-1]
+    assert [effect.id for effect in key.effects] == ["centre_wear_trough"]
+    runs = runs_of([one.recording for one in make(key)])
+    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
+    looked = [one for one in all_classes() if one.coordinate in ("position", "distance") and one.action == "capacity"]
+    out = search(scene, looked)
+    assert out.best.key == {"capacity over position"}
+    (finding,) = answer_of(out).findings
+    assert (finding.member.of.coordinate, finding.names) == ("distance", (("centre_wear", 1.0),))
 
 
 def test_clamping_that_changes_in_push_alone_is_a_curve_for_push(trials, look):

@@ -219,6 +219,13 @@ def test_that_nothing_is_missing_must_hold_with_95_per_cent_as_every_verdict_mus
     assert (answer.verdict, bool(answer.findings)) == (verdict, verdict != "adequate")
 
 
+@pytest.mark.parametrize(("size_kN", "capped"), [(0.30, True), (0.29, False)])
+def test_noise_at_the_most_that_a_load_cell_may_have_is_capped(size_kN, capped):
+    """Then no two dependences are looked for in the place of a curve: what is left fluctuates."""
+    metric = SimpleNamespace(setting=SimpleNamespace(size_kN=lambda scene: size_kN))
+    assert Search(SimpleNamespace(largest_kN=10.0), [], metric).is_capped == capped
+
+
 def test_a_curve_without_a_name_is_no_riddle_while_nothing_may_be_missing():
     out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], SimpleNamespace(fluctuation=0.0))
     found = (SimpleNamespace(size=0.02, named=False, names=()),)
