@@ -117,6 +117,20 @@ def test_published_friction_and_mass_are_compared(axis):
     assert [one.agrees for one in BY_ID["emps"].judge(diagnosis(), axis, {})] == [True, False, False, False]
 
 
+def test_a_curve_over_the_speed_is_friction_too(axis):
+    """Where no formula follows it the law may lie anywhere: here it is 10 % low, and the curve makes up for it."""
+    own = diagnosis(fy_kN=0.0204 / 1.1, gamma=203.5 / 20.4 / 1000, inertia={"size": 95.0})
+    alone = BY_ID["emps"].judge(own, axis, {})
+    curve = {"at": [0.0, 200.0], "mean": [10.0, 10.0]}
+    row = {"action": "capacity", "coordinate": "speed", "direction": "both", "curve": curve, "period": None}
+    found = own | {"coordinates": [row | {"matches": []}]}
+    judged = BY_ID["emps"].judge(found, axis, {})
+    assert alone[0].words.endswith("Coulomb 18.5 N")
+    assert judged[0].words.endswith("Coulomb 20.4 N")
+    named = BY_ID["emps"].judge(own | {"coordinates": [row | {"matches": ["stribeck"]}]}, axis, {})
+    assert named[0].words == alone[0].words  # what has a name stands among the effects
+
+
 def test_growth_from_cycle_to_cycle_is_compared(tmp_path):
     growing = diagnosis(bedding_in={"size": 0.1}, asymmetry={"size": 0.1})
     assert [one.agrees for one in BY_ID["friction of KDN_1bar"].judge(growing, tmp_path, {})] == [False]

@@ -15,7 +15,7 @@ import pandas as pd
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, combine
-from shj_bayes.model.history import histories
+from shj_bayes.model.history import History, histories
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
@@ -198,12 +198,25 @@ def _straight(answer: Answer, file: Path) -> tuple[float, float, float]:
         [form.act(history, values, base) for form, values in acting if form and values and form.id != "inertia"]
     )
     speed = history.speed_mm_s
-    friction = history.direction * base.Fy * does.clamping * (1.0 + (base.gamma + does.gamma_s_per_mm) * speed)
+    clamping = does.clamping * _curves(answer, history, base)
+    friction = history.direction * base.Fy * clamping * (1.0 + (base.gamma + does.gamma_s_per_mm) * speed)
     columns = np.stack([history.direction, history.direction * speed / 1000.0, np.ones(speed.size)], axis=1)
     slides = speed > 0.01 * history.peak_speed_mm_s
     force_N = 1000.0 * np.broadcast_to(friction + does.added_kN, speed.shape)
     coulomb, viscous, offset = np.linalg.lstsq(columns[slides], force_N[slides], rcond=None)[0].tolist()
     return coulomb, viscous, offset
+
+
+def _curves(answer: Answer, history: History, base: Base) -> FloatArray:
+    """Clamping that the curves make which no formula follows, shape (n_samples,); periods have none in the mean."""
+    clamping = np.ones(history.speed_mm_s.size)
+    for row in answer.get("coordinates", []):
+        if row["action"] == "capacity" and row["curve"] and not row["period"] and not row["matches"]:
+            at = coordinates_of(row["coordinate"])[0].values(history, base)
+            own = 1.0 + np.interp(at, row["curve"]["at"], row["curve"]["mean"]) / 100.0
+            side = {"push": history.direction > 0, "pull": history.direction < 0}.get(row["direction"], True)
+            clamping = np.where(side, clamping * own, clamping)
+    return clamping
 
 
 def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
