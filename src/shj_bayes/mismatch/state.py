@@ -146,8 +146,11 @@ def find_noise(
         return noise.at_most(scene, most_kN)
 
     def negative(u: FloatArray) -> float:
-        metric = Metric(scene, setting(u), state.slope)
-        return -log_evidence(metric, metric.products(wide))
+        try:
+            metric = Metric(scene, setting(u), state.slope)
+            return -log_evidence(metric, metric.products(wide))
+        except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others
+            return math.inf
 
     if start is None:
         laws = scene.device.laws_of_parameters[scene.device.n_law :]

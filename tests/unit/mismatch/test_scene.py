@@ -13,7 +13,7 @@ from shj_bayes.mismatch.classes import FORMS, PRESENT, Class, candidates, classe
 from shj_bayes.mismatch.heldout import cycles_of, held_out
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
 from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
-from shj_bayes.mismatch.state import State, settle, visible
+from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible
 from shj_bayes.model.curve import SIZES
 
 NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
@@ -73,6 +73,16 @@ def test_noise_may_be_rougher_at_low_speed(scene: Scene, metric: Metric) -> None
     assert log_det - less == pytest.approx(2.0 * np.log(rough.rougher[used]).sum())
     assert rough.fluctuation == pytest.approx(3.0 * metric.fluctuation)
     assert not metric.is_slow
+
+
+def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(scene: Scene, metric: Metric) -> None:
+    """Columns of such a size that only under large noise something is left of one beside the other."""
+    _, state = settle_under(scene, metric.setting, scene.device, scene.z)
+    column = 1e9 * np.random.default_rng(4).normal(0, 1, (scene.used.size, 1)) * scene.used[:, None]
+    with pytest.raises(np.linalg.LinAlgError):
+        log_evidence(metric, metric.products(state.beside(np.tile(column, 3))))
+    found = find_noise(scene, state, np.tile(column, 3), metric.setting)
+    assert np.all(np.isfinite(found.z))
 
 
 def test_products_are_those_of_the_covariance(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
