@@ -161,7 +161,8 @@ class Search:
         """Fit a hypothesis from a start; None where there is no fit."""
         try:
             state = settle(self.scene, self.metric, self.model_of(members), start)
-            np.linalg.cholesky(np.eye(state.z.size) + state.products[1:, 1:])  # or nothing can be weighed beside it
+            # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
+            np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.products[1:, 1:])
             weight = state.evidence + len(members) * ODDS
             weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
