@@ -9,7 +9,10 @@ from shj_bayes.model.priors import Prior
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + a exp(-(|v|/vs)^n); the exponential follows the speed over the memory."""
+    """Clamping 1 + a exp(-(|v|/vs)^n); the exponential follows the speed over the memory.
+
+    Contacts stick up to 1 + a, which they hold at rest.
+    """
     share = (history.speed_mm_s / values["speed"]) ** values["shape"]
     sticks = base.sliding_from(1.0 + values["size"])
     return Contribution(clamping=1.0 + values["size"] * felt(np.exp(-share), history, sticks, values["memory"]))
