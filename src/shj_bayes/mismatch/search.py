@@ -1,7 +1,7 @@
 """Which classes a device holds: sets of them are compared by their evidence, grown and shrunk until none is better."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -252,12 +252,11 @@ class Search:
         for place in range(len(h.members)):
             h = self.found[h.key]
             if again or h.members[place].variant.curve is not None:
-                ones = [self.fitted(replaced(h, place, form), form.start) for form in self.forms(h, place)]
+                ones = self._all_fitted((replaced(h, place, form), form) for form in self.forms(h, place))
                 for one in ones:
                     self._keep(one)
                 if second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key:
-                    known = [one for one in ones if one is not None]
-                    for one in sorted(known, key=lambda one: -one.log_weight)[:BEAM]:
+                    for one in ones[:BEAM]:
                         self._beside_distance(one)
             self.beside_direction(h, place)
 
@@ -336,12 +335,17 @@ class Search:
             if one is not None and away(self.scene, h, one) <= allowed:
                 yield one
 
-    def in_place_of(self, h: Hypothesis, place: int, of: Class) -> Iterator[Hypothesis]:
+    def in_place_of(self, h: Hypothesis, place: int, of: Class) -> list[Hypothesis]:
         """Give the hypotheses with a formula of another class in the place of a curve, most probable first."""
         rest = self.fitted(*without(self.scene, h, place))
-        if rest is not None:
-            ones = [self.fitted((*rest.members, f), f.start) for f in self.forms_of(of, rest.members, rest.state.z)]
-            yield from sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
+        if rest is None:
+            return []
+        return self._all_fitted(((*rest.members, f), f) for f in self.forms_of(of, rest.members, rest.state.z))
+
+    def _all_fitted(self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]]) -> list[Hypothesis]:
+        """Fit hypotheses, each from the start of a form; those with a fit, most probable first."""
+        ones = [self.fitted(members, form.start) for members, form in tried]
+        return sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
 
     def as_curve(self, h: Hypothesis, place: int) -> Hypothesis | None:
         """Give a hypothesis with a curve in the place of a formula, beside all else that it holds: what can be drawn.

@@ -34,8 +34,8 @@ def rig(blocks, acts=None, device=DEVICE, rate=400.0, frame=1e6):
     """Force of the rig under exact sine blocks on a fine grid, with the motion."""
     time, motion = exact_motion(blocks, rate)
     path = Course(time, motion.displacement_mm, 1)
-    drive = Drive(path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]))
-    return time, motion, rate_free(drive, device, acts or Acts(), frame)
+    drive = Drive(path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]), frame)
+    return time, motion, rate_free(drive, device, acts or Acts())
 
 
 @pytest.mark.parametrize("beta", [8.0, 20.0, 100.0])
@@ -55,8 +55,8 @@ def test_the_published_rule_is_equation_1_with_its_jump(beta):
     blocks = (Block(6.0, 0.05, 2), Block(48.0, 0.03, 2))
     time, motion = exact_motion(blocks, 100.0)
     path = Course(time, motion.displacement_mm, 1)
-    drive = Drive(path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]))
-    own = rate_free(drive, device, Acts(), 1e6, "published")
+    drive = Drive(path, device.Fy, np.zeros(time.size), 95.0, float(time[-1]), 1e6, "published")
+    own = rate_free(drive, device, Acts())
     law = force(motion, K=14.0, Fy=60.0, beta=beta, variant="published")
     sure = np.ones(time.size, dtype=bool)
     sure[np.concatenate([motion.start[:-1], motion.start[1:-1] - 1])] = False
@@ -65,8 +65,9 @@ def test_the_published_rule_is_equation_1_with_its_jump(beta):
 
 def test_a_gap_and_a_lever_act_under_both_rules():
     time, motion = exact_motion((Block(48.0, 0.03, 2),), 400.0)
-    drive = Drive(Course(time, motion.displacement_mm, 1), 60.0, np.zeros(time.size), 95.0, float(time[-1]))
-    own = rate_free(drive, DEVICE, Acts(clearance_mm=3.0, lever=0.1), 1e6, "published")
+    path = Course(time, motion.displacement_mm, 1)
+    drive = Drive(path, 60.0, np.zeros(time.size), 95.0, float(time[-1]), 1e6, "published")
+    own = rate_free(drive, DEVICE, Acts(clearance_mm=3.0, lever=0.1))
     back = motion.half_cycle == 2
     assert np.ptp(motion.displacement_mm[(np.abs(own) < 0.01) & back]) == pytest.approx(3.0, abs=0.1)
     middle = np.abs(motion.displacement_mm) < 10
@@ -76,8 +77,8 @@ def test_a_gap_and_a_lever_act_under_both_rules():
 
 def test_a_rest_is_no_reversal():
     x = np.concatenate([np.linspace(0, 20, 500), 20 + 1e-9 * np.sin(np.arange(300)), np.linspace(20, 25, 100)])
-    drive = Drive(Course(np.arange(x.size) * 0.01, x, 1), 60.0, np.zeros(x.size), 95.0, 10.0)
-    own = rate_free(drive, DEVICE, Acts(), 1e6, "published")
+    drive = Drive(Course(np.arange(x.size) * 0.01, x, 1), 60.0, np.zeros(x.size), 95.0, 10.0, 1e6, "published")
+    own = rate_free(drive, DEVICE, Acts())
     assert own[450:] == pytest.approx(60.0, abs=0.01)
 
 
@@ -99,9 +100,7 @@ def test_the_earthquake_turns_back_by_as_much_as_a_recorder_sees():
 
 def test_a_mass_cannot_follow_the_jump():
     with pytest.raises(ModelError, match="take continuous"):
-        rate_free(
-            drives([course("paper", 5.0, 1)], DEVICE, 95.0, 600.0, 1e3)[0], DEVICE, Acts(mass_t=1.0), 1e3, "published"
-        )
+        rate_free(drives([course("paper", 5.0, 1)], DEVICE, 95.0, 600.0, 1e3, "published")[0], DEVICE, Acts(mass_t=1.0))
 
 
 def test_a_mass_on_a_spring_whose_friction_does_not_weaken_is_no_effect():
@@ -109,8 +108,8 @@ def test_a_mass_on_a_spring_whose_friction_does_not_weaken_is_no_effect():
     drive = drives([course("paper", 20.0, 1)], DEVICE, 95.0, 600.0, 1e3)[0]
     spring = 1.2 * DEVICE.K
     mass = spring / (2 * np.pi * 5.5) ** 2 * 1000.0
-    driven = rate_free(drive, DEVICE, Acts(mass_t=mass, spring_kN_mm=spring), 1e3)
-    held = rate_free(drive, DEVICE, Acts(), spring)
+    driven = rate_free(drive, DEVICE, Acts(mass_t=mass, spring_kN_mm=spring))
+    held = rate_free(replace(drive, frame_kN_mm=spring), DEVICE, Acts())
     assert np.percentile(np.abs(driven - held), 99) < MATTERS * DEVICE.Fy
 
 
@@ -214,9 +213,10 @@ def test_friction_that_follows_the_logarithm_of_the_speed_needs_short_steps():
 
     def force_of(steps_s):
         time = np.arange(15 * steps_s + 1) / steps_s
-        drive = Drive(Course(time, 6.0 * np.sin(10.0 / 6.0 * time), 1), DEVICE.Fy, np.zeros(time.size), 95.0, 15.0)
+        path = Course(time, 6.0 * np.sin(10.0 / 6.0 * time), 1)
+        drive = Drive(path, DEVICE.Fy, np.zeros(time.size), 95.0, 15.0, 1e3)
         acts = simulator.act([drive], 0.13, {"creep_mm_s": 0.035}, DEVICE)[0]
-        return rate_free(drive, DEVICE, acts, 1e3)[:: steps_s // 100]
+        return rate_free(drive, DEVICE, acts)[:: steps_s // 100]
 
     exact = force_of(8000)
     taken = force_of(1000 if simulator.fast else 100)
@@ -330,7 +330,7 @@ def test_a_capacity_that_rises_behind_a_reversal_does_not_raise_the_force_before
     path = Course(time, motion.displacement_mm, 1)
     bare = drives([path], DEVICE, 30.0, float(time[-1]), 1e6, "published")[0]
     acts = forms._torn([bare], 0.3, {"length_mm": 5.0}, DEVICE)[0]
-    own = rate_free(bare, DEVICE, acts, 1e6, "published")
+    own = rate_free(bare, DEVICE, acts)
     for first in motion.start[1:-1]:
         before, behind = own[first - 50 : first - 3], own[first - 3 : first + 4]
         assert np.abs(behind).max() < 1.01 * np.abs(before).max()
@@ -377,7 +377,7 @@ def test_formulas_follow_simulators_of_the_same_physics_where_cycles_are_small(
     blocks = tuple(Block(a, 10.0 / (2.0 * np.pi * a), n) for a, n in ((6.0, 4), (24.0, 2)))
     time, motion = exact_motion(blocks, 500.0)
     drive = drives([Course(time, motion.displacement_mm, 1)], DEVICE, 24.0, float(time[-1]), 1e6)[0]
-    own = rate_free(drive, DEVICE, simulators_by_id()[name].act([drive], size, shape, DEVICE)[0], 1e6)
+    own = rate_free(drive, DEVICE, simulators_by_id()[name].act([drive], size, shape, DEVICE)[0])
     sampled, moved = exact_motion(blocks, rate_Hz)
     (history,) = histories([sampled], [moved])
     at_rest, gamma = 1.0, 0.0

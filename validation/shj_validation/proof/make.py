@@ -85,7 +85,7 @@ def make(
 def _at_the_cell(drive: Drive, key: Key, acts: Acts) -> FloatArray:
     """Force channel on the fine grid, without noise, kN."""
     device: Device = key.device
-    force = rate_free(drive, device, acts, key.nuisance.frame_kN_mm, key.reversal)
+    force = rate_free(drive, device, acts)
     force = force * (1.0 + (device.gamma + acts.speed_per_mm_s) * drive.speed) + acts.added_kN
     if acts.filter_s > 0:
         force = two_poles(force, drive.dt, acts.filter_s)

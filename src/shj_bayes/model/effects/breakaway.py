@@ -32,13 +32,12 @@ def _ages(slips: FloatArray, rate: FloatArray, step: FloatArray, begin: float) -
     out = np.empty_like(slips)
     age = begin
     for i in range(slips.size):
-        slides = min(slips[i] / rate[i], step[i]) if rate[i] > 0.0 else 0.0
-        age += step[i] - slides
         if slips[i] > 1e-9:
+            slides = min(slips[i] / rate[i], step[i]) if rate[i] > 0.0 else 0.0
             keep = np.exp(-slips[i])
-            age = age * keep + (1.0 - keep) * slides / slips[i]
+            age = (age + (step[i] - slides)) * keep + (1.0 - keep) * slides / slips[i]
         else:
-            age += slides
+            age += step[i]
         out[i] = age
     return out
 

@@ -59,7 +59,7 @@ class Base:
     Fy_first: float
 
     def sliding_from(self, clamping: float) -> Base:
-        """Give the base with a clamping in Fy: for what slides where contacts stick up to another force."""
+        """Give the base of a contact that sticks up to a clamping times Fy: what slides is told from that force."""
         share = max(clamping, LEAST)
         return replace(self, Fy=share * self.Fy, Fy_first=share * self.Fy_first)
 

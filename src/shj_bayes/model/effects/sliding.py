@@ -23,7 +23,7 @@ MEMORIES = {"memory": (0.0003, 0.1)}
 def _slid(slip, start, turning, direction, law):  # type: ignore[no-untyped-def]
     """Part of the slip that is not elastic, and its slope: from each reversal along Eq. (1), whose knee is rounded."""
     stiffness, capacity, beta = law
-    knee = knee_of(beta)
+    knee, per_capacity = knee_of(beta), 1.0 / capacity
     out = np.empty((2, slip.size))
     force = 0.0
     for k in range(turning.size):
@@ -31,7 +31,7 @@ def _slid(slip, start, turning, direction, law):  # type: ignore[no-untyped-def]
         begins = before - held_at(before, 1.0, capacity, beta, knee)
         for i in range(start[k], start[k + 1]):
             e = before + stiffness * slip[i]
-            held, slope = (e, 1.0) if e < 0.0 else saturate_with_slope(e, capacity, 1.0 / capacity, beta, knee)
+            held, slope = (e, 1.0) if e < 0.0 else saturate_with_slope(e, capacity, per_capacity, beta, knee)
             out[0, i] = (e - held - begins) / stiffness
             out[1, i] = 1.0 - slope
         if k + 1 < turning.size:

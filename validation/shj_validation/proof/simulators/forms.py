@@ -13,7 +13,7 @@ from shj_validation.proof.simulators.rig import Acts, Drive
 from shj_validation.proof.simulators.simulator import Shape, Simulator, along
 
 TESTED_M = 7.0  # slid in two runs by a device of middle size; powers of travel are anchored there
-LEAST = 0.3  # of the clamping that a wandering actuator leaves
+LEAST = 0.3  # of the clamping that a wandering actuator leaves, and that a law of speed leaves at rest
 
 
 def _over_travel(law: Callable[[FloatArray, float, Shape], FloatArray]) -> Callable[..., list[Acts]]:

@@ -96,8 +96,10 @@ class Drive:
         Largest displacement of the tests, mm.
     test_s : float
         Duration of one test run, s.
-    frame_kN_mm, rule
-        Stiffness of the frame, and the reversal rule.
+    frame_kN_mm : float
+        Stiffness of the frame, kN/mm.
+    rule : {"published", "continuous"}
+        What happens at a reversal; see `RULES`.
     """
 
     course: Course
@@ -105,7 +107,7 @@ class Drive:
     slip_mm_s: FloatArray
     stroke_mm: float
     test_s: float
-    frame_kN_mm: float = 1e3
+    frame_kN_mm: float
     rule: str = "continuous"
 
     @property
@@ -134,7 +136,7 @@ class Drive:
     def sliding_from(self, device: Device, clamping: float) -> FloatArray:
         """Speed of sliding of a contact that sticks up to a clamping, shape (n,), mm/s; as for `slip_mm_s`."""
         course = self.course
-        force = rate_free(self, device, Acts(clamping=clamping), self.frame_kN_mm, self.rule)
+        force = rate_free(self, device, Acts(clamping=clamping))
         sliding = np.abs(course.v_mm_s - np.gradient(force, course.dt_s) / device.K)
         slides = np.abs(force) > 0.5 * clamping * self.capacity_kN
         return np.where(slides, np.minimum(sliding, np.abs(course.v_mm_s)), 0.0)
@@ -158,17 +160,17 @@ def drives(
     return out
 
 
-def rate_free(drive: Drive, device: Device, acts: Acts, frame_kN_mm: float, rule: str = "continuous") -> FloatArray:
+def rate_free(drive: Drive, device: Device, acts: Acts) -> FloatArray:
     """Force before Eq. (2) and the sensors, kN; a mass and a second contact want the continuous rule."""
     x = drive.course.x_mm
     clamping = np.ascontiguousarray(np.broadcast_to(acts.clamping, x.shape), dtype=np.float64)
     out = np.empty(x.size)
-    if rule == "published":
+    if drive.rule == "published":
         if acts.mass_t or acts.second_share:
             raise ModelError("a mass or a second contact cannot follow the published reversal rule; take continuous")
         branches(out, x, clamping, device.K, drive.capacity_kN, device.beta, acts.lever, acts.clearance_mm)
         return out
-    spring = acts.spring_kN_mm if acts.mass_t else frame_kN_mm
+    spring = acts.spring_kN_mm if acts.mass_t else drive.frame_kN_mm
     own = 1.0 / (1.0 / device.K - 1.0 / spring)  # so that K is what the gauges see
     if acts.mass_t:
         stiffness, limits = elements(own, drive.capacity_kN, device.beta)
