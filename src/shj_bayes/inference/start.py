@@ -17,6 +17,7 @@ from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
 FAR = 1e12  # in the place of a negative log density that is none
+RESTARTS = 3
 N_DESCENTS = 3  # laws of the grid that are improved
 QUARTILES = np.array([0.25, 0.5, 0.75])
 CHUNK = 16  # parameter sets evaluated in one call
@@ -164,7 +165,12 @@ def most_probable_noise(
         return value if np.isfinite(value) else FAR
 
     first = min(firsts, key=within) if len(firsts) > 1 else firsts[0]
-    return np.asarray(minimize(within, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3}).x)
+    for _ in range(RESTARTS):
+        end = minimize(within, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
+        first = np.asarray(end.x)
+        if end.success:  # or a step went out of the limits: the curvature that was learnt so far then misleads
+            break
+    return first
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:

@@ -496,24 +496,36 @@ class Search:
         ranked = [self.found[h.key] for h in ranked]
         ranked += [h for h in (self.found[frozenset()],) if h not in ranked]
         search_metric, found = self.metric, {}
-        for h in ranked:
+        for h in (*ranked, *self._with_forms(ranked[0])):
             new = self._with_own_noise(h, search_metric.setting)
-            if new is not None:
-                found[h.key] = new
-        # The noise of one is where another's search for its own may have to begin.
-        first = max(found.values(), key=lambda h: h.log_weight)
-        assert first.metric is not None
-        for h in list(found.values()):
-            rival = h is not first and h.log_weight > first.log_weight - RIVAL
-            new = self._with_own_noise(h, first.metric.setting) if rival else None
-            if new is not None and new.log_weight > h.log_weight:
+            if new is not None and (h.key not in found or found[h.key].log_weight < new.log_weight):
                 found[h.key] = new
         self.found = found
+        self._share_noise()
+        first = self.best
         self._without_each()
+        if self.best is not first:
+            self._share_noise()
         for h in list(found.values()):
             found |= self._zero_apart(h, found)
         self.metric = self.best.metric or search_metric
         self.screened = {}
+
+    def _share_noise(self) -> None:
+        """Search for the noise of each rival from that of the best hypothesis: the most probable one may be farther."""
+        best = self.best
+        assert best.metric is not None
+        for key, h in list(self.found.items()):
+            rival = h is not best and h.log_weight > best.log_weight - RIVAL
+            new = self._with_own_noise(h, best.metric.setting) if rival else None
+            if new is not None and new.log_weight > h.log_weight:
+                self.found[key] = new
+
+    def _with_forms(self, h: Hypothesis) -> list[Hypothesis]:
+        """Fit the best formula in the place of each curve over a clock: beside the curve nothing is slow noise."""
+        curves = (i for i, m in enumerate(h.members) if m.variant.curve is not None and is_over_a_clock(m.of))
+        tried = (self._all_fitted((replaced(h, place, form), form) for form in self.forms(h, place)) for place in curves)
+        return [ones[0] for ones in tried if ones]
 
     def _without_each(self) -> None:
         """Weigh the best hypothesis without each of its classes: another one may have been the best before."""

@@ -15,6 +15,7 @@ from shj_bayes.model.priors import Prior
 
 Z_LIMIT = 12.0
 ROUNDS = 40
+VALUES_SEEN = 2.0  # independent values of slow noise in a run: a force that goes one way throughout is a drift
 CLOSE = 1e-2  # square of the last step, in posterior standard deviations
 
 
@@ -137,12 +138,17 @@ def find_noise(
 
     Of the state only residual and derivatives count; the columns, shape (n, p), have standard normal coefficients.
     Begins at the best of a grid by default; `most_kN` is the largest standard deviation, as of `NoiseSetting.size_kN`.
+    A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
     wide = state.beside(columns)
     unit = MODEL_ERROR * scene.scale_kN
+    lasts_s = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
+    laws = scene.device.laws_of_parameters[scene.device.n_law :]
+    longest_s = np.asarray(lasts_s / (2.0 * VALUES_SEEN))
+    most = np.array([float(law.to_free(longest_s)) if law.unit == "s" else math.inf for law in laws])
 
     def setting(u: FloatArray) -> NoiseSetting:
-        noise = NoiseSetting(tuple(u[:-2].tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
+        noise = NoiseSetting(tuple(np.minimum(u[:-2], most).tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
         return noise.at_most(scene, most_kN)
 
     def negative(u: FloatArray) -> float:
@@ -153,7 +159,6 @@ def find_noise(
             return math.inf
 
     if start is None:
-        laws = scene.device.laws_of_parameters[scene.device.n_law :]
         grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law, scene)] for law in laws]
         firsts = [np.array([*point, 0.0, 0.0]) for point in product(*grids)]
     else:

@@ -3,6 +3,7 @@
 from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
+from scipy.special import gammainc, gammaincinv
 
 from shj_bayes.model.effects.effect import LEAST, Base, Contribution, Effect, combine
 from shj_bayes.model.effects.kernel import limit_rise, rate_free_force
@@ -10,6 +11,10 @@ from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
 UNLOADED = 0.1  # of the sliding force: a test that begins with less than this begins unloaded
+STEPS = 6  # of the response of a filter to a jump of the force
+# Delays of a critically damped filter with two poles, in equal shares: means of the parts of its impulse response,
+# which is that of the gamma law with shape 2, as shares of its mean.
+TWO_POLES = STEPS * np.diff(gammainc(3.0, np.append(gammaincinv(2.0, np.arange(STEPS) / STEPS), np.inf)))
 
 
 def force_with_effects(
@@ -27,11 +32,35 @@ def force_with_effects(
     sample is given. `acted` holds contributions to this run that are known, to take from and to add to:
     parameter sets often share most values.
     """
-    lag_s = sum(values[effect.delay] for effect, values in acting if effect.delay)
+    acted = {} if acted is None else acted
+    parts = [_late(history, base, acting, lag_s, variant, start_force_kN, acted) for lag_s in lags_s(acting)]
+    return parts[0] if len(parts) == 1 else np.mean(parts, axis=0)
+
+
+def lags_s(acting: Sequence[tuple[Effect, Mapping[str, float]]]) -> tuple[float, ...]:
+    """Delays of the force channel, in equal shares, s: one, or those of a filter in the steps of its response."""
+    whole = filtered = 0.0
+    for effect, values in acting:
+        if effect.delay:
+            share = values[effect.filtered] if effect.filtered else 0.0
+            whole += values[effect.delay] * (1.0 - share)
+            filtered += values[effect.delay] * share
+    return tuple(whole + filtered * TWO_POLES) if filtered else (whole,)
+
+
+def _late(
+    history: History,
+    base: Base,
+    acting: Sequence[tuple[Effect, Mapping[str, float]]],
+    lag_s: float,
+    variant: str,
+    start_force_kN: float,
+    acted: dict[Hashable, Contribution],
+) -> FloatArray:
+    """Force of one run as it is recorded with a delay, shape (n_samples,), kN."""
     late = delayed(history, lag_s) if lag_s else None
     # The law on the motion of a moment ago: the force itself has corners that thinning would cut.
     moved, own = late or history.turned
-    acted = {} if acted is None else acted
     parts = []
     for effect, values in acting:
         key = (effect.id, lag_s, base, *values.values())

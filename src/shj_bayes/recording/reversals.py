@@ -21,6 +21,8 @@ _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then
 _AT_REST = 5.0  # standard deviations of a sample from the level of a rest
 _STILL = 1e-5  # of the whole stroke: less is no motion, however exact the samples are
 _MOST = 0.5  # share of the samples near an extreme that stand still when it is a rest
+_WELL_AWAY = 4.0  # of what is near a rest: a motion that begins is followed so far
+_MOMENTS = 400  # at which it may begin
 _POOR = 1.5  # a fit whose residual is this many times the noise is no smooth peak (a corner or a rest)
 
 
@@ -156,20 +158,30 @@ def _rest(
         level = float(np.median(raw[first : last + 1]))
     if last - first + 1 < _MIN_POINTS or last - first < _MOST * (hi - lo):
         return None
-    return _departure(time_s, raw, last, hi, level, near), level
+    return _departure(time_s, raw, (first, last, hi), level, near), level
 
 
-def _departure(time_s: FloatArray, raw: FloatArray, last: int, hi: int, level: float, near: float) -> float:
+def _departure(
+    time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], level: float, near: float
+) -> float:
     """When the motion back begins, s: its distance from the rest grows as the square of the time, from 0.
 
-    A smoothed displacement leaves the rest before the device does.
+    The moment at which that fits best, by least squares. A smoothed displacement leaves a rest before the device does,
+    and stays within the noise of the rest for long where the device leaves slowly.
     """
-    far = last + np.flatnonzero(np.abs(raw[last : hi + 1] - level) > near)[:_MAX_POINTS]
-    if far.size < _MIN_POINTS:
+    first, last, hi = rest
+    gone = np.flatnonzero(np.abs(raw[last : hi + 1] - level) > _WELL_AWAY * near)
+    end = min(hi, last + max(int(gone[0]) if gone.size else hi - last, _MIN_POINTS))
+    moves = end - last + 1
+    if moves < _MIN_POINTS:
         return float(time_s[last])
-    slope, root = np.polyfit(time_s[far] - time_s[last], np.sqrt(np.abs(raw[far] - level)), 1)
-    begins = float(time_s[last] - root / slope) if slope > 0.0 else float(time_s[last])
-    return float(np.clip(begins, time_s[last], time_s[far[0]]))
+    begin = max(first, last - 2 * moves)
+    t = time_s[begin : end + 1]
+    distance = (raw[begin : end + 1] - level) * np.sign(raw[end] - level)
+    moments = np.linspace(t[0], time_s[min(last + moves // 2, end - 2)], _MOMENTS)
+    squares = np.maximum(t - moments[:, None], 0.0) ** 2
+    gains = np.maximum(squares @ distance, 0.0) ** 2 / np.sum(squares**2, axis=1)
+    return float(moments[np.argmax(gains)])
 
 
 def _between_samples(

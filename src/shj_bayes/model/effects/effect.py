@@ -102,6 +102,8 @@ class Effect:
     # parameter that is the time by which the force channel is behind the displacement channel, s; all effects act on
     # the motion of that moment. Empty for most.
     delay: str = ""
+    # parameter that is the share of this time that a filter with two poles makes: it rounds corners. Empty for most.
+    filtered: str = ""
 
     def __post_init__(self) -> None:
         """Refuse effects without words, parameters or a neutral value."""
@@ -114,7 +116,7 @@ class Effect:
         names = {p.name for p in self.parameters}
         if not names or not set(self.neutral) <= names:
             raise ModelError(f"effect {self.id}: needs parameters, and a neutral value for at least one of them")
-        if not {*self.start, *self.initial, self.delay or self.names[0]} <= names:
+        if not {*self.start, *self.initial, self.delay or self.names[0], self.filtered or self.names[0]} <= names:
             raise ModelError(
                 f"effect {self.id}: starts, initial state and delay must be of its parameters, {', '.join(self.names)}"
             )
@@ -129,6 +131,7 @@ class Effect:
         act: Act,
         source: str,
         start: Mapping[str, tuple[float, ...]],
+        filtered: str = "",
     ) -> Effect:
         """Give the same mechanism with another published formula beside those it has.
 
@@ -146,6 +149,8 @@ class Effect:
             Equation or paper.
         start : mapping of str to tuple of float
             As for the effect.
+        filtered : str, optional
+            As for the effect.
         """
         form = replace(
             self,
@@ -160,6 +165,7 @@ class Effect:
             act=act,
             source=source,
             start=start,
+            filtered=filtered,
             initial=(),
         )
         return replace(self, forms=(*self.forms, form))

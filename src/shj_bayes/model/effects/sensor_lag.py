@@ -25,4 +25,16 @@ EFFECT = Effect(
     source="Assumed form: one constant delay, which is what unequal filters do to slow signals.",
     start={"size": (0.03, -0.03)},
     delay="size",
+).with_form(
+    "filtered",
+    statement="Force is {size:.3f} s behind displacement, {share:.0%} of it by a filter that rounds corners.",
+    equation="F_recorded(t) = h * F(t - (1 - s) tau), h(u) = u/T^2 exp(-u/T), T = s tau/2",
+    parameters=(
+        Prior("size", "s", "lognormal", 0.05, 1.0, "Two poles at 1 to 10 Hz are 0.03 to 0.3 s behind."),
+        Prior("share", "1", "uniform", 0.0, 1.0, "The rest is multiplexed sampling or another clock."),
+    ),
+    act=act,
+    source="Critically damped low-pass filter of second order, as in bridge amplifiers and anti-alias filters.",
+    start={"size": (0.03, 0.1, 0.3), "share": (0.6,)},
+    filtered="share",
 )
