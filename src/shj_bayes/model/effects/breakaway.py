@@ -22,6 +22,12 @@ def _linear(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 + values["size"] * np.maximum(1.0 - share, 0.0))
 
 
+def _torn(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + a max(0, 1 - (d/D)^n)."""
+    share = np.clip(slid_mm(history, base) / values["length"], 0.0, 1.0)
+    return Contribution(clamping=1.0 + values["size"] * (1.0 - share ** values["power"]))
+
+
 @njit(cache=True)
 def _ages(slips: FloatArray, rate: FloatArray, step: FloatArray, begin: float) -> FloatArray:
     """Age of the contact, dT/dt = 1 - v T/D, shape (n,), s; exact where it rests first and slides evenly afterwards.
@@ -83,7 +89,20 @@ _OR_LINEAR = _EXPONENTIAL.with_form(
     source="Linear slip weakening (Ida 1972, J. Geophys. Res. 77, 3796; Andrews 1976, J. Geophys. Res. 81, 3575).",
     start={"size": (0.1,), "length": (2.0, 6.0, 18.0)},
 )
-EFFECT = _OR_LINEAR.with_form(
+_OR_TORN = _OR_LINEAR.with_form(
+    "torn",
+    statement="Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding.",
+    equation="Fy -> Fy (1 + a max(0, 1 - (d/D)^n)), d slid since the reversal",
+    parameters=(
+        Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound)."),
+        Prior("length", "mm", "loguniform", 0.3, 50.0, "Length of the longest junctions: as of the linear form."),
+        Prior("power", "1", "lognormal", 1.5, 0.5, "1 is the linear form; above it junctions hold at first."),
+    ),
+    act=_torn,
+    source="Assumed form: junctions torn one by one, none left beyond a length; linear where all lengths are as many.",
+    start={"size": (0.1,), "length": (2.0, 6.0, 18.0), "power": (2.0,)},
+)
+EFFECT = _OR_TORN.with_form(
     "aged",
     statement=(
         "Sliding starts with a peak {size:.1%} of the force higher for each e-fold of the time at rest; "
