@@ -247,11 +247,13 @@ class Search:
     def refine(self, h: Hypothesis, *, again: bool = False) -> None:
         """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
 
-        `again` tries them in the place of formulas too: the best one was chosen beside other classes and other noise.
+        What acts on the motion has no curve: others in the place of its formula. `again` tries them in the place of all
+        formulas: the best one was chosen beside other classes and other noise.
         """
         for place in range(len(h.members)):
             h = self.found[h.key]
-            if again or h.members[place].variant.curve is not None:
+            member = h.members[place]
+            if again or member.variant.curve is not None or member.of.action == MOTION:
                 ones = self._all_fitted((replaced(h, place, form), form) for form in self.forms(h, place))
                 for one in ones:
                     self._keep(one)

@@ -12,9 +12,10 @@ from shj_bayes.model.parameters import FloatArray
 
 UNLOADED = 0.1  # of the sliding force: a test that begins with less than this begins unloaded
 STEPS = 6  # of the response of a filter to a jump of the force
-# Delays of a critically damped filter with two poles, in equal shares: means of the parts of its impulse response,
-# which is that of the gamma law with shape 2, as shares of its mean.
-TWO_POLES = STEPS * np.diff(gammainc(3.0, np.append(gammaincinv(2.0, np.arange(STEPS) / STEPS), np.inf)))
+# Delays of a critically damped filter with two poles, in equal shares, as shares of their mean: means of the parts of
+# its impulse response, which is that of the gamma law with shape 2, spread as widely as that.
+_MEANS = STEPS * np.diff(gammainc(3.0, np.append(gammaincinv(2.0, np.arange(STEPS) / STEPS), np.inf)))
+TWO_POLES = 1.0 + (_MEANS - 1.0) * np.sqrt(0.5 / _MEANS.var())
 
 
 def force_with_effects(

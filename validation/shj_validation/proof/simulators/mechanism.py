@@ -92,13 +92,17 @@ def _pure_delay(size: float, shape: Shape, device: Device) -> dict[str, float]:
 
 @njit(cache=True, error_model="numpy")
 def two_poles(force, dt, tau):  # type: ignore[no-untyped-def]
-    """Critically damped two-pole filter whose delay at low frequency is `tau`; exact for a force held over a step."""
+    """Critically damped two-pole filter whose delay at low frequency is `tau`; exact where the force is straight."""
     out = np.empty(force.size)
-    keep = np.exp(-dt / (0.5 * tau))
-    a, b = force[0], force[0]
+    pole = 0.5 * tau
+    keep = np.exp(-dt / pole)
+    a, b, last, earlier = force[0], force[0], force[0], force[0]
     for i in range(force.size):
-        a = force[i] + (a - force[i]) * keep
-        b = a + (b - a) * keep
+        behind = (force[i] - last) / dt * pole
+        a = force[i] - behind + (a - last + behind) * keep
+        behind = (a - earlier) / dt * pole
+        b = a - behind + (b - earlier + behind) * keep
+        last, earlier = force[i], a
         out[i] = b
     return out
 
