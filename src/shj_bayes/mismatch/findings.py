@@ -129,7 +129,7 @@ def _verdict(
         Reason.FLUCTUATES: out.is_rough and not out.chatter,
         Reason.LEFT_OVER: left > out.matters_in_strokes and left > largest / 3.0,
         Reason.NO_FORM: nothing < DOUBT
-        and any(not f.named and (f.size >= out.matters or f is findings[0]) for f in findings),
+        and any(not f.named and (f.size >= out.matters or (f is findings[0] and not out.chatter)) for f in findings),
     }
     several = {
         Reason.SEVERAL: bool(findings) and probability < 1.0 - DOUBT,
