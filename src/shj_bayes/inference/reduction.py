@@ -62,7 +62,9 @@ class Averages:
         """
         motion = self.history.motion
         residual, slope = np.empty((force_kN.shape[0], self.n)), np.empty((force_kN.shape[0], self.n))
-        _gather(residual, slope, force_kN, motion.displacement_mm, self.first, motion.start, self.force_kN, self.count)
+        noise = self.timing.displacement_noise_mm
+        at = motion.displacement_mm, noise, self.first, motion.start
+        _gather(residual, slope, force_kN, *at, self.force_kN, self.count)
         return residual, slope
 
 
@@ -147,7 +149,9 @@ def _reduce(
     of_point = np.repeat(np.arange(n), 1 + double)
     later = np.zeros(of_point.size, dtype=np.bool_)
     later[first[1:] - 1] = double
-    sign = np.where(double[of_point], np.where(later, 1.0, -1.0) * sense[of_point], 0.0)
+    # In the order of time, which in a rest is not that of the slip.
+    ahead = np.where(lean[0] == 0.0, sense, np.sign(lean[0]))
+    sign = np.where(double[of_point], np.where(later, 1.0, -1.0) * ahead[of_point], 0.0)
     points = centre[:, of_point] + sign * lean[:, of_point]
     points[2] = np.maximum(points[2], 0.0)
     reduced = history.reduced(points, np.searchsorted(half[of_point], np.arange(n_half + 1)))
@@ -260,8 +264,11 @@ def _bend_along(along, force, x, start):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gather(residual, slope, force, x, first, start, measured, count):  # type: ignore[no-untyped-def]
-    """Means over the points of each block, and the slope of the force over its points or, for one, its neighbours."""
+def _gather(residual, slope, force, x, noise, first, start, measured, count):  # type: ignore[no-untyped-def]
+    """Means over the points of each block, and the slope of the force over its points.
+
+    Over its neighbours where it has one point, or two that are no farther from one another than noise.
+    """
     for j in range(force.shape[0]):
         f = force[j]
         k = 0
@@ -271,10 +278,11 @@ def _gather(residual, slope, force, x, first, start, measured, count):  # type: 
                 k += 1
             if b - a == 2:
                 residual[j, i] = measured[i] - 0.5 * (f[a] + f[a + 1])
-                low, high = a, a + 1
             else:
                 residual[j, i] = measured[i] - f[a]
-                low, high = max(a - 1, start[k]), min(a + 1, start[k + 1] - 1)
+            low, high = a, b - 1
+            if abs(x[high] - x[low]) <= noise:
+                low, high = max(a - 1, start[k]), min(b, start[k + 1] - 1)
             moved = x[high] - x[low]
             slope[j, i] = (f[high] - f[low]) / moved if moved != 0.0 else 0.0
             if count[i] == 0.0:
