@@ -9,6 +9,7 @@ that is a cubic of the displacement this is exact for evenly spread samples); a 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -29,6 +30,7 @@ LONGEST_S, LEAST_BLOCKS = 0.25, 3000  # a block lasts no longer than this, or th
 PER_BEND = 24.0  # blocks at least that the bends of a typical half-cycle are divided into
 FIRST_LOOK = 400.0  # blocks to a stroke where the bend is not known yet
 FINEST = 2000.0  # points to a stroke at which the bend is looked for
+APART = 3.0  # standard deviations of the displacement's noise between points that tell of the slope of the force
 SAME = 64.0  # spacings that differ by less than 1/64 in the binary logarithm count as equal
 # Variance of a polynomial's value in the middle of n points, times n, by its degree (Savitzky and Golay 1964):
 # reversals are placed so.
@@ -62,10 +64,18 @@ class Averages:
         """
         motion = self.history.motion
         residual, slope = np.empty((force_kN.shape[0], self.n)), np.empty((force_kN.shape[0], self.n))
-        noise = self.timing.displacement_noise_mm
-        at = motion.displacement_mm, noise, self.first, motion.start
-        _gather(residual, slope, force_kN, *at, self.force_kN, self.count)
+        _gather(residual, slope, force_kN, motion.displacement_mm, self.first, self.ends, self.force_kN, self.count)
         return residual, slope
+
+    @cached_property
+    def ends(self) -> IntArray:
+        """Points between which the slope of the force in each block is taken, shape (n, 2).
+
+        They lie in its half-cycle and farther apart than noise: in a rest the force changes with time, not with that.
+        """
+        motion, out = self.history.motion, np.empty((self.n, 2), dtype=np.int64)
+        _between(out, motion.displacement_mm, self.first, motion.start, APART * self.timing.displacement_noise_mm)
+        return out
 
 
 def reduce_runs(
@@ -263,26 +273,30 @@ def _bend_along(along, force, x, start):  # type: ignore[no-untyped-def]
             along[i] = along[i - 1] + bend
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _gather(residual, slope, force, x, noise, first, start, measured, count):  # type: ignore[no-untyped-def]
-    """Means over the points of each block, and the slope of the force over its points.
+@njit(cache=True, error_model="numpy")
+def _between(ends, x, first, start, least):  # type: ignore[no-untyped-def]
+    """Fill `ends` with the points of each block, or with those around it that lie farther apart than `least`."""
+    k = 0
+    for i in range(first.size - 1):
+        a, b = first[i], first[i + 1]
+        while a >= start[k + 1]:
+            k += 1
+        low, high = a, b - 1
+        begin, end = start[k], start[k + 1] - 1
+        while (low == high or abs(x[high] - x[low]) <= least) and (low > begin or high < end):
+            low, high = max(low - 1, begin), min(high + 1, end)
+        ends[i, 0], ends[i, 1] = low, high
 
-    Over its neighbours where it has one point, or two that are no farther from one another than noise.
-    """
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gather(residual, slope, force, x, first, ends, measured, count):  # type: ignore[no-untyped-def]
+    """Means over the points of each block, and the slope of the force between its `ends`."""
     for j in range(force.shape[0]):
         f = force[j]
-        k = 0
         for i in range(first.size - 1):
-            a, b = first[i], first[i + 1]
-            while a >= start[k + 1]:
-                k += 1
-            if b - a == 2:
-                residual[j, i] = measured[i] - 0.5 * (f[a] + f[a + 1])
-            else:
-                residual[j, i] = measured[i] - f[a]
-            low, high = a, b - 1
-            if abs(x[high] - x[low]) <= noise:
-                low, high = max(a - 1, start[k]), min(b, start[k + 1] - 1)
+            a = first[i]
+            residual[j, i] = measured[i] - (0.5 * (f[a] + f[a + 1]) if first[i + 1] - a == 2 else f[a])
+            low, high = ends[i]
             moved = x[high] - x[low]
             slope[j, i] = (f[high] - f[low]) / moved if moved != 0.0 else 0.0
             if count[i] == 0.0:

@@ -497,7 +497,8 @@ class Search:
                 self.refine(h, again=True)
         ranked = [self.found[h.key] for h in ranked]
         ranked += [h for h in (self.found[frozenset()],) if h not in ranked]
-        search_metric, found = self.metric, {}
+        search_metric = self.metric
+        found: dict[frozenset[str], Hypothesis] = {}
         for h in (*ranked, *self._with_forms(ranked[0])):
             new = self._with_own_noise(h, search_metric.setting)
             if new is not None and (h.key not in found or found[h.key].log_weight < new.log_weight):
@@ -526,7 +527,9 @@ class Search:
     def _with_forms(self, h: Hypothesis) -> list[Hypothesis]:
         """Fit the best formula in the place of each curve over a clock: beside the curve nothing is slow noise."""
         curves = (i for i, m in enumerate(h.members) if m.variant.curve is not None and is_over_a_clock(m.of))
-        tried = (self._all_fitted((replaced(h, place, form), form) for form in self.forms(h, place)) for place in curves)
+        tried = (
+            self._all_fitted((replaced(h, place, form), form) for form in self.forms(h, place)) for place in curves
+        )
         return [ones[0] for ones in tried if ones]
 
     def _without_each(self) -> None:

@@ -161,9 +161,7 @@ def _rest(
     return _departure(time_s, raw, (first, last, hi), level, near), level
 
 
-def _departure(
-    time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], level: float, near: float
-) -> float:
+def _departure(time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], level: float, near: float) -> float:
     """When the motion back begins, s: its distance from the rest grows as the square of the time, from 0.
 
     The moment at which that fits best, by least squares. A smoothed displacement leaves a rest before the device does,

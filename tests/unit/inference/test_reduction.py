@@ -12,6 +12,7 @@ from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run, histories_of, runs_of
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.priors import read_priors
@@ -72,6 +73,32 @@ def test_every_used_sample_is_in_one_block_whose_force_is_their_mean(averaged):
     means = np.array([force[own].mean() for own in samples_of_blocks(run, part)])
     np.testing.assert_allclose(part.force_kN[part.count > 0], means, rtol=1e-12)
     assert part.count.max() > 1
+
+
+def test_a_start_at_rest_has_the_slope_of_the_first_loading_with_a_delay_too():
+    """The error of the displacement at which it begins acts through it: without a slope it would be the law's."""
+    truth = replace(TRUTH, displacement_noise_mm=0.02)
+    runs = []
+    for seed, one in enumerate(simulate_device(truth, seed=6, rate_Hz=20.0, blocks=BLOCKS)):
+        wobble = 0.02 * np.random.default_rng(seed).standard_normal(100)
+        before = np.arange(100) / 20.0
+        time = np.append(before, 5.0 + one.time_s - one.time_s[0])
+        x = np.append(one.displacement_mm[0] + wobble, one.displacement_mm)
+        runs.append(Recording(time, x, np.append(0.3 * wobble, one.force_kN)))
+    device = DeviceModel(2, read_priors("afc"))
+    late = device.with_effects((catalogue()["sensor_lag"],))
+    start = find_start(make_posterior(runs_of(runs), device))[1]
+    z = np.append(start.free[: device.n_law], late.laws_of_parameters[device.n_law].to_free(np.asarray(0.012)))
+    for part in reduce_runs(runs_of(runs)):
+        for model, at in ((device, z[:-1]), (late, z)):
+            force = model.force(model.natural_of_law(at[None]), part.history, part.start_force_kN)
+            _, slope = part.residual_and_slope(force)
+            resting = part.history.time_s[part.first[:-1]] < 4.0
+            assert resting.sum() >= 3
+            K = device.law_values(z[:-1])["K"]
+            assert np.all((slope[0][resting] > 0.4 * K) & (slope[0][resting] < 1.6 * K))
+        for a, b in pairwise(part.history.motion.start):
+            assert np.all(np.diff(part.history.time_s[a:b]) >= 0.0)
 
 
 def test_no_block_crosses_a_reversal_a_gap_or_an_unused_sample(averaged):

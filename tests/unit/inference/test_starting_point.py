@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.start import Start, find_start, law_starts
+from shj_bayes.inference.start import Start, find_start, law_starts, most_probable_noise
 from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.simulate import Truth
 
@@ -55,6 +55,18 @@ def test_noise_at_low_speed_is_found(make_small: Make, ratio: float) -> None:
     assert found.at_rest == pytest.approx(np.log(ratio), abs=0.35)
     moved = found.rougher(found.at_rest + 0.4).log_posterior_free(start.free[None])[0]
     assert moved < start.log_posterior
+
+
+def test_a_search_for_the_noise_that_stopped_short_begins_anew() -> None:
+    """A bent valley, which takes more steps than one search has."""
+
+    def negative(u: np.ndarray) -> float:
+        return float(np.sum(100.0 * (u[1:] - u[:-1] ** 2) ** 2 + (1.0 - u[:-1]) ** 2))
+
+    first = np.append(-1.2, np.ones(9))
+    once = optimize.minimize(negative, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
+    assert not once.success
+    assert negative(most_probable_noise(negative, [first], 8.0)) < 0.1 * once.fun
 
 
 @pytest.mark.parametrize("noise", ["ar1", "independent", "student"])

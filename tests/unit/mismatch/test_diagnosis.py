@@ -23,7 +23,7 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.diagnosis_words import sentences
-from shj_validation.proof.cases import development_keys
+from shj_validation.proof.cases import development_keys, draw_keys
 from shj_validation.proof.make import make
 
 CONTRACT = {
@@ -123,6 +123,21 @@ def test_a_trough_too_steep_for_a_smooth_curve_over_the_distance_is_still_one_of
     assert out.best.key == {"capacity over position"}
     (finding,) = answer_of(out).findings
     assert (finding.member.of.coordinate, finding.names) == ("distance", (("centre_wear", 1.0),))
+
+
+@pytest.mark.parametrize(
+    ("number", "concealed"), [(75, {"added over time", "capacity over direction"}), (138, {"added over time"})]
+)
+def test_a_drift_is_told_from_noise_that_drifts(number, concealed):
+    """Beside noise with a memory of twice the test no drift is needed; beside a fine curve nothing is slow noise."""
+    key = draw_keys(20901126, 400)[number - 1]
+    assert key.nuisance.noise == "slow drift"
+    runs = runs_of([one.recording for one in make(key)])
+    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
+    answer = answer_of(search(scene, all_classes()))
+    assert answer.verdict.value == "named"
+    assert {finding.member.of.id for finding in answer.findings} == concealed
+    assert {name for finding in answer.findings for name, _ in finding.names} <= {"drift", "asymmetry"}
 
 
 def test_clamping_that_changes_in_push_alone_is_a_curve_for_push(trials, look):

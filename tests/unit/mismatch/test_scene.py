@@ -85,6 +85,18 @@ def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
     assert np.all(np.isfinite(found.z))
 
 
+def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(scene: Scene, metric: Metric) -> None:
+    """A force that goes one way throughout is a drift: it is not known to come back."""
+    _, state = settle_under(scene, metric.setting, scene.device, scene.z)
+    time = scene.channel("time_s")
+    lasts = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
+    drifting = replace(state, residual=state.residual + 20.0 * time / lasts * scene.used)
+    none = np.zeros((time.size, 0))
+    free = find_noise(scene, drifting, none, metric.setting).values(scene)["tau_slow"]
+    assert free == pytest.approx(0.25 * lasts, rel=1e-6)
+    assert find_noise(scene, state, none, metric.setting).values(scene)["tau_slow"] < 0.2 * lasts
+
+
 def test_products_are_those_of_the_covariance(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
     columns = np.random.default_rng(1).normal(0, 3, (scene.used.size, 4))
     own = columns[scene.used > 0]

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
+from scipy.signal import lsim
 
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
@@ -215,6 +216,17 @@ def test_a_positive_lag_records_the_force_later():
     plain, late, early = run(h), run(h, sensor_lag={"size": 0.5}), run(h, sensor_lag={"size": -0.5})
     np.testing.assert_allclose(late[50:], plain[:-50], atol=1e-6)
     np.testing.assert_allclose(early[:-50], plain[50:], atol=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_a_filter_with_two_poles_rounds_corners(share):
+    h = ramps([0.0, 30.0, -30.0, 10.0])
+    late, whole = run(h, sensor_lag_filtered={"size": 0.4, "share": share}), run(h, sensor_lag={"size": 0.4})
+    pole = [0.2 * share, 1.0]
+    exact = lsim(([1.0], np.convolve(pole, pole)), run(h, sensor_lag={"size": 0.4 * (1.0 - share)}), h.time_s)[1]
+    assert np.abs(late - exact).max() < 0.005 * FY
+    assert np.abs(whole - exact).max() > 0.01 * share * FY
+    np.testing.assert_allclose(run(h, sensor_lag_filtered={"size": 0.4, "share": 0.0}), whole, atol=1e-9)
 
 
 def test_velocity_is_gamma_on_the_plateau():

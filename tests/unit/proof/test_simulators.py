@@ -227,7 +227,7 @@ def test_friction_that_follows_the_logarithm_of_the_speed_needs_short_steps():
 def test_the_filter_delays_by_what_it_says():
     time = np.arange(0, 40, 0.01)
     late = two_poles(np.sin(0.3 * time), 0.01, 0.2)
-    assert late[2000:] == pytest.approx(np.sin(0.3 * (time - 0.2))[2000:], abs=5e-3)
+    assert late[2000:] == pytest.approx(np.sin(0.3 * (time - 0.2))[2000:], abs=1.5e-3)
 
 
 def test_every_effect_of_the_catalogue_has_a_simulator_or_a_reason():
