@@ -17,7 +17,7 @@ from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
 FAR = 1e12  # in the place of a negative log density that is none
-RESTARTS = 3
+RESTARTS = 3  # searches for the noise in a row, each from where the last one stopped short
 N_DESCENTS = 3  # laws of the grid that are improved
 QUARTILES = np.array([0.25, 0.5, 0.75])
 CHUNK = 16  # parameter sets evaluated in one call

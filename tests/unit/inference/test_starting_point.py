@@ -58,15 +58,15 @@ def test_noise_at_low_speed_is_found(make_small: Make, ratio: float) -> None:
 
 
 def test_a_search_for_the_noise_that_stopped_short_begins_anew() -> None:
-    """A bent valley, which takes more steps than one search has."""
+    """Along a bent crease what a search learns of the curvature soon leads nowhere."""
 
     def negative(u: np.ndarray) -> float:
-        return float(np.sum(100.0 * (u[1:] - u[:-1] ** 2) ** 2 + (1.0 - u[:-1]) ** 2))
+        return float(3000.0 * np.hypot(0.01, u[1] - u[0] ** 2 / 8.0) + 1.25 * (u[0] - 4.0) ** 2)
 
-    first = np.append(-1.2, np.ones(9))
+    first = np.array([-4.0, 2.3])
     once = optimize.minimize(negative, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
     assert not once.success
-    assert negative(most_probable_noise(negative, [first], 8.0)) < 0.1 * once.fun
+    assert negative(most_probable_noise(negative, [first], 8.0)) < 0.6 * once.fun
 
 
 @pytest.mark.parametrize("noise", ["ar1", "independent", "student"])
