@@ -88,9 +88,7 @@ def place(
         peak = bool(smoothed[index] > smoothed[before])
         rest = _rest(time_s, raw, smoothed, (lo, index, hi), noise)
         if np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
-            found = _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
-            if rest and (not found or np.count_nonzero((time_s > found[0]) & (time_s < rest[0])) >= _MIN_POINTS):
-                found = rest  # the corner is where it begins, or elsewhere
+            found = rest or _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
         else:
             found = _quartic(time_s, raw, lo, hi, noise, peak) or rest
         times[k], places[k] = found or _between_samples(time_s, smoothed, curve.velocity, (lo, index, hi), peak)
@@ -162,10 +160,10 @@ def _rest(
 
 
 def _departure(time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], level: float, near: float) -> float:
-    """When the motion back begins, s: its distance from the rest grows as the square of the time, from 0.
+    """When the motion back begins, s: its distance from the rest grows with the time or with its square, from 0.
 
-    The moment at which that fits best, by least squares. A smoothed displacement leaves a rest before the device does,
-    and stays within the noise of the rest for long where the device leaves slowly.
+    The moment at which one of these fits best, by least squares. A smoothed displacement leaves a rest before the
+    device does, and stays within the noise of the rest for long where the device leaves slowly.
     """
     first, last, hi = rest
     gone = np.flatnonzero(np.abs(raw[last : hi + 1] - level) > _WELL_AWAY * near)
@@ -177,9 +175,11 @@ def _departure(time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], 
     t = time_s[begin : end + 1]
     distance = (raw[begin : end + 1] - level) * np.sign(raw[end] - level)
     moments = np.linspace(t[0], time_s[min(last + moves // 2, end - 2)], _MOMENTS)
-    squares = np.maximum(t - moments[:, None], 0.0) ** 2
-    gains = np.maximum(squares @ distance, 0.0) ** 2 / np.sum(squares**2, axis=1)
-    return float(moments[np.argmax(gains)])
+    along = np.maximum(t - moments[:, None], 0.0)
+    evenly, faster = (np.maximum(way @ distance, 0.0) ** 2 / np.sum(way**2, axis=1) for way in (along, along**2))
+    # A motor cannot jump to a speed: only where its way says so, beyond the noise, does it seem to.
+    gain = evenly if evenly.max() > faster.max() + near**2 else faster
+    return float(moments[np.argmax(gain)])
 
 
 def _between_samples(
