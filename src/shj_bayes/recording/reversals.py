@@ -172,8 +172,8 @@ def _departure(time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], 
     if moves < _MIN_POINTS:
         return float(time_s[last])
     begin = max(first, last - 2 * moves)
-    t = time_s[begin : end + 1]
-    distance = (raw[begin : end + 1] - level) * np.sign(raw[end] - level)
+    some = slice(begin, end + 1, 1 + (end - begin) // (4 * _MAX_POINTS))
+    t, distance = time_s[some], (raw[some] - level) * np.sign(raw[end] - level)
     moments = np.linspace(t[0], time_s[min(last + moves // 2, end - 2)], _MOMENTS)
     along = np.maximum(t - moments[:, None], 0.0)
     evenly, faster = (np.maximum(way @ distance, 0.0) ** 2 / np.sum(way**2, axis=1) for way in (along, along**2))
