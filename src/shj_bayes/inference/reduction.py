@@ -283,7 +283,7 @@ def _between(ends, x, first, start, least):  # type: ignore[no-untyped-def]
             k += 1
         low, high = a, b - 1
         begin, end = start[k], start[k + 1] - 1
-        while (low == high or abs(x[high] - x[low]) <= least) and (low > begin or high < end):
+        while abs(x[high] - x[low]) <= least and (low > begin or high < end):
             low, high = max(low - 1, begin), min(high + 1, end)
         ends[i, 0], ends[i, 1] = low, high
 

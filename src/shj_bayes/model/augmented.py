@@ -34,11 +34,11 @@ def force_with_effects(
     parameter sets often share most values.
     """
     acted = {} if acted is None else acted
-    parts = [_late(history, base, acting, lag_s, variant, start_force_kN, acted) for lag_s in lags_s(acting)]
+    parts = [_late(history, base, acting, lag_s, variant, start_force_kN, acted) for lag_s in _lags_s(acting)]
     return parts[0] if len(parts) == 1 else np.mean(parts, axis=0)
 
 
-def lags_s(acting: Sequence[tuple[Effect, Mapping[str, float]]]) -> tuple[float, ...]:
+def _lags_s(acting: Sequence[tuple[Effect, Mapping[str, float]]]) -> tuple[float, ...]:
     """Delays of the force channel, in equal shares, s: one, or those of a filter in the steps of its response."""
     whole = filtered = 0.0
     for effect, values in acting:

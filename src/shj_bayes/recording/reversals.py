@@ -75,9 +75,9 @@ def place(
     """Give every reversal, an index into the smoothed displacement, its turning time and turning displacement.
 
     A quartic in time is fitted around each extreme, over an eighth of the shorter neighbouring stroke. Where it does
-    not fit, there may be a corner, or a rest, whose level is the median of its samples and which ends when the motion
-    back begins; else the smoothed curve gives time and displacement, between the samples too. `noise` is the standard
-    deviation of one raw sample.
+    not fit, or there is a corner, there may be a rest, whose level is the median of its samples and which ends when the
+    motion back begins; else a corner or the smoothed curve gives time and displacement, between the samples too.
+    `noise` is the standard deviation of one raw sample.
     """
     smoothed, kinks_s = curve.values, curve.kinks_s
     times, places = np.empty(len(turns)), np.empty(len(turns))
@@ -86,12 +86,14 @@ def place(
         before, after = edges[k], edges[k + 2]
         lo, hi = _neighbourhood(smoothed, before, index, after)
         peak = bool(smoothed[index] > smoothed[before])
-        rest = _rest(time_s, raw, smoothed, (lo, index, hi), noise)
+        around = lo, index, hi
         if np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
-            found = rest or _corner(time_s, raw, smoothed, (lo, index, hi), noise, kinks_s)
+            found = _rest(time_s, raw, smoothed, around, noise) or _corner(
+                time_s, raw, smoothed, around, noise, kinks_s
+            )
         else:
-            found = _quartic(time_s, raw, lo, hi, noise, peak) or rest
-        times[k], places[k] = found or _between_samples(time_s, smoothed, curve.velocity, (lo, index, hi), peak)
+            found = _quartic(time_s, raw, lo, hi, noise, peak) or _rest(time_s, raw, smoothed, around, noise)
+        times[k], places[k] = found or _between_samples(time_s, smoothed, curve.velocity, around, peak)
     return times, places
 
 
@@ -142,7 +144,7 @@ def _quartic(
 def _rest(
     time_s: FloatArray, raw: FloatArray, smoothed: FloatArray, around: tuple[int, int, int], noise: float
 ) -> tuple[float, float] | None:
-    """End and level of a rest that was eased into, without corners; None when the samples near the extreme are few.
+    """End and level of a rest; None when the samples near the extreme are few.
 
     The smoothed extreme of a long rest is that of its noise, several standard deviations beyond where the device stood.
     """

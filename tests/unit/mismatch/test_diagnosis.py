@@ -14,7 +14,7 @@ from shj_bayes.mismatch.classes import classes as all_classes
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.findings import answer_of
 from shj_bayes.mismatch.look import Look
-from shj_bayes.mismatch.scene import NoiseSetting, scene_of
+from shj_bayes.mismatch.scene import NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import NOISE_MOST, Search, noise_beside, search
 from shj_bayes.mismatch.state import find_noise, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -23,7 +23,7 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.diagnosis_words import sentences
-from shj_validation.proof.cases import development_keys, draw_keys
+from shj_validation.proof.cases import Key, development_keys, draw_keys
 from shj_validation.proof.make import make
 
 CONTRACT = {
@@ -52,6 +52,12 @@ def is_right(record, truth: set[str]) -> bool:
     """Whether all of the truth is named and nothing else, or it stands in the family."""
     found = {effect["id"] for effect in record["effects"]}
     return found == truth if record["verdict"] == "named" else record["verdict"] == "family" and truth <= names(record)
+
+
+def scene_of_key(key: Key) -> Scene:
+    """Scene of the device that a key of the proof describes, under the rule that it follows."""
+    runs = runs_of([one.recording for one in make(key)])
+    return scene_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +122,7 @@ def test_a_trough_too_steep_for_a_smooth_curve_over_the_distance_is_still_one_of
     """A finer curve over position follows it best; a formula over the distance follows that curve."""
     key = development_keys(101, 43, "one")[-1]
     assert [effect.id for effect in key.effects] == ["centre_wear_trough"]
-    runs = runs_of([one.recording for one in make(key)])
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
+    scene = scene_of_key(key)
     looked = [one for one in all_classes() if one.coordinate in ("position", "distance") and one.action == "capacity"]
     out = search(scene, looked)
     assert out.best.key == {"capacity over position"}
@@ -132,8 +137,7 @@ def test_a_drift_is_told_from_noise_that_drifts(number, concealed):
     """Beside noise with a memory of twice the test no drift is needed; beside a fine curve nothing is slow noise."""
     key = draw_keys(20901126, 400)[number - 1]
     assert key.nuisance.noise == "slow drift"
-    runs = runs_of([one.recording for one in make(key)])
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
+    scene = scene_of_key(key)
     answer = answer_of(search(scene, all_classes()))
     assert answer.verdict.value == "named"
     assert {finding.member.of.id for finding in answer.findings} == concealed

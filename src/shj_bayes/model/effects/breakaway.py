@@ -9,6 +9,9 @@ from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
+SIZE = Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound).")
+GONE = "Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding."
+
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + a (1 + b log10(1 + rest/1 s)) exp(-slid/Dc); slid counts from where the force reaches Fy."""
@@ -16,16 +19,15 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 + peak * np.exp(-slid_mm(history, base) / values["decay"]))
 
 
-def _linear(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 + a max(0, 1 - slid/D)."""
-    share = slid_mm(history, base) / values["length"]
-    return Contribution(clamping=1.0 + values["size"] * np.maximum(1.0 - share, 0.0))
-
-
 def _torn(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 + a max(0, 1 - (d/D)^n)."""
     share = np.clip(slid_mm(history, base) / values["length"], 0.0, 1.0)
     return Contribution(clamping=1.0 + values["size"] * (1.0 - share ** values["power"]))
+
+
+def _linear(history: History, values: Values, base: Base) -> Contribution:
+    """Clamping 1 + a max(0, 1 - d/D)."""
+    return _torn(history, {**values, "power": 1.0}, base)
 
 
 @njit(cache=True)
@@ -68,7 +70,7 @@ _EXPONENTIAL = Effect(
     shows="A peak at the start of each stroke only, fixed in millimetres of slip; highest after a pause.",
     next_test="Pauses of 1, 10, 100 and 1000 s at mid-run: the peak grows in step with the logarithm of the pause.",
     parameters=(
-        Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound)."),
+        SIZE,
         Prior("decay", "mm", "loguniform", 0.1, 15.0, "0.1 to 2 mm for worn coatings, debris; more if grips are soft."),
         Prior("growth", "1", "uniform", 0.0, 1.0, "Growth per decade of rest, as a share of the peak without rest."),
     ),
@@ -79,10 +81,10 @@ _EXPONENTIAL = Effect(
 )
 _OR_LINEAR = _EXPONENTIAL.with_form(
     "linear",
-    statement="Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding.",
+    statement=GONE,
     equation="Fy -> Fy (1 + a max(0, 1 - d/D)), d slid since the reversal",
     parameters=(
-        Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound)."),
+        SIZE,
         Prior("length", "mm", "loguniform", 0.3, 50.0, "Three times the decay length of the exponential form."),
     ),
     act=_linear,
@@ -91,10 +93,10 @@ _OR_LINEAR = _EXPONENTIAL.with_form(
 )
 _OR_TORN = _OR_LINEAR.with_form(
     "torn",
-    statement="Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding.",
+    statement=GONE,
     equation="Fy -> Fy (1 + a max(0, 1 - (d/D)^n)), d slid since the reversal",
     parameters=(
-        Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound)."),
+        SIZE,
         Prior("length", "mm", "loguniform", 0.3, 50.0, "Length of the longest junctions: as of the linear form."),
         Prior("power", "1", "lognormal", 1.5, 0.5, "1 is the linear form; above it junctions hold at first."),
     ),
