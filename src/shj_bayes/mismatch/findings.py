@@ -1,20 +1,21 @@
 """What a search says: which classes are there with what probability, how large, and by what name."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import logsumexp
-from scipy.stats import halfnorm, lognorm
+from scipy.special import expit, logsumexp
 
-from shj_bayes.mismatch.classes import DOUBT, EXPLAINED, MATTERS, SPREAD, TYPICAL, Candidate, Class
-from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, Hypothesis, columns_of, replaced, second_of
+from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate
+from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, SLIP, Hypothesis, columns_of, replaced, second_of
+from shj_bayes.mismatch.missed import missed_by
+from shj_bayes.mismatch.scene import log_evidence
 from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.mismatch.search import Search
-from shj_bayes.mismatch.sizes import MOTION, away, forces_beside, largest_size_of, may_miss, size_of
+from shj_bayes.mismatch.sizes import MOTION, away, largest_size_of, may_miss, size_of
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
@@ -159,45 +160,46 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
 
 
 def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:
-    """Split the probability of a hypothesis: a class far smaller than another one may be what that one's form misses.
-
-    What a form misses is a share of the force that it makes, half-normal with standard deviation 1 - `EXPLAINED`; a
-    class by itself has the sizes of `classes.size_weights`. Either looks like any class with the same odds, so the
-    densities at what was found decide. A share of a force is that share where the smaller class acts, and at most that
-    share of all that the data show of the larger one: the square root of the ratio of their evidences, where both are
-    known. What a form of the capacity misses turns its sign with the motion, what one of an added force misses does
-    not: neither looks like the other.
+    """Split the probability of a hypothesis: a class may be what the formulas of larger ones miss.
 
     Of its classes `key` matter. Gives the share of the probability for each set of classes; the one with the most
     evidence is in all of them.
     """
-    places = [i for i, m in enumerate(h.members) if m.of.id in key]
-    sizes = {i: size_of(out.scene, h, i) for i in places}
-    rest = {i: h.key - {h.members[i].of.id} for i in places}
-    gains = {i: max(h.log_weight - out.best_within(rest[i]), 0.0) for i in places if rest[i] in out.found}
-    order = gains if len(gains) == len(places) else sizes
-    places.sort(key=lambda i: (-order[i], h.members[i].of.id))
-    beside = forces_beside(out.scene, h) if len(places) > 1 else np.zeros((0, 0))
+    sizes = {m.of.id: size_of(out.scene, h, i) for i, m in enumerate(h.members) if m.of.id in key}
+    known = {name: out.found[h.key - {name}] for name in sizes if h.key - {name} in out.found}
+    gains = {name: h.log_weight - out.best_within(rest.key) for name, rest in known.items()}
+    order = gains if len(gains) == len(sizes) else sizes
+    ranked = sorted(sizes, key=lambda name: (-order[name], name))
     shares = {frozenset[str](): 1.0}
-    for rank, i in enumerate(places):
-        one, missed = h.members[i].of, 0.0
-        for j in places[:rank]:
-            if not _may_look_alike(one, h.members[j].of) or beside[j, i] == 0.0:
-                continue
-            share = 1.0 / float(beside[j, i])
-            if i in gains and gains.get(j, 0.0) > 0.0:
-                share = max(share, math.sqrt(gains[i] / gains[j]))
-            missed = max(missed, share * float(halfnorm.pdf(share, scale=1.0 - EXPLAINED)))
-        by_itself = sizes[i] * float(lognorm.pdf(sizes[i], SPREAD, scale=TYPICAL))
-        there = by_itself / (by_itself + missed)
-        split = {own | {one.id}: p * there for own, p in shares.items()}
+    for place, name in enumerate(ranked):
+        there = 1.0
+        if place and name in known:
+            larger = {other: sizes[other] for other in ranked[:place]}
+            there = float(expit(-_missed_instead(out, h, known[name], larger)))
+        split = {own | {name}: p * there for own, p in shares.items()}
         shares = split if there == 1.0 else split | {own: p * (1.0 - there) for own, p in shares.items()}
     return shares
 
 
-def _may_look_alike(a: Class, b: Class) -> bool:
-    """Whether what a form of `b` misses may look like `a`: a constant, or one for each direction, misses nothing."""
-    return b.id not in (CONSTANT, DIRECTION) and (a.action == b.action or MOTION in (a.action, b.action))
+def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mapping[str, float]) -> float:
+    """Log odds that a hypothesis without a class is the true one, and its larger forms miss what the class does.
+
+    Both are weighed beside what the formulas of these classes, with their sizes, may miss (`missed_by`): a curve over
+    the coordinate of each, or over the slip where it acts on the motion, as that acts at reversals.
+    """
+    weights = []
+    for one in (rest, h):
+        metric = one.metric or out.metric
+        drawn = {m.of.id for m in one.members if m.variant.curve is not None}
+        missed = []
+        for of in (m.of for m in one.members if m.of.id in larger and m.of.id not in (CONSTANT, DIRECTION)):
+            over = out.classes.get(SLIP) if of.action == MOTION else of
+            if over is not None and over.id not in drawn:
+                missed.append(missed_by(out.scene, one.state, over, larger[of.id]))
+        beside = one.state.beside(*(curves for curves in missed if curves is not None))
+        gain = log_evidence(metric, metric.products(beside)) - log_evidence(metric, one.state.products)
+        weights.append(one.log_weight + gain)
+    return weights[0] - weights[1]
 
 
 def discrepancy_size(out: Search, state: State) -> float:

@@ -12,7 +12,9 @@ from shj_bayes.model.parameters import FloatArray
 
 CONSTANT = str(ClassId("added", "constant"))
 TEETH = ClassId("motion", "stick-slip")
-POSITION, DISTANCE, DIRECTION = (str(ClassId("capacity", name)) for name in ("position", "distance", "direction"))
+POSITION, DISTANCE, DIRECTION, SLIP = (
+    str(ClassId("capacity", name)) for name in ("position", "distance", "direction", "slip")
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,18 +15,27 @@ from shj_bayes.model.curve import Curve
 from shj_bayes.model.parameters import FloatArray
 
 
-def curves_of(scene: Scene, state: State, member: Candidate) -> FloatArray | None:
+def curves_of(scene: Scene, state: State, of: Class) -> FloatArray | None:
     """Give the curves of a class, kN by unit of normal coefficients, shape (n, p); None where it has none.
 
     To first order, with the standard deviation of `Curve.size`. A class may have several: heat decays sooner or later.
     What acts on the motion has none.
     """
-    curves = [v for v in member.of.variants if v.curve is not None and not v.curve.sides]
+    curves = [v for v in of.variants if v.curve is not None and not v.curve.sides]
     if not curves:
         return None
     likely = {v.curve.coordinate: v for v in sorted(curves, key=lambda v: v.weight) if v.curve is not None}
-    one = replace(member.of, variants=tuple(likely.values()))
+    one = replace(of, variants=tuple(likely.values()))
     return np.column_stack([c.columns for c in candidates(scene, state, (one,))])
+
+
+def missed_by(scene: Scene, state: State, of: Class, size: float) -> FloatArray | None:
+    """Give what a form of a size, a share of Fy, may miss over the coordinate of a class: curves as of `curves_of`.
+
+    With a standard deviation of 1 - `EXPLAINED` of the size.
+    """
+    curves = curves_of(scene, state, of)
+    return None if curves is None else curves * ((1.0 - EXPLAINED) * size / Curve.size)
 
 
 def beside_missed(
@@ -38,16 +47,16 @@ def beside_missed(
 ) -> State:
     """Give a state with a covariance that counts what its formulas may miss, and the classes that it does not hold.
 
-    A formula may miss a curve with a standard deviation of 1 - `EXPLAINED` of its size: `found` holds the classes of
-    the model with their sizes, as shares of Fy. Each of the `others` counts with its probability: one that is too small
-    to matter for the force may still move the parameters by more than noise does. All to first order. The parameters
-    stay as they are; how far they would move is uncertainty.
+    A formula may miss a curve, `missed_by`: `found` holds the classes of the model with their sizes, as shares of Fy.
+    Each of the `others` counts with its probability: one that is too small to matter for the force may still move the
+    parameters by more than noise does. All to first order. The parameters stay as they are; how far they would move is
+    uncertainty.
     """
     covariance = state.covariance.copy()
     missed = [
-        curves * ((1.0 - EXPLAINED) * size / Curve.size)
+        curves
         for member, size in found
-        if member.variant.curve is None and (curves := curves_of(scene, state, member)) is not None
+        if member.variant.curve is None and (curves := missed_by(scene, state, member.of, size)) is not None
     ]
     if missed:
         covariance = _spread(metric, state, *missed)

@@ -5,33 +5,12 @@ import numpy as np
 from shj_bayes.mismatch.classes import DOUBT, EXPLAINED, MATTERS
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis, columns_of
 from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.state import beyond, drawn_from, largest, visible
+from shj_bayes.mismatch.state import drawn_from, largest, visible
 from shj_bayes.model.parameters import FloatArray
 
 MOTION = "motion"
 N_SIZES = 60  # draws from which the upper limit of a size is taken
 NO_FORCE = 1e6  # size of a draw whose force is not finite
-
-
-def forces_beside(scene: Scene, h: Hypothesis) -> FloatArray:
-    """Ratios of the forces that the members make and the base law could not, shape (n, n); see `ratios`."""
-    if any(m.of.action == MOTION for m in h.members):
-        scene = scene.finer_at(h.state.model, h.state.z)
-    changes = np.concatenate([_change(scene, h, i, h.state.z[None]) for i in range(len(h.members))])
-    return ratios(beyond(scene, _law_slopes(h, scene), changes.T), scene.count[scene.used > 0])
-
-
-def ratios(forces: FloatArray, count: FloatArray) -> FloatArray:
-    """How large each force is over each other one where that one acts, shape (n, p) to (p, p).
-
-    Root mean square of the row's force over that of the column's, both weighted by the square of the column's: 1 on the
-    diagonal, and the ratio of the sizes of two forces that act alike; 0 beside a force of 0. `count` are the samples in
-    each of the n blocks.
-    """
-    squares = forces**2
-    products = (squares * count[:, None]).T @ squares
-    own = np.diag(products)
-    return np.asarray(np.sqrt(np.divide(products, own, out=np.zeros_like(products), where=own > 0.0)))
 
 
 def size_of(scene: Scene, h: Hypothesis, place: int) -> float:

@@ -94,18 +94,10 @@ def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatA
     The 99th percentile over the samples of what is left, or of the change itself where that is less, shape (p,).
     """
     used = scene.used > 0
-    count, left = scene.count[used], beyond(scene, jacobian, change_kN)
-    return np.minimum(largest(left, count), largest(change_kN[used], count)) / scene.scale_kN
-
-
-def beyond(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
-    """Give what is left of changes of the force when parameters make up for what they can, as for `visible`, kN.
-
-    In the blocks that are evidence, shape (n_used, p).
-    """
-    used = scene.used > 0
-    root = np.sqrt(scene.count[used])[:, None]
-    return np.asarray(orthogonal_to(jacobian[used] * root, change_kN[used] * root) / root)
+    count, change = scene.count[used], change_kN[used]
+    root = np.sqrt(count)[:, None]
+    left = orthogonal_to(jacobian[used] * root, change * root) / root
+    return np.minimum(largest(left, count), largest(change, count)) / scene.scale_kN
 
 
 def largest(columns: FloatArray, count: FloatArray) -> FloatArray:

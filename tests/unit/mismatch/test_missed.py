@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import classes
-from shj_bayes.mismatch.findings import answer_of
+from shj_bayes.mismatch.classes import candidates, classes
+from shj_bayes.mismatch.findings import _missed_instead, answer_of
+from shj_bayes.mismatch.hypothesis import joined
 from shj_bayes.mismatch.missed import beside_missed, curves_of
-from shj_bayes.mismatch.scene import scene_of
-from shj_bayes.mismatch.search import search
+from shj_bayes.mismatch.scene import Metric, NoiseSetting, scene_of
+from shj_bayes.mismatch.search import Search, noise_of_size, search
+from shj_bayes.mismatch.state import find_noise, settle_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 
@@ -44,7 +46,7 @@ def test_what_a_formula_may_miss_widens_the_parameters_that_it_could_be(prying):
 def test_what_acts_on_the_motion_has_no_curve_that_it_could_miss(trials):
     out, answer = answered(trials.simulate({"slack": {"size": 0.8}}, 4), "slack")
     assert [f.member.of.coordinate for f in answer.findings] == ["slack"]
-    assert curves_of(out.scene, answer.shown.state, answer.shown.members[0]) is None
+    assert curves_of(out.scene, answer.shown.state, answer.shown.members[0].of) is None
 
 
 def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials):
@@ -62,3 +64,27 @@ def test_a_class_that_is_not_there_widens_nothing(trials):
     state = out.found[frozenset()].state
     wide = beside_missed(out.scene, out.metric, state, (), tuple(out.classes.values()))
     assert np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance)).max() < 1.1
+
+
+@pytest.mark.parametrize(
+    ("other", "coordinate", "missed"),
+    [
+        ({"tension_step_swing": {"size": 0.02, "period": 1.5, "phase": 0.0}}, "time", True),
+        ({"taper": {"size": 0.02}}, "position", False),
+    ],
+)
+def test_what_a_formula_may_miss_over_its_own_coordinate_is_no_other_class(trials, other, coordinate, missed):
+    """A slow swing beside wear is wear that its formula misses, to all that can be seen; a taper is not."""
+    runs = runs_of(trials.simulate({"wear": {"size": 0.1}} | other, 5))
+    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    travel, over = (next(c for c in classes() if c.id == f"capacity over {name}") for name in ("travel", coordinate))
+    metric, rough = settle_under(scene, NoiseSetting(noise_of_size(scene.device, 1.0), 0.1), scene.device, scene.z)
+    out = Search(scene, candidates(scene, rough, (travel, over)), metric)
+    form = next(form for form in out.forms_of(travel, (), scene.z) if form.variant.effect.id == "wear")
+    rest = out.fitted((form,), form.start)
+    out.metric = Metric(scene, find_noise(scene, rest.state, np.zeros((rest.state.residual.size, 0))), rough.slope)
+    rest = out.fitted((form,), rest.state.z)
+    curve = next(c for c in out.screen(rest) if c.of.id == over.id)
+    both = out.fitted((form, curve), joined(rest, curve))
+    assert both.log_weight > rest.log_weight + 5.0
+    assert (_missed_instead(out, both, rest, {travel.id: 0.2}) > 0.0) == missed
