@@ -21,6 +21,7 @@ Way = tuple[FloatArray, NDArray[np.int64]]
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
 
 RECALLED = 32  # arrays that a history keeps of what was worked out of it
+DELAYED = 12  # histories of a moment ago that it keeps: a filter has six, and as many while its delay is changed
 FEW = 40  # samples of an earlier run over each half stroke that is moved: for what it left behind
 
 
@@ -51,7 +52,7 @@ class History:
     near_turns: Way | None = None
     # further channels by coordinate: functions of `time_s`, which fewer or other samples leave as they are
     measured: Mapping[str, Measured] = field(default_factory=dict)
-    passing: bool = False  # whether the motion hangs on parameters, so that nothing of it is asked for again
+    passing: bool = False  # whether the motion hangs on parameters, so that nothing large is kept of it
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -94,8 +95,6 @@ class History:
 
     def recall(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
         """Give what follows from this history alone, worked out once: a model is asked for many parameters."""
-        if self.passing:
-            return make()
         if key not in self._recalled:
             if len(self._recalled) >= RECALLED:
                 self._recalled.clear()
@@ -104,6 +103,11 @@ class History:
 
     @cached_property
     def _recalled(self) -> dict[Hashable, FloatArray]:
+        return {}
+
+    @cached_property
+    def late(self) -> dict[float, tuple[History, NDArray[np.int64]] | None]:
+        """What `delayed` made of it, by the delay, s."""
         return {}
 
     def reduced(self, rows: FloatArray, start: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> History:
@@ -245,9 +249,15 @@ def histories(
 
 def delayed(history: History, lag_s: float) -> tuple[History, NDArray[np.int64]] | None:
     """`History.turned` of the moment `lag_s` ago (or to come); None where that leaves a half-cycle without samples."""
-    time = history.time_s
-    start = np.concatenate([[0], np.searchsorted(time - lag_s, history.turn_s), [time.size]]).astype(np.int64)
-    return None if np.any(np.diff(start) <= 0) else _with_way(history, lag_s, start)
+    known = history.late
+    if lag_s not in known:
+        time = history.time_s
+        start = np.concatenate([[0], np.searchsorted(time - lag_s, history.turn_s), [time.size]]).astype(np.int64)
+        late = None if np.any(np.diff(start) <= 0) else _with_way(history, lag_s, start)
+        if len(known) >= DELAYED:  # most parameters of a model leave the delay as it is
+            known.clear()
+        known[lag_s] = late
+    return known[lag_s]
 
 
 def _with_way(history: History, lag_s: float, start: NDArray[np.int64]) -> tuple[History, NDArray[np.int64]]:
