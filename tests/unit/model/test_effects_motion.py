@@ -14,7 +14,7 @@ from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
-from shj_bayes.model.history import ARRAYS, History, delayed, histories
+from shj_bayes.model.history import ARRAYS, DELAYED, History, delayed, histories
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.protocol import Block, exact_motion
 
@@ -393,3 +393,17 @@ def test_a_place_counts_what_has_slid_over_it():
         bell = np.exp(-0.5 * ((place[i] - middle[: i + 1]) / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
         assert got[i] == pytest.approx(np.sum(bell * slid[: i + 1]), abs=0.03)
     assert got.max() == pytest.approx(5.5, abs=0.1)  # mid-stroke, in the middle of the sixth stroke
+
+
+def test_a_moment_ago_is_worked_out_once_and_few_are_kept():
+    """Slopes of a model ask for the same delays again and again; a search asks for many in turn."""
+    time, motion = exact_motion((Block(48.0, 0.034, 2),), 5.0)
+    h = histories([time], [motion])[0]
+    once = delayed(h, 0.07)
+    assert delayed(h, 0.07) is once
+    for lag in np.linspace(0.08, 0.2, 3 * DELAYED):
+        delayed(h, float(lag))
+    assert len(h.late) <= DELAYED
+    again = delayed(h, 0.07)
+    assert again is not once
+    np.testing.assert_array_equal(again[0].motion.displacement_mm, once[0].motion.displacement_mm)
