@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate
-from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, SLIP, Hypothesis, columns_of, replaced, second_of
+from shj_bayes.mismatch.hypothesis import SLIP, Hypothesis, columns_of, replaced, second_of
 from shj_bayes.mismatch.missed import missed_by
 from shj_bayes.mismatch.scene import log_evidence
 from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
@@ -185,14 +185,15 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
     """Log odds that a hypothesis without a class is the true one, and its larger forms miss what the class does.
 
     Both are weighed beside what the formulas of these classes, with their sizes, may miss (`missed_by`): a curve over
-    the coordinate of each, or over the slip where it acts on the motion, as that acts at reversals.
+    the coordinate of each, or over the slip where it acts on the motion, as that acts at reversals. A constant, or one
+    for each direction, has no form that could miss something.
     """
     weights = []
     for one in (rest, h):
         metric = one.metric or out.metric
         drawn = {m.of.id for m in one.members if m.variant.curve is not None}
         missed = []
-        for of in (m.of for m in one.members if m.of.id in larger and m.of.id not in (CONSTANT, DIRECTION)):
+        for of in (m.of for m in one.members if m.of.id in larger):
             over = out.classes.get(SLIP) if of.action == MOTION else of
             if over is not None and over.id not in drawn:
                 missed.append(missed_by(out.scene, one.state, over, larger[of.id]))

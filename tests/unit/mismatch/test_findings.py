@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -97,9 +98,8 @@ def test_a_class_is_there_or_what_the_formulas_of_larger_ones_miss(search, monke
     monkeypatch.setattr(findings, "size_of", lambda scene, h, place: (0.1, 0.012, 0.08)[place])
     known = {frozenset({"delay", "taper"}): 3.0, frozenset({"delay", "wear"}): -4.0, frozenset({"wear", "taper"}): 0.0}
     search.found = {key: _hypothesis(*sorted(key)) for key in known}
-    search.best_within = lambda key: {1: -9.0, 2: -50.0, 3: -900.0}[
-        1 if "wear" not in key else 2 if "delay" in key else 3
-    ]
+    least = {frozenset({"delay", "taper"}): -9.0, frozenset({"delay", "wear"}): -50.0}
+    search.best_within = lambda key: least.get(key, -900.0)
     asked = []
 
     def missed(out, h, rest, larger):
@@ -116,6 +116,53 @@ def test_a_class_is_there_or_what_the_formulas_of_larger_ones_miss(search, monke
     assert all("delay" in key for key in shares)
     assert findings.truly_there(search, h, frozenset({"wear"})) == {frozenset({"wear"}): 1.0}
     assert findings.truly_there(search, h, frozenset()) == {frozenset(): 1.0}
+
+
+@pytest.mark.parametrize(("size", "away", "is_name"), [
+    (0.0136, 0.0098, False),  # within what matters, but it leaves more of the curve than it explains
+    (0.0136, 0.0060, True),
+    (0.08, 0.0150, True),  # within a fifth
+    (0.08, 0.0170, False),
+])  # fmt: skip
+def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(size, away, is_name, monkeypatch):
+    form = SimpleNamespace(of=SimpleNamespace(id="taper", action="capacity"), start=np.zeros(1))
+    as_curve, as_form = _hypothesis("taper"), SimpleNamespace(members=(form,), log_weight=-50.0)
+    out = SimpleNamespace(
+        scene=None, forms=lambda h, place: [form], fitted=lambda *_: as_form, best_within=lambda key: -100.0
+    )
+    out.following = partial(Search.following, out)
+    monkeypatch.setattr(sizes, "size_of", lambda scene, h, place: size)
+    monkeypatch.setattr(findings, "largest_size_of", lambda scene, h, place: size)
+    monkeypatch.setattr("shj_bayes.mismatch.search.away", lambda scene, a, b: away)
+    assert (findings._followed(out, as_curve, 0) is as_form) == is_name
+
+
+@pytest.mark.parametrize(
+    ("nats", "verdict"),
+    [(-3.2, "adequate"), (-1.0, "family"), (2.4, "family"), (4.0, "named")],  # 4, 27, 92 and 98 % that it is there
+)
+def test_that_nothing_is_missing_must_hold_with_95_per_cent_as_every_verdict_must(nats, verdict, monkeypatch):
+    drift = _hypothesis("drift")
+    drift.log_weight, drift.state = nats, None
+    nothing = _hypothesis()
+    nothing.state = None
+    out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], SimpleNamespace(fluctuation=0.0))
+    out.found = {h.key: h for h in (nothing, drift)}
+    monkeypatch.setattr(findings, "that_matter", lambda out, h: h.key)
+    monkeypatch.setattr(findings, "truly_there", lambda out, h, key: {key: 1.0})
+    monkeypatch.setattr(findings, "_split", lambda out, h: h)
+    monkeypatch.setattr(findings, "discrepancy_size", lambda out, state: 0.0)
+    found = SimpleNamespace(size=0.02, named=True, names=(("drift", 1.0),))
+    monkeypatch.setattr(findings, "_findings", lambda out, h, top, p: ((found,) * len(top), h))
+    answer = findings.answer_of(out)
+    assert (answer.verdict, bool(answer.findings)) == (verdict, verdict != "adequate")
+
+
+@pytest.mark.parametrize(("size_kN", "capped"), [(0.30, True), (0.29, False)])
+def test_noise_at_the_most_that_a_load_cell_may_have_is_capped(size_kN, capped):
+    """Then no two dependences are looked for in the place of a curve: what is left fluctuates."""
+    metric = SimpleNamespace(setting=SimpleNamespace(size_kN=lambda scene: size_kN))
+    assert Search(SimpleNamespace(largest_kN=10.0), [], metric).is_capped == capped
 
 
 def test_a_curve_without_a_name_is_no_riddle_while_nothing_may_be_missing():

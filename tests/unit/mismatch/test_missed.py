@@ -7,7 +7,7 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import candidates, classes
 from shj_bayes.mismatch.findings import _missed_instead, answer_of
 from shj_bayes.mismatch.hypothesis import joined
-from shj_bayes.mismatch.missed import beside_missed, curves_of
+from shj_bayes.mismatch.missed import beside_missed, curves_of, missed_by
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, scene_of
 from shj_bayes.mismatch.search import Search, noise_of_size, search
 from shj_bayes.mismatch.state import find_noise, settle_under
@@ -47,6 +47,14 @@ def test_what_acts_on_the_motion_has_no_curve_that_it_could_miss(trials):
     out, answer = answered(trials.simulate({"slack": {"size": 0.8}}, 4), "slack")
     assert [f.member.of.coordinate for f in answer.findings] == ["slack"]
     assert curves_of(out.scene, answer.shown.state, answer.shown.members[0].of) is None
+
+
+@pytest.mark.parametrize("name", ["added over constant", "capacity over direction"])
+def test_a_constant_has_no_form_that_could_miss_something(prying, name):
+    """A load cell's zero and a factor for each direction are one number each."""
+    out, answer = prying
+    one = next(c for c in classes() if c.id == name)
+    assert missed_by(out.scene, answer.shown.state, one, 0.1) is None
 
 
 def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials):
