@@ -80,6 +80,7 @@ class Search:
     # what could be added to each, best first
     screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
     bends: frozenset[str] = frozenset()  # effects on the motion whose bends the blocks follow
+    floor: float = -math.inf  # log weight below which a hypothesis is not followed, however well it is fitted
     chatter: Chatter | None = None  # scatter that the sliding makes, beside the best hypothesis; known in the end
 
     @property
@@ -160,7 +161,7 @@ class Search:
     def fitted(self, members: tuple[Candidate, ...], start: FloatArray) -> Hypothesis | None:
         """Fit a hypothesis from a start; None where there is no fit."""
         try:
-            state = settle(self.scene, self.metric, self.model_of(members), start)
+            state = settle(self.scene, self.metric, self.model_of(members), start, self.floor)
             # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
             np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.products[1:, 1:])
             weight = state.evidence + len(members) * ODDS
@@ -244,13 +245,14 @@ class Search:
                 if not moves:
                     followed.add(c.of.id)
 
-    def refine(self, h: Hypothesis, *, again: bool = False) -> None:
+    def refine(self, h: Hypothesis, first: int = 0, *, again: bool = False) -> None:
         """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
 
-        What acts on the motion has no curve: others in the place of its formula. `again` tries them in the place of all
-        formulas: the best one was chosen beside other classes and other noise.
+        Of the members from the place `first` on. What acts on the motion has no curve: others in the place of its
+        formula. `again` tries them in the place of all formulas: the best one was chosen beside other classes and other
+        noise.
         """
-        for place in range(len(h.members)):
+        for place in range(first, len(h.members)):
             h = self.found[h.key]
             member = h.members[place]
             if again or member.variant.curve is not None or member.of.action == MOTION:
@@ -259,10 +261,10 @@ class Search:
                     self._keep(one)
                 if second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key:
                     for one in ones[:BEAM]:
-                        self._beside_distance(one)
+                        self._beside_distance(one, first)
             self.beside_direction(h, place)
 
-    def _beside_distance(self, one: Hypothesis) -> None:
+    def _beside_distance(self, one: Hypothesis, first: int) -> None:
         """Try a function of the distance beside a formula in the place of a curve over position, which holds both."""
         # A curve: to first order a formula beside one that is far off may seem to do what it cannot.
         other = [c for c in self.looked if c.of.id == DISTANCE and c.variant.curve is not None]
@@ -270,7 +272,7 @@ class Search:
             best = screen(self.metric, one.state, other)[0]
             both = self.add((*one.members, best), joined(one, best))
             if both is not None:
-                self.refine(both)
+                self.refine(both, first)
 
     def beside_direction(self, h: Hypothesis, place: int) -> Hypothesis | None:
         """Try a formula or a curve beside a difference of push and pull in the place of curves for push and pull.
@@ -452,7 +454,8 @@ class Search:
             return
         self.tell(f"looking for two dependences in the place of {of.id}")
         looked = [c for c in self.looked if c.of.id != of.id or c.variant.curve is None]
-        part = Search(self.scene, looked, self.metric, self.hidden, found={rest.key: rest}, bends=self.bends)
+        alone, floor = {rest.key: rest}, h.log_weight - RIVAL
+        part = replace(self, looked=looked, found=alone, curves={}, screened={}, floor=floor)
         n = len(rest.members)
         part.grow(rest)
         for one in part.ranked(n + 1)[:BEAM_IN_PLACE]:
@@ -460,10 +463,10 @@ class Search:
             for form in part.forms_of(of, one.members, one.state.z) if of.id not in one.key else ():
                 part.add((*one.members, form), form.start)
         for one in part.ranked(n + 2)[:BEAM_IN_PLACE]:
-            part.refine(one)
+            part.refine(one, n)
         part.shrink(part.best)
         for one in part.found.values():
-            if one.log_weight > h.log_weight - RIVAL:
+            if one.log_weight > floor:
                 self.add(one.members, one.state.z)
 
     def ranked(self, n: int) -> list[Hypothesis]:
@@ -479,7 +482,7 @@ class Search:
                 if less not in self.found:
                     self.shrink(h)
                 if less in self.found:
-                    self.grow(self.found[less])
+                    replace(self, floor=h.log_weight - RIVAL).grow(self.found[less])
 
     def finish(self) -> None:
         """Give each hypothesis in contention the noise that is most probable under it, and weigh them anew.

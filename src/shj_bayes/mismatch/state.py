@@ -49,8 +49,11 @@ def drawn_from(state: State, n: int, seed: int = 1) -> FloatArray:
     return np.asarray(state.z + rng.standard_normal((n, state.z.size)) @ root.T)
 
 
-def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> State:
-    """Go to the most probable parameters by Gauss-Newton steps from `z`, shape (n_law,), and linearise there."""
+def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floor: float = -math.inf) -> State:
+    """Go to the most probable parameters by Gauss-Newton steps from `z`, shape (n_law,), and linearise there.
+
+    Stops on the way where steps like the last one would not reach a log density of `floor`.
+    """
 
     def height(residual: FloatArray, at: FloatArray) -> float:
         if not np.all(np.isfinite(residual)):
@@ -59,8 +62,8 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> S
 
     both = scene.residual_and_slope(model, z[None])
     residual, slope = both[0][0], both[1][0]
-    now = height(residual, z)
-    for _ in range(ROUNDS):
+    now, enough = height(residual, z), 2.0 * (metric.log_constant - floor)
+    for left in reversed(range(ROUNDS)):
         columns = scene.jacobian(model, z, residual)
         products = metric.products(np.column_stack([residual + columns @ z, columns]))
         goal, covariance = solve(products)
@@ -76,7 +79,10 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray) -> S
             length *= 0.4
         else:
             break
+        gain = now - then
         now, z, residual, slope = then, trial, moved[0][0], moved[1][0]
+        if now - left * gain > enough:
+            break
     # At the top itself: Gauss-Newton may have stopped beside it.
     laplace = metric.log_constant - 0.5 * now + 0.5 * float(np.linalg.slogdet(covariance)[1])
     return State(model, z, residual, slope, columns, products, covariance, laplace)

@@ -181,6 +181,17 @@ def test_settling_reaches_the_least_squares_of_a_law(
     np.testing.assert_allclose(state.residual, scene.residual(scene.device, state.z[None])[0])
 
 
+def test_settling_stops_where_steps_like_the_last_would_not_do(scene: Scene, metric: Metric, state: State) -> None:
+    """One that is out of reach costs a step; one within reach changes nothing."""
+    start = scene.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: scene.z.size])
+    whole = settle(scene, metric, scene.device, start)
+    within, beyond = (settle(scene, metric, scene.device, start, whole.evidence + up) for up in (-10.0, 1e6))
+    np.testing.assert_array_equal(within.z, whole.z)
+    first = metric.log_constant - 0.5 * float(metric.products(scene.residual(scene.device, start[None]).T)[0, 0])
+    assert first < beyond.evidence < whole.evidence - 1.0
+    np.testing.assert_array_equal(beyond.residual, scene.residual(scene.device, beyond.z[None])[0])
+
+
 def test_what_parameters_can_make_up_for_is_not_visible(scene: Scene, state: State) -> None:
     follow = state.jacobian @ np.arange(1.0, state.z.size + 1)
     wave = np.sin(scene.channel("position_mm")) * scene.scale_kN * 0.1

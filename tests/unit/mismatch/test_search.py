@@ -126,3 +126,15 @@ def test_a_fit_that_is_singular_to_rounding_is_no_fit(monkeypatch):
     steep[1:, 1:] -= 2.0 * steep[1:, 1:].max() * np.eye(len(steep) - 1)
     monkeypatch.setattr("shj_bayes.mismatch.search.settle", lambda *_: replace(out.best.state, products=steep))
     assert out.fitted(out.best.members, out.best.state.z) is None
+
+
+def test_formulas_are_tried_from_a_place_on(trials, monkeypatch):
+    """Beside what a search for two in the place of a curve is given, they stand already."""
+    out = _searched(trials, {"sensor_lag": {"size": 0.1}, "taper": {"size": -0.11}}, ("delay", "position"))
+    h = out.best
+    assert len(h.members) == 2
+    tried: list[int] = []
+    monkeypatch.setattr(out, "forms", lambda _, place: tried.append(place) or [])
+    out.refine(h, 1, again=True)
+    out.refine(h, again=True)
+    assert tried == [1, 0, 1]
