@@ -389,9 +389,9 @@ class Search:
         """Add a class to the best hypotheses with so many; whether the best of all is another one then."""
         before = self.best
         level = self.ranked(depth)
-        for h in level[:BEAM]:
-            if h.log_weight > self.best.log_weight - FOLLOWED or h is level[0]:
-                self.grow(h)
+        grown = [h for h in level[:BEAM] if h.log_weight > self.best.log_weight - FOLLOWED or h is level[0]]
+        for h in (*grown, *(one for one in self.moving(depth) if one not in grown)):
+            self.grow(h)
         if self.best.key == before.key:
             return False
         height = self.best.log_weight
@@ -472,6 +472,15 @@ class Search:
     def ranked(self, n: int) -> list[Hypothesis]:
         """Hypotheses with so many classes, most probable first."""
         return sorted((h for h in self.found.values() if len(h.members) == n), key=lambda h: -h.log_weight)
+
+    def moving(self, n: int) -> list[Hypothesis]:
+        """Most probable hypothesis with so many classes of which one acts on the motion, while the noise is capped.
+
+        It is followed though others have more evidence: large effects are still to come, and as long as push and pull
+        differ, say, a curve over position does more than a gap does, and ends beside others far from it.
+        """
+        own = [h for h in self.ranked(n) if any(m.of.action == MOTION for m in h.members)]
+        return own[:1] if self.is_capped else []
 
     def exchange(self) -> None:
         """Try what else could stand in the place of each class of the best hypothesis."""
@@ -592,9 +601,11 @@ class Search:
     def _again(self, h: Hypothesis) -> None:
         """Fit the hypotheses in contention with one of them anew."""
         kept = [*self.found.values(), *self.curves.values()]
+        followed = self.moving(len(h.members))
         self.found, self.curves, self.screened = {}, {}, {}
         for one in kept:
-            if one.log_weight > h.log_weight - RIVAL or not one.members or one.key == h.key:
+            near = one.log_weight > h.log_weight - RIVAL or one in followed
+            if near or not one.members or one.key == h.key:
                 self.add(one.members, one.state.z)
 
 

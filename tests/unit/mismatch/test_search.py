@@ -10,7 +10,7 @@ from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.cycles import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.scene import scene_of
-from shj_bayes.mismatch.search import search
+from shj_bayes.mismatch.search import RIVAL, Search, search
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
@@ -138,3 +138,15 @@ def test_formulas_are_tried_from_a_place_on(trials, monkeypatch):
     out.refine(h, 1, again=True)
     out.refine(h, again=True)
     assert tried == [1, 0, 1]
+
+
+@pytest.mark.parametrize("capped", [True, False])
+def test_what_acts_on_the_motion_is_followed_while_the_noise_is_capped(trials, monkeypatch, capped):
+    """A gap beside push and pull that differ was left behind curves that did more, and never came again."""
+    out = _searched(trials, {"sensor_lag": {"size": 0.05}, "taper": {"size": -0.3}}, ("delay", "position"))
+    moves, tapers = (out.found[frozenset({name})] for name in ("motion over delay", "capacity over position"))
+    assert moves.log_weight < tapers.log_weight - RIVAL
+    monkeypatch.setattr(Search, "is_capped", capped)
+    assert out.moving(1) == ([moves] if capped else [])
+    out._again(tapers)
+    assert (moves.key in out.found) == capped
