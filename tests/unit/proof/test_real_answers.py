@@ -11,7 +11,7 @@ from scipy.io import savemat
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
 from shj_validation.proof import real
-from shj_validation.proof.answers import CASES
+from shj_validation.proof.answers import CASES, band_of, clamping_changes
 from shj_validation.proof.real import prove_recordings
 
 BY_ID = {case.id: case for case in CASES}
@@ -49,6 +49,7 @@ def band(tmp_path):
     pd.DataFrame(
         {
             "Time (s)": time,
+            "Displacement (in)": -np.cos(2 * np.pi * time),
             "Band position 1 (in)": 0.655 - 0.03 * moved,
             "Band force 1 (lb)": np.where(pushing, 40.0, 1400.0),
             "Band force 2 (lb)": np.where(pushing, np.where(moved, 2600.0, 2000.0), 40.0),
@@ -83,6 +84,17 @@ def test_a_change_of_clamping_without_a_name_is_compared_by_its_curves(band):
     assert "diagnosed from 4.2 to 9.2 s" in judged[0].words
     pull_alone = BY_ID["brfd step"].judge(diagnosis() | {"coordinates": rows[1:]}, band, {})
     assert not pull_alone[0].agrees
+
+
+def test_a_change_of_clamping_is_drawn_beside_what_was_withheld(band):
+    step = {"size": 0.15, "begin": 4 / 15, "length": 5 / 15, "side": 0.6}
+    changes = clamping_changes(diagnosis(tension_step=step), known := band_of(band))
+    for side, size, measured in (("push", 0.24, 0.3), ("pull", 0.06, 0.0)):
+        at, change = changes[side]
+        assert np.median(change[known.inside(at)]) == pytest.approx(size)
+        assert np.abs(change[(at < 3.9) | (at > 9.1)]).max() == 0.0
+        at, change = known.change[side]
+        assert np.median(change[known.inside(at)]) == pytest.approx(measured)
 
 
 def test_no_change_of_clamping_differs(band):
@@ -193,7 +205,6 @@ def test_the_diagnosis_sees_three_columns(band, tmp_path, monkeypatch):
     folder = tmp_path / "recordings" / "brfd-lehigh"
     folder.mkdir(parents=True)
     table = pd.read_csv(band)
-    table.insert(1, "Displacement (in)", np.sin(2 * np.pi * table["Time (s)"]))
     table.insert(2, "Force (kip)", np.sign(np.cos(2 * np.pi * table["Time (s)"])) * 3.0)
     table.to_csv(folder / "ds4_step0.03ea1forward.csv.gz", index=False)
     seen = []
@@ -209,7 +220,9 @@ def test_the_diagnosis_sees_three_columns(band, tmp_path, monkeypatch):
     assert {len(line.split(",")) for line in seen[0].splitlines()} == {3}
     assert "0 of 1 comparisons agree" in result.text
     assert "DIFFERS" in result.text
-    assert "no change of clamping was found" in result.page.read_text(encoding="utf-8")
+    page = result.page.read_text(encoding="utf-8")
+    assert "no change of clamping was found" in page
+    assert page.count("Clamping over time") == 1
     stored = json.loads((tmp_path / "out" / "recordings.json").read_text(encoding="utf-8"))
     assert len(stored["absent"]) == len({case.file for case in CASES}) - 1
 

@@ -30,6 +30,9 @@ LOADS = (
     "reversal_form",
 )  # elastic stiffness, the load cell's zero and the law: not friction
 MOVED_IN = 0.002  # of the band actuator: more than its resolution
+EARLY = 0.1  # of a test: strokes grow
+HALF = 0.5  # of its usual force: with less an end of the band is being loaded or unloaded
+WAITS = 0.2  # of the peak speed; below it a device waits, or turns
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,11 @@ class Case:
     rate_Hz: float | None = None
     without: tuple[str, ...] = ()
 
+    @property
+    def band(self) -> bool:
+        """Whether the columns of a band's actuator were withheld."""
+        return self.judge is _band
+
 
 def _found(answer: Answer, name: str) -> dict[str, Any] | None:
     """Give what a diagnosis says of an effect, or None where it was not found."""
@@ -101,41 +109,84 @@ def _offset_N(answer: Answer) -> float | None:
     return float(np.copysign(1000 * one["size_kN"], one["parameters"]["size"]["mean"])) if one else None
 
 
-def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
-    """Compare when the clamping changed, and by how much in each direction, with the band's own columns.
+@dataclass(frozen=True, eq=False)
+class Band:
+    """What the actuator of a band did during a test.
 
-    What was named is compared by its parameters, a curve over time by its means inside and outside that window.
+    Parameters
+    ----------
+    begin_s, end_s, test_s : float
+        When the band was moved, and how long the test lasts, s.
+    change : dict
+        For push and pull: times, s, while that end of the band pulls, and the force of the band there over its mean
+        before and after it was moved, less 1; shapes (n,).
     """
+
+    begin_s: float
+    end_s: float
+    test_s: float
+    change: dict[str, tuple[FloatArray, FloatArray]]
+
+    def inside(self, at_s: FloatArray) -> Any:
+        """Whether the band was moved then."""
+        return (at_s > self.begin_s) & (at_s < self.end_s)
+
+
+def band_of(file: Path) -> Band:
+    """Read what was withheld."""
     table = pd.read_csv(file)
-    time = table["Time (s)"].to_numpy()
-    moved = np.abs(table["Band position 1 (in)"].to_numpy() - table["Band position 1 (in)"].iloc[0]) > MOVED_IN
-    begin, end = float(time[moved].min()), float(time[moved].max())
-    change = {
-        side: _peaks(table[column].to_numpy(), (time > begin) & (time < end), time)
-        for side, column in (("push", "Band force 2 (lb)"), ("pull", "Band force 1 (lb)"))
-    }
-    size = f"push {change['push']:+.0%}, pull {change['pull']:+.0%}"
-    truth = f"the band was moved from {begin:.1f} to {end:.1f} s (band force {size})"
+    time, position = table["Time (s)"].to_numpy(), table["Band position 1 (in)"].to_numpy()
+    moved = np.abs(position - position[0]) > MOVED_IN
+    band = Band(float(time[moved].min()), float(time[moved].max()), float(time[-1]), {})
+    speed = np.abs(np.gradient(table["Displacement (in)"].to_numpy(), time))
+    slides = speed > WAITS * np.percentile(speed, 95)
+    rest = ~band.inside(time) & (time > EARLY * band.test_s)
+    push, pull = (table[f"Band force {end} (lb)"].to_numpy() for end in (2, 1))
+    for side, force, other in (("push", push, pull), ("pull", pull, push)):
+        taut = slides & (force > other)
+        pulling = taut & (force > HALF * np.median(force[taut & rest]))
+        band.change[side] = (time[pulling], force[pulling] / np.mean(force[pulling & rest]) - 1.0)
+    return band
+
+
+def clamping_changes(answer: Answer, band: Band, n: int = 1000) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Give what was diagnosed of push and of pull, as `Band.change`: what was named, or a curve over time.
+
+    A curve is held against its mean before and after the band was moved. Empty where neither was found.
+    """
     found = effect(answer, "tension_step")
     if found is not None and "begin" in found:
-        test = float(time[-1])
-        low, high = found["begin"] * test, min((found["begin"] + found["length"]) * test, test)
-        own = {side: found["size"] * (1 + found["side"] * q) for side, q in (("push", 1.0), ("pull", -1.0))}
-    elif curves := _curves_over_time(answer):
-        shapes = {}
-        for which, (at, clamping) in curves.items():
-            inside, early = (at > begin) & (at < end), at < 0.1 * at[-1]
-            shapes[which] = np.where(early, 0.0, clamping / np.mean(clamping[~inside & ~early]) - 1.0)
-        own = {which: float(np.mean(shape[inside])) for which, shape in shapes.items()}
-        largest = np.abs(shapes[max(own, key=lambda name: abs(own[name]))])
-        low, high = (float(at[largest > 0.5 * largest.max()][i]) for i in (0, -1))
-    else:
+        at = np.linspace(0.0, band.test_s, n)
+        since = at / band.test_s - found["begin"]
+        there = (since >= 0.0) & (since <= found["length"])
+        sides = {"push": 1.0 + found["side"], "pull": 1.0 - found["side"]}
+        return {side: (at, np.where(there, found["size"] * share, 0.0)) for side, share in sides.items()}
+    out = {}
+    for side, (at, clamping) in _curves_over_time(answer).items():
+        early = at < EARLY * band.test_s
+        rest = float(np.mean(clamping[~band.inside(at) & ~early]))
+        out[side] = (at, np.where(early, 0.0, clamping / rest - 1.0))
+    return out
+
+
+def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
+    """Compare when the clamping changed, and by how much in each direction, with the band's own columns."""
+    band = band_of(file)
+    known = {side: float(np.mean(change[band.inside(at)])) for side, (at, change) in band.change.items()}
+    size = f"push {known['push']:+.0%}, pull {known['pull']:+.0%}"
+    truth = f"the band was moved from {band.begin_s:.1f} to {band.end_s:.1f} s (band force {size})"
+    changes = clamping_changes(answer, band)
+    if not changes:
         return [Judged(False, f"{truth}; no change of clamping was found")]
-    shared = max(0.0, min(end, high) - max(begin, low)) / (max(end, high) - min(begin, low))
+    own = {side: float(np.mean(change[band.inside(at)])) for side, (at, change) in changes.items()}
+    at, change = changes[max(own, key=lambda side: abs(own[side]))]
+    low, high = (float(at[np.abs(change) >= 0.5 * np.abs(change).max()][i]) for i in (0, -1))
+    shared = max(0.0, min(band.end_s, high) - max(band.begin_s, low))
+    shared /= max(band.end_s, high) - min(band.begin_s, low)
     out = [Judged(shared >= 0.5, f"{truth}; diagnosed from {low:.1f} to {high:.1f} s ({shared:.1%} shared)")]
     for side, found_in in own.items():
-        near = abs(found_in - change[side]) <= max(0.1, 0.5 * abs(change[side]))
-        out.append(Judged(near, f"{side}: band force {change[side]:+.0%}, diagnosed clamping {found_in:+.0%}"))
+        near = abs(found_in - known[side]) <= max(0.1, 0.5 * abs(known[side]))
+        out.append(Judged(near, f"{side}: band force {known[side]:+.0%}, diagnosed clamping {found_in:+.0%}"))
     return out
 
 
@@ -147,13 +198,6 @@ def _curves_over_time(answer: Answer) -> dict[str, tuple[FloatArray, FloatArray]
             both = (np.array(row["curve"]["at"]), 1.0 + np.array(row["curve"]["mean"]) / 100.0)
             out |= dict.fromkeys(("push", "pull") if row["direction"] == "both" else (row["direction"],), both)
     return out
-
-
-def _peaks(force: FloatArray, inside: Any, time: FloatArray) -> float:
-    """Relative change of the band force while it pulls, inside a window against outside it."""
-    pulling = force > 0.6 * np.percentile(force, 99)
-    early = time > 0.1 * time[-1]
-    return float(np.median(force[pulling & inside]) / np.median(force[pulling & ~inside & early]) - 1.0)
 
 
 def _pressure(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
@@ -225,7 +269,7 @@ def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     motion = motion_of(recording)
     position = motion.displacement_mm - np.median(motion.displacement_mm)
     middle = np.abs(position) < 0.25 * np.percentile(np.abs(position), 99)
-    middle &= motion.speed_mm_s > 0.2 * np.percentile(motion.speed_mm_s, 95)  # not while it waits
+    middle &= motion.speed_mm_s > WAITS * np.percentile(motion.speed_mm_s, 95)
     direction = motion.direction[motion.half_cycle]
     push, pull = (q * float(np.median(recording.force_kN[middle & (direction == q)])) for q in (1, -1))
     level = (push - pull) / (push + pull)

@@ -7,8 +7,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.figures.canvas import BLUE, GREY, INK, PALE, RED, WIDE, label, legend, sheet, svg
 from shj_bayes.report.page import Picture
+from shj_validation.proof.answers import Band
 
 HELD_OUT = 1.5  # the aim for 90 % of the trials
 
@@ -145,4 +147,27 @@ def reliability(tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> Picture:
         "Stated probabilities against how many came true",
         "One dot for each bin of stated probabilities, with its 95 % interval; on the line they mean what they say.",
         "Do probabilities mean what they say?",
+    )
+
+
+def clamping(band: Band, diagnosed: Mapping[str, tuple[FloatArray, FloatArray]]) -> Picture:
+    """Draw the change of a band's force that was withheld, and that of the clamping which was diagnosed."""
+    figure, axes = sheet(WIDE, 3.4)
+    axes.axvspan(band.begin_s, band.end_s, color=INK, alpha=0.06, linewidth=0)
+    for side, colour in (("push", BLUE), ("pull", RED)):
+        at, change = band.change[side]
+        few = slice(None, None, max(at.size // 1500, 1))
+        axes.scatter(at[few], 100 * change[few], s=5, color=colour, alpha=0.5, linewidths=0, label=f"{side}, measured")
+        if side in diagnosed:
+            at, change = diagnosed[side]
+            axes.plot(at, 100 * change, color=colour, linewidth=1.8, label=f"{side}, diagnosed")
+    legend(axes, 4)
+    label(axes, "time (s)", "change (%)")
+    return Picture(
+        svg(figure),
+        "Force of the band and clamping that was diagnosed, over time",
+        "Dots: force of the band while it pulls, which the diagnosis did not see. Lines: clamping as diagnosed from "
+        "displacement and force. Grey: the band was moved.",
+        "Clamping over time",
+        wide=True,
     )

@@ -14,8 +14,9 @@ from shj_bayes.recording.reader import read
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.report.page import head
-from shj_validation.proof.answers import CASES, Case, Judged
+from shj_validation.proof.answers import CASES, Case, Judged, band_of, clamping_changes
 from shj_validation.proof.page import environment
+from shj_validation.proof.pictures import clamping
 from shj_validation.proof.pool import in_parallel
 
 RECORD, PAGE = "recordings.json", "recordings.html"
@@ -92,7 +93,13 @@ def prove_recordings(folder: Path, out: Path, *, workers: int = 2, progress: boo
         "absent": sorted({case.file for case in CASES} - {case.file for case in present}),
     }
     write_text(out / RECORD, json.dumps(record, indent=1, allow_nan=False))
-    write_text(out / PAGE, environment().get_template("recordings.html").render(**head(), record=record))
+    pictures = {
+        case.id: clamping(band := band_of(folder / case.file), clamping_changes(answers[case.id], band))
+        for case in present
+        if case.band and "error" not in answers[case.id]
+    }
+    page = environment().get_template("recordings.html")
+    write_text(out / PAGE, page.render(**head(), record=record, pictures=pictures))
     return RealProof(record, out / PAGE)
 
 
