@@ -20,8 +20,18 @@ from shj_validation.proof.make import make
 from shj_validation.proof.simulators.simulator import simulators_by_id
 
 SEED = 7
-# Mass, free travel and delay in their units; of all others 8 % of Fy.
-SIZES = {"inertia": 8000.0, "slack": 1.0, "sensor_lag": 0.15, "wear": 0.02, "amplitude": 0.03, "stick_slip": 0.1}
+SIZE = 0.08  # of Fy, where nothing else is said; others in the unit of their simulator
+SIZES = {
+    "inertia": 8000.0,
+    "slack": 1.0,
+    "sensor_lag": 0.15,
+    "wear": 0.02,
+    "amplitude": 0.03,
+    "stick_slip": 0.1,
+    "local_wear": 0.2,
+    "two_stage": 0.2,
+    "end_bearing": 0.2,
+}
 
 
 def main() -> None:
@@ -34,7 +44,7 @@ def main() -> None:
     shj_bayes.diagnose(recordings("prying", 0.0), quick=True)  # compiles what is compiled once
     longest: dict[bool, list[tuple[float, str]]] = {True: [], False: []}
     for name in arguments.effect or ["nothing", *known]:
-        tests = recordings("prying" if name == "nothing" else name, 0.0 if name == "nothing" else SIZES.get(name, 0.08))
+        tests = recordings("prying", 0.0) if name == "nothing" else recordings(name, SIZES.get(name, SIZE))
         words = f"{name:18} {sum(one.force_kN.size for one in tests):6} samples"
         for quick in (True, False)[: 1 if arguments.first else 2]:
             begin = time.perf_counter()
