@@ -389,8 +389,8 @@ class Search:
         """Add a class to the best hypotheses with so many; whether the best of all is another one then."""
         before = self.best
         level = self.ranked(depth)
-        grown = [h for h in level[:BEAM] if h.log_weight > self.best.log_weight - FOLLOWED or h is level[0]]
-        for h in (*grown, *(one for one in self.moving(depth) if one not in grown)):
+        near = [h for h in level[:BEAM] if h.log_weight > self.best.log_weight - FOLLOWED or h is level[0]]
+        for h in dict.fromkeys((*near, *self.moving(depth))):
             self.grow(h)
         if self.best.key == before.key:
             return False

@@ -136,17 +136,22 @@ def band_of(file: Path) -> Band:
     """Read what was withheld."""
     table = pd.read_csv(file)
     time, position = table["Time (s)"].to_numpy(), table["Band position 1 (in)"].to_numpy()
-    moved = np.abs(position - position[0]) > MOVED_IN
-    band = Band(float(time[moved].min()), float(time[moved].max()), float(time[-1]), {})
-    speed = np.abs(np.gradient(table["Displacement (in)"].to_numpy(), time))
-    slides = speed > WAITS * np.percentile(speed, 95)
-    rest = ~band.inside(time) & (time > EARLY * band.test_s)
+    moved = time[np.abs(position - position[0]) > MOVED_IN]
+    begin_s, end_s, test_s = float(moved.min()), float(moved.max()), float(time[-1])
+    rest = ((time <= begin_s) | (time >= end_s)) & (time > EARLY * test_s)
+    slides = _slides(np.abs(np.gradient(table["Displacement (in)"].to_numpy(), time)))
     push, pull = (table[f"Band force {end} (lb)"].to_numpy() for end in (2, 1))
+    change = {}
     for side, force, other in (("push", push, pull), ("pull", pull, push)):
         taut = slides & (force > other)
         pulling = taut & (force > HALF * np.median(force[taut & rest]))
-        band.change[side] = (time[pulling], force[pulling] / np.mean(force[pulling & rest]) - 1.0)
-    return band
+        change[side] = (time[pulling], force[pulling] / np.mean(force[pulling & rest]) - 1.0)
+    return Band(begin_s, end_s, test_s, change)
+
+
+def _slides(speed: FloatArray) -> Any:
+    """Whether a device moves, and neither waits nor turns."""
+    return speed > WAITS * np.percentile(speed, 95)
 
 
 def clamping_changes(answer: Answer, band: Band, n: int = 1000) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -269,7 +274,7 @@ def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     motion = motion_of(recording)
     position = motion.displacement_mm - np.median(motion.displacement_mm)
     middle = np.abs(position) < 0.25 * np.percentile(np.abs(position), 99)
-    middle &= motion.speed_mm_s > WAITS * np.percentile(motion.speed_mm_s, 95)
+    middle &= _slides(motion.speed_mm_s)
     direction = motion.direction[motion.half_cycle]
     push, pull = (q * float(np.median(recording.force_kN[middle & (direction == q)])) for q in (1, -1))
     level = (push - pull) / (push + pull)
