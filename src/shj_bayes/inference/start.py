@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from scipy.optimize import minimize
@@ -17,7 +17,9 @@ from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
 FAR = 1e12  # in the place of a negative log density that is none
-RESTARTS = 3  # searches for the noise in a row, each from where the last one stopped short
+# Of the unbounded parameters of the noise: steps for differences (their standard deviations are 0.01 and more), and the
+# slope at which a search ends, nats.
+NOISE_STEP, NOISE_SLOPE = 0.01, 0.1
 N_DESCENTS = 3  # laws of the grid that are improved
 QUARTILES = np.array([0.25, 0.5, 0.75])
 CHUNK = 16  # parameter sets evaluated in one call
@@ -158,19 +160,61 @@ def _roughened(posterior: Posterior, z: FloatArray) -> tuple[Posterior, FloatArr
 def most_probable_noise(
     negative: Callable[[FloatArray], float], firsts: Sequence[FloatArray], limit: FloatArray | float
 ) -> FloatArray:
-    """Where a negative log density of the noise is least within +-`limit`, from the best of some points, shape (p,)."""
+    """Where a negative log density of the noise is least within +-`limit`, from the best of some points, shape (p,).
+
+    By Newton's steps within a region of trust: the size of the noise is known to a hundredth, its memory to a factor,
+    so that steps along the slope alone need hundreds of values.
+    """
 
     def within(u: FloatArray) -> float:
-        value = negative(u) if np.all(np.abs(u) <= limit) else np.inf
-        return value if np.isfinite(value) else FAR
+        inside = np.clip(u, -limit, limit)
+        value = negative(inside)
+        return value + FAR * float(np.sum((u - inside) ** 2)) if np.isfinite(value) else FAR
 
+    local = _Local(within)
     first = min(firsts, key=within) if len(firsts) > 1 else firsts[0]
-    for _ in range(RESTARTS):
-        end = minimize(within, first, method="BFGS", options={"maxiter": 60, "gtol": 0.3, "eps": 1e-3})
-        first = np.asarray(end.x)
-        if end.success:  # or a step went out of the limits: the curvature that was learnt so far then misleads
-            break
-    return first
+    end = minimize(
+        within,
+        first,
+        method="trust-exact",
+        jac=local.slope,
+        hess=local.curvature,
+        options={"maxiter": 60, "gtol": NOISE_SLOPE},
+    )
+    return np.asarray(np.clip(end.x, -limit, limit))
+
+
+class _Local:
+    """A function of a few numbers with its slope and its curvature, by differences."""
+
+    def __init__(self, value: Callable[[FloatArray], float]) -> None:
+        self._value = value
+        self._at: FloatArray = np.empty(0)
+        self._slope: FloatArray = np.empty(0)
+        self._curvature: FloatArray = np.empty((0, 0))
+
+    def slope(self, u: FloatArray) -> FloatArray:
+        """Give the derivatives at a point, shape (p,)."""
+        self._go(u)
+        return self._slope
+
+    def curvature(self, u: FloatArray) -> FloatArray:
+        """Give the second derivatives at a point, shape (p, p)."""
+        self._go(u)
+        return self._curvature
+
+    def _go(self, u: FloatArray) -> None:
+        """Evaluate the function around a point, if it is another one."""
+        if np.array_equal(u, self._at):
+            return
+        steps = NOISE_STEP * np.eye(u.size)
+        here = self._value(u)
+        up, down = (np.array([self._value(u + sign * step) for step in steps]) for sign in (1.0, -1.0))
+        bent = np.diag(up + down - 2.0 * here)
+        for i, j in combinations(range(u.size), 2):
+            bent[i, j] = bent[j, i] = self._value(u + steps[i] + steps[j]) - up[i] - up[j] + here
+        self._at = u.copy()
+        self._slope, self._curvature = (up - down) / (2.0 * NOISE_STEP), bent / NOISE_STEP**2
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:

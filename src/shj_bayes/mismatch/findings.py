@@ -198,8 +198,8 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
             if over is not None and over.id not in drawn:
                 missed.append(missed_by(out.scene, one.state, over, larger[of.id]))
         beside = one.state.beside(*(curves for curves in missed if curves is not None))
-        gain = log_evidence(metric, metric.products(beside)) - log_evidence(metric, one.state.products)
-        weights.append(one.log_weight + gain)
+        alone = log_evidence(metric.log_constant, one.state.products)
+        weights.append(one.log_weight + log_evidence(metric.log_constant, metric.products(beside)) - alone)
     return weights[0] - weights[1]
 
 

@@ -33,6 +33,7 @@ COARSER = 2.5  # blocks than those of a fit: many models are compared
 STEP = 1e-4  # of the standardised parameters, for derivatives
 MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device
 AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the same at any sampling rate
+LOG_2PI = math.log(2.0 * math.pi)
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
 N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `Metric.other`: the same in every run
@@ -180,6 +181,16 @@ class Scene:
             columns.append((masing_force(motion, laws[0], start) - own)[:, None])
         return self.blocks(columns)
 
+    @cached_property
+    def missed(self) -> FloatArray:
+        """What any model may miss: `discrepancy`, `memory` and `zeros` side by side."""
+        return np.column_stack([self.discrepancy, self.memory, self.zeros])
+
+    @cached_property
+    def zero_kN(self) -> FloatArray:
+        """Standard deviation of the load cell's zero in each run before the test, shape (n_runs,), kN."""
+        return np.array([part.timing.zero_noise_kN for part in self.posterior.averages])
+
     @property
     def step_s(self) -> float:
         """Time between two samples, s."""
@@ -215,6 +226,30 @@ class NoiseSetting:
         """Give the standard deviation of the noise where it is roughest, on averages over `AVERAGED_S`, kN."""
         return max(1.0, math.exp(self.at_rest)) * math.hypot(*scene.parts_kN(self.values(scene)))
 
+    def log_prior(self, scene: Scene) -> float:
+        """Log prior density, but for a constant."""
+        relative = self.model_error_kN / (MODEL_ERROR * scene.scale_kN)
+        return math.log(relative) - 0.5 * (float(np.dot(self.z, self.z)) + relative**2 + (self.at_rest / ROUGHER) ** 2)
+
+    def sizes(self, scene: Scene) -> FloatArray:
+        """Size before the test of each column of `Scene.missed`, shape (p + 1 + n_runs,)."""
+        return np.concatenate([np.full(scene.discrepancy.shape[1], self.model_error_kN), [1.0], scene.zero_kN])
+
+    def whitened(self, scene: Scene, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
+        """Columns in units of what is new in the noise of each block, and the log determinant of the noise.
+
+        `slope`, shape (n,), is that of the modelled force in each block, through which the error of the displacement
+        acts, kN/mm.
+        """
+        values, more = self.values(scene), rougher(self.at_rest, scene.slow)
+        out, total, first = [], 0.0, 0
+        for part in scene.posterior.averages:
+            own = slice(first, first + part.n)
+            white, log_det = whiten(scene.device.noise, values, columns[own], slope[own], part.timing, more[own])
+            out.append(white)
+            total, first = total + log_det, first + part.n
+        return np.concatenate(out), total
+
     def at_most(self, scene: Scene, most_kN: float) -> NoiseSetting:
         """Give the same noise, smaller where its size is more than this."""
         size = self.size_kN(scene)
@@ -245,46 +280,21 @@ class Metric:
     other : array, shape (n_evidence, p + 1 + n_runs)
         Whitened functions of the discrepancy, then Masing's rule, then the zeros of the load cell, each at its size
         before the test.
-    zero_kN : array, shape (n_runs,)
-        Standard deviation of the load cell's zero in each run before the test, kN.
     """
 
     def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
         self.scene, self.setting, self.slope = scene, setting, slope
-        self.noise = setting.values(scene)
-        self.rougher = rougher(setting.at_rest, scene.slow)
-        self.zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
-        sizes = np.concatenate([np.full(scene.discrepancy.shape[1], setting.model_error_kN), [1.0], self.zero_kN])
-        white, log_det = self.whitened(np.column_stack([scene.discrepancy, scene.memory, scene.zeros]))
-        self.other = white * sizes
+        white, log_det = self.whitened(scene.missed)
+        self.other = white * setting.sizes(scene)
         inner = np.eye(white.shape[1]) + self.other.T @ self.other
         self._root = cho_factor(inner, lower=True)
         self.n = white.shape[0]
-        relative = setting.model_error_kN / (MODEL_ERROR * scene.scale_kN)
-        self.log_constant = -0.5 * (
-            self.n * math.log(2 * math.pi)
-            + log_det
-            + 2.0 * float(np.log(np.diag(self._root[0])).sum())
-            + float(np.dot(setting.z, setting.z))
-            + relative**2
-            + (setting.at_rest / ROUGHER) ** 2
-        ) + math.log(relative)
+        root_det = float(np.log(np.diag(self._root[0])).sum())
+        self.log_constant = setting.log_prior(scene) - 0.5 * (self.n * LOG_2PI + log_det) - root_det
 
     def whitened(self, columns: FloatArray) -> tuple[FloatArray, float]:
         """Columns in units of what is new in the noise of each block, and the log determinant of the noise."""
-        out, total, first = [], 0.0, 0
-        for part in self.scene.posterior.averages:
-            own = slice(first, first + part.n)
-            white, log_det = whiten(
-                self.scene.device.noise,
-                self.noise,
-                np.ascontiguousarray(columns[own] / self.rougher[own, None]),
-                self.slope[own] / self.rougher[own],
-                part.timing,
-            )
-            out.append(white)
-            total, first = total + log_det, first + part.n
-        return np.concatenate(out), total + 2.0 * float(np.log(self.rougher) @ self.scene.used)
+        return self.setting.whitened(self.scene, columns, self.slope)
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
@@ -301,9 +311,10 @@ class Metric:
         """Whether most of the noise is remembered for longer than a half-cycle lasts."""
         history = self.scene.posterior.averages[0].history
         lasts = np.array([history.time_s[-1] / history.motion.n_half])
-        rows = {name: np.array([value]) for name, value in self.noise.items()}
+        noise = self.setting.values(self.scene)
+        rows = {name: np.array([value]) for name, value in noise.items()}
         left = float(self.scene.device.noise.decay(rows, lasts, self.scene.step_s)[0, 0])
-        white, slow = self.scene.parts_kN(self.noise)
+        white, slow = self.scene.parts_kN(noise)
         return left * slow**2 > math.exp(-1.0) * (slow**2 + white**2)
 
     def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -318,17 +329,44 @@ class Metric:
         return np.asarray(self.scene.discrepancy @ mean * self.setting.model_error_kN)
 
 
-def log_evidence(metric: Metric, products: FloatArray, variances: FloatArray | None = None) -> float:
+class Weighing:
+    """How probable the data are under one noise and another, with columns beside them integrated out.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recordings.
+    slope : array, shape (n,)
+        As for `Metric`.
+    columns : array, shape (n, 1 + p)
+        The data, and columns whose coefficients have standard normal priors.
+    """
+
+    def __init__(self, scene: Scene, slope: FloatArray, columns: FloatArray) -> None:
+        self._scene, self._slope = scene, slope
+        self._columns = np.column_stack([columns, scene.missed])
+        self._known = np.ones(columns.shape[1] - 1)
+
+    def evidence(self, setting: NoiseSetting) -> float:
+        """Log density of the data, as `log_evidence` under the `Metric` of this noise."""
+        white, log_det = setting.whitened(self._scene, self._columns, self._slope)
+        constant = setting.log_prior(self._scene) - 0.5 * (white.shape[0] * LOG_2PI + log_det)
+        variances = np.concatenate([self._known, setting.sizes(self._scene) ** 2])
+        return log_evidence(constant, white.T @ white, variances)
+
+
+def log_evidence(constant: float, products: FloatArray, variances: FloatArray | None = None) -> float:
     """Log density of the data with all parameters integrated out.
 
     `products`, shape (1 + p, 1 + p), are those of the data (residual and what the parameters contribute to it) and the
-    derivatives after the p parameters, whose priors are normal with the `variances`, 1 by default.
+    derivatives after the p parameters, whose priors are normal with the `variances`, 1 by default; `constant` is what
+    the density does not owe to them, as `Metric.log_constant`.
     """
     root = np.ones(products.shape[0] - 1) if variances is None else np.sqrt(variances)
     g, b = products[1:, 1:] * np.outer(root, root), products[0, 1:] * root
     factor = cho_factor(np.eye(root.size) + g, lower=True)
     left = products[0, 0] - b @ cho_solve(factor, b)
-    return float(metric.log_constant - 0.5 * float(left) - float(np.log(np.diag(factor[0])).sum()))
+    return float(constant - 0.5 * float(left) - float(np.log(np.diag(factor[0])).sum()))
 
 
 def solve(products: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -158,10 +158,13 @@ class Search:
             if new.key not in kept or kept[new.key].log_weight < new.log_weight:
                 kept[new.key] = new
 
-    def fitted(self, members: tuple[Candidate, ...], start: FloatArray) -> Hypothesis | None:
-        """Fit a hypothesis from a start; None where there is no fit."""
+    def fitted(self, members: tuple[Candidate, ...], start: FloatArray, floor: float = -math.inf) -> Hypothesis | None:
+        """Fit a hypothesis from a start; None where there is no fit.
+
+        The fit is given up on its way where the log weight will not reach `floor`.
+        """
         try:
-            state = settle(self.scene, self.metric, self.model_of(members), start, self.floor)
+            state = settle(self.scene, self.metric, self.model_of(members), start, max(self.floor, floor))
             # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
             np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.products[1:, 1:])
             weight = state.evidence + len(members) * ODDS
@@ -192,8 +195,8 @@ class Search:
         for size in SIZES:
             v = np.ones(p.shape[0] - 1)
             v[own] = (size / curve.size) ** 2
-            gains.append(log_evidence(self.metric, p, v))
-        base = log_evidence(self.metric, p)
+            gains.append(log_evidence(self.metric.log_constant, p, v))
+        base = log_evidence(self.metric.log_constant, p)
         logs = np.array(gains) - base + np.log(size_weights())
         top = float(logs.max())
         return extra + top + math.log(float(np.exp(logs - top).sum()))
@@ -237,7 +240,9 @@ class Search:
             size = visible(self.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
             if size < PROMISING * self.matters:
                 continue
-            new = self.fitted((*h.members, c), joined(h, c))
+            level = self.ranked(len(h.members) + 1)
+            floor = -math.inf if moves or not level else self.followed_from(level[0].log_weight, h.log_weight)
+            new = self.fitted((*h.members, c), joined(h, c), floor)
             self._keep(new)
             # A wave that follows the cycles leaves its place to the next one.
             if new is not None or c.variant.curve is None:
@@ -255,11 +260,14 @@ class Search:
         for place in range(first, len(h.members)):
             h = self.found[h.key]
             member = h.members[place]
-            if again or member.variant.curve is not None or member.of.action == MOTION:
-                ones = self._all_fitted((replaced(h, place, form), form) for form in self.forms(h, place))
+            last = place == len(h.members) - 1  # the formula that came last was chosen to first order
+            if again or last or member.variant.curve is not None or member.of.action == MOTION:
+                beside = second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key
+                tried = ((replaced(h, place, form), form) for form in self.forms(h, place))
+                ones = self._all_fitted(tried, -math.inf if beside else h.log_weight)
                 for one in ones:
                     self._keep(one)
-                if second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key:
+                if beside:
                     for one in ones[:BEAM]:
                         self._beside_distance(one, first)
             self.beside_direction(h, place)
@@ -346,9 +354,11 @@ class Search:
             return []
         return self._all_fitted(((*rest.members, f), f) for f in self.forms_of(of, rest.members, rest.state.z))
 
-    def _all_fitted(self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]]) -> list[Hypothesis]:
+    def _all_fitted(
+        self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]], floor: float = -math.inf
+    ) -> list[Hypothesis]:
         """Fit hypotheses, each from the start of a form; those with a fit, most probable first."""
-        ones = [self.fitted(members, form.start) for members, form in tried]
+        ones = [self.fitted(members, form.start, floor) for members, form in tried]
         return sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
 
     def as_curve(self, h: Hypothesis, place: int) -> Hypothesis | None:
@@ -394,15 +404,20 @@ class Search:
             self.grow(h)
         if self.best.key == before.key:
             return False
-        height = self.best.log_weight
-        # A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
-        least = height - max(RIVAL, (1.0 - EXPLAINED) * (height - before.log_weight))
+        least = self.followed_from(self.best.log_weight, before.log_weight)
         for h in self.ranked(depth + 1):
             if h.log_weight > least:
                 self.refine(h)
         self.shrink(self.best)
         self.retune()
         return True
+
+    def followed_from(self, height: float, before: float) -> float:
+        """Log weight from which hypotheses are followed, where the best has gone from `before` to a height.
+
+        A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
+        """
+        return height - max(FOLLOWED, (1.0 - EXPLAINED) * (height - before))
 
     def deepen_from(self, first: int) -> None:
         """Add classes, one after another, to the best hypotheses with so many and more, until none is better."""

@@ -5,16 +5,18 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.optimize import brentq
 
 from shj_bayes.inference.squares import orthogonal_to
 from shj_bayes.inference.start import most_probable_noise
-from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, Weighing
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 Z_LIMIT = 12.0
 ROUNDS = 40
+REACH = 3.0  # of the first step, standard deviations of the parameters before the test
 VALUES_SEEN = 2.0  # independent values of slow noise in a run: a force that goes one way throughout is a drift
 CLOSE = 1e-2  # square of the last step, in posterior standard deviations
 
@@ -50,7 +52,9 @@ def drawn_from(state: State, n: int, seed: int = 1) -> FloatArray:
 
 
 def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floor: float = -math.inf) -> State:
-    """Go to the most probable parameters by Gauss-Newton steps from `z`, shape (n_law,), and linearise there.
+    """Go to the most probable parameters by steps of Gauss-Newton from `z`, shape (n_law,), and linearise there.
+
+    A step goes as far as the one before was foreseen: from far away a formula is no straight line.
 
     Stops on the way where steps like the last one would not reach a log density of `floor`.
     """
@@ -63,29 +67,54 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floo
     both = scene.residual_and_slope(model, z[None])
     residual, slope = both[0][0], both[1][0]
     now, enough = height(residual, z), 2.0 * (metric.log_constant - floor)
+    # Coefficients of curves act in proportion to their size: they may go far at once.
+    unit = np.array([0.1 if law.either_sign else 1.0 for law in model.laws_of_parameters[: model.n_law]])
+    reach = REACH
     for left in reversed(range(ROUNDS)):
         columns = scene.jacobian(model, z, residual)
         products = metric.products(np.column_stack([residual + columns @ z, columns]))
-        goal, covariance = solve(products)
-        step, length = goal - z, 1.0
-        if float(step @ np.linalg.solve(covariance, step)) < CLOSE:
+        inner = np.eye(z.size) + products[1:, 1:]
+        fall = products[0, 1:] - inner @ z
+        covariance = np.asarray(np.linalg.inv(inner), dtype=np.float64)
+        if float(fall @ covariance @ fall) < CLOSE:
             break
-        while length > 1e-3:
-            trial = np.clip(z + length * step, -Z_LIMIT, Z_LIMIT)
+        curvature, axes = np.linalg.eigh(inner / np.outer(unit, unit))
+        along = axes.T @ (fall / unit)
+        while reach > 1e-3:
+            step = _within(reach, along, curvature)
+            goes = float(np.linalg.norm(step))
+            trial = np.clip(z + (axes @ step) / unit, -Z_LIMIT, Z_LIMIT)
             moved = scene.residual_and_slope(model, trial[None])
             then = height(moved[0][0], trial)
             if then <= now - CLOSE:
                 break
-            length *= 0.4
+            reach = 0.4 * min(reach, goes)
         else:
             break
-        gain = now - then
+        gain, expected = now - then, float(step @ (2.0 * along - curvature * step))
         now, z, residual, slope = then, trial, moved[0][0], moved[1][0]
+        if gain > 0.7 * expected:
+            reach = max(reach, 2.0 * goes)
+        elif gain < 0.25 * expected:
+            reach = 0.5 * min(reach, goes)
         if now - left * gain > enough:
             break
-    # At the top itself: Gauss-Newton may have stopped beside it.
+    # At the top itself: the last step may have stopped beside it.
     laplace = metric.log_constant - 0.5 * now + 0.5 * float(np.linalg.slogdet(covariance)[1])
     return State(model, z, residual, slope, columns, products, covariance, laplace)
+
+
+def _within(reach: float, along: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Step to the least of a quadratic within a distance, along the axes of its curvature, shape (p,).
+
+    `along` is the fall at the start along each axis (Moré and Sorensen 1983, SIAM J. Sci. Stat. Comput. 4, 553).
+    """
+
+    def beyond(damping: float) -> float:
+        return float(np.linalg.norm(along / (curvature + damping))) - reach
+
+    damping = 0.0 if beyond(0.0) <= 0.0 else brentq(beyond, 0.0, float(np.linalg.norm(along)) / reach, rtol=1e-3)
+    return along / (curvature + damping)
 
 
 def settle_under(scene: Scene, setting: NoiseSetting, model: DeviceModel, z: FloatArray) -> tuple[Metric, State]:
@@ -119,7 +148,7 @@ def zero_of(metric: Metric, state: State) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
     white, _ = metric.whitened(state.beside())
     columns = np.column_stack([white[:, 1:], metric.other])
-    zero = metric.zero_kN / metric.zero_kN.size
+    zero = metric.scene.zero_kN / metric.scene.zero_kN.size
     weights = np.append(np.zeros(columns.shape[1] - zero.size), zero)
     solved = np.linalg.solve(np.eye(weights.size) + columns.T @ columns, weights)
     return float(solved @ columns.T @ white[:, 0]), math.sqrt(float(solved @ weights))
@@ -138,7 +167,7 @@ def find_noise(
     Begins at the best of a grid by default; `most_kN` is the largest standard deviation, as of `NoiseSetting.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
-    wide = state.beside(columns)
+    weighing = Weighing(scene, state.slope, state.beside(columns))
     unit = MODEL_ERROR * scene.scale_kN
     lasts_s = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
     laws = scene.device.laws_of_parameters[scene.device.n_law :]
@@ -151,8 +180,7 @@ def find_noise(
 
     def negative(u: FloatArray) -> float:
         try:
-            metric = Metric(scene, setting(u), state.slope)
-            return -log_evidence(metric, metric.products(wide))
+            return -weighing.evidence(setting(u))
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others
             return math.inf
 

@@ -141,24 +141,32 @@ def _run(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, 
 
 
 def whiten(
-    noise: Noise, values: Mapping[str, float], columns: FloatArray, slope: FloatArray, timing: Timing
+    noise: Noise,
+    values: Mapping[str, float],
+    columns: FloatArray,
+    slope: FloatArray,
+    timing: Timing,
+    rougher: FloatArray | None = None,
 ) -> tuple[FloatArray, float]:
     """Take from each column what the noise before predicts, in units of the standard deviation of what is new.
 
     Columns, shape (n, p), that are treated so may be handled as if the noise were independent and of unit variance. An
     error of a turning point counts as independent from block to block, the zero of the load cell as known, and heavy
-    tails as normal ones. Gives the whitened columns of the blocks that are evidence, and the logarithm of the
-    determinant of the covariance; other arguments as for `log_density`, of one parameter set.
+    tails as normal ones. All noise is `rougher` in each block, shape (n,), by this factor; 1 by default. Gives the
+    whitened columns of the blocks that are evidence, and the logarithm of the determinant of the covariance; other
+    arguments as for `log_density`, of one parameter set.
     """
     rows = {name: np.array([value]) for name, value in values.items()}
     parts = noise.parts(rows)
     table = table_of(noise, rows, timing)[0]
-    out = np.empty((int(np.count_nonzero(timing.kind >= 0)), columns.shape[1]))
+    own = timing.kind >= 0
+    out = np.empty((int(np.count_nonzero(own)), columns.shape[1]))
+    factor = np.ones(own.size) if rougher is None else rougher
     turning = np.repeat(timing.turning_noise_mm, np.diff(timing.half))
     steepness = timing.displacement_noise_mm**2 * timing.share[:, 1] + turning**2
-    white = parts.white_kN[0] ** 2 * timing.share[:, 0] + steepness * slope**2
-    log_det = _whiten(out, columns, timing.kind, table, white, float(parts.slow_kN[0] ** 2))
-    return out, float(log_det)
+    white = parts.white_kN[0] ** 2 * timing.share[:, 0] + steepness * (slope / factor) ** 2
+    log_det = _whiten(out, columns, 1.0 / factor, timing.kind, table, white, float(parts.slow_kN[0] ** 2))
+    return out, float(log_det + 2.0 * np.log(factor[own]).sum())
 
 
 def simulate(
@@ -348,8 +356,8 @@ def _step(work, lines, factors, at, of, share, steepness):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nnan", "nsz", "reassoc"})
-def _whiten(out, columns, kind, table, white, slow):  # type: ignore[no-untyped-def]
-    """Fill `out` with the news of each column; give the log determinant."""
+def _whiten(out, columns, factor, kind, table, white, slow):  # type: ignore[no-untyped-def]
+    """Fill `out` with the news of each column times a factor of its block; give the log determinant."""
     n, p = columns.shape
     state, variance = np.zeros(p), slow
     row, log_det = 0, 0.0
@@ -362,7 +370,7 @@ def _whiten(out, columns, kind, table, white, slow):  # type: ignore[no-untyped-
         gain = (h * f * variance + slow * table[c, 4]) / total
         scale = 1.0 / math.sqrt(total)
         for j in range(p):
-            new = columns[i, j] - h * state[j]
+            new = columns[i, j] * factor[i] - h * state[j]
             state[j] = f * state[j] + gain * new
             out[row, j] = new * scale
         variance = max(f * f * variance + slow * table[c, 3] - gain * gain * total, 0.0)
