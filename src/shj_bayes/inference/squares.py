@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.model.device import DeviceModel
@@ -115,6 +115,20 @@ def orthogonal_to(slopes: FloatArray, columns: FloatArray) -> FloatArray:
     scale = np.linalg.norm(slopes, axis=0)
     q = np.linalg.qr(slopes[:, scale > 0] / scale[scale > 0])[0]
     return np.asarray(columns - q @ (q.T @ columns))
+
+
+def step_within(reach: float, along: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Step to the least of a quadratic within a distance, along the axes of its curvature, shape (p,).
+
+    `along` is how steeply it falls along each axis at the start. Moré and Sorensen 1983, SIAM J. Sci. Stat. Comput. 4,
+    553.
+    """
+
+    def beyond(damping: float) -> float:
+        return float(np.linalg.norm(along / (curvature + damping))) - reach
+
+    damping = 0.0 if beyond(0.0) <= 0.0 else brentq(beyond, 0.0, float(np.linalg.norm(along)) / reach, rtol=1e-3)
+    return np.asarray(along / (curvature + damping))
 
 
 def start_values(effect: Effect) -> list[list[float]]:

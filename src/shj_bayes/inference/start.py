@@ -11,15 +11,15 @@ from scipy.optimize import minimize
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.shared import Density, Shared, n_threads
-from shj_bayes.inference.squares import LawOnly, best_of, descend, extended, jacobian, promising
+from shj_bayes.inference.squares import LawOnly, best_of, descend, extended, jacobian, promising, step_within
 from shj_bayes.model.noise.filter import log_density
 from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
 FAR = 1e12  # in the place of a negative log density that is none
-# Of the unbounded parameters of the noise: steps for differences (their standard deviations are 0.01 and more), and the
-# slope at which a search ends, nats.
-NOISE_STEP, NOISE_SLOPE = 0.01, 0.1
+NOISE_STEP = 0.01  # of the unbounded parameters of the noise, for differences: their standard deviations are as large
+NOISE_CLOSE = 0.01  # nats below the top at which a search for the noise ends
+ROUNDS = 60  # of such a search at most
 N_DESCENTS = 3  # laws of the grid that are improved
 QUARTILES = np.array([0.25, 0.5, 0.75])
 CHUNK = 16  # parameter sets evaluated in one call
@@ -171,50 +171,39 @@ def most_probable_noise(
         value = negative(inside)
         return value + FAR * float(np.sum((u - inside) ** 2)) if np.isfinite(value) else FAR
 
-    local = _Local(within)
-    first = min(firsts, key=within) if len(firsts) > 1 else firsts[0]
-    end = minimize(
-        within,
-        first,
-        method="trust-exact",
-        jac=local.slope,
-        hess=local.curvature,
-        options={"maxiter": 60, "gtol": NOISE_SLOPE},
-    )
-    return np.asarray(np.clip(end.x, -limit, limit))
+    at = min(firsts, key=within) if len(firsts) > 1 else firsts[0]
+    now, reach = within(at), 1.0
+    for _ in range(ROUNDS):
+        slope, bent = _expansion(within, at, now)
+        values, axes = np.linalg.eigh(bent)
+        curvature, along = np.maximum(np.abs(values), 1e-3), -axes.T @ slope  # away from a saddle, too
+        if 0.5 * float(np.sum(along**2 / curvature)) < NOISE_CLOSE:
+            break
+        while reach > 1e-4:
+            step = step_within(reach, along, curvature)
+            goes, then = float(np.linalg.norm(step)), within(at + axes @ step)
+            if then < now:
+                break
+            reach = 0.25 * min(reach, goes)
+        else:
+            break
+        gain, expected = now - then, float(step @ (along - 0.5 * curvature * step))
+        if gain > 0.7 * expected:
+            reach = max(reach, 2.0 * goes)
+        elif gain < 0.25 * expected:
+            reach = 0.5 * min(reach, goes)
+        at, now = at + axes @ step, then
+    return np.asarray(np.clip(at, -limit, limit))
 
 
-class _Local:
-    """A function of a few numbers with its slope and its curvature, by differences."""
-
-    def __init__(self, value: Callable[[FloatArray], float]) -> None:
-        self._value = value
-        self._at: FloatArray = np.empty(0)
-        self._slope: FloatArray = np.empty(0)
-        self._curvature: FloatArray = np.empty((0, 0))
-
-    def slope(self, u: FloatArray) -> FloatArray:
-        """Give the derivatives at a point, shape (p,)."""
-        self._go(u)
-        return self._slope
-
-    def curvature(self, u: FloatArray) -> FloatArray:
-        """Give the second derivatives at a point, shape (p, p)."""
-        self._go(u)
-        return self._curvature
-
-    def _go(self, u: FloatArray) -> None:
-        """Evaluate the function around a point, if it is another one."""
-        if np.array_equal(u, self._at):
-            return
-        steps = NOISE_STEP * np.eye(u.size)
-        here = self._value(u)
-        up, down = (np.array([self._value(u + sign * step) for step in steps]) for sign in (1.0, -1.0))
-        bent = np.diag(up + down - 2.0 * here)
-        for i, j in combinations(range(u.size), 2):
-            bent[i, j] = bent[j, i] = self._value(u + steps[i] + steps[j]) - up[i] - up[j] + here
-        self._at = u.copy()
-        self._slope, self._curvature = (up - down) / (2.0 * NOISE_STEP), bent / NOISE_STEP**2
+def _expansion(value: Callable[[FloatArray], float], at: FloatArray, here: float) -> tuple[FloatArray, FloatArray]:
+    """First and second derivatives of a function at a point, shapes (p,) and (p, p), by central differences."""
+    steps = NOISE_STEP * np.eye(at.size)
+    up, down = (np.array([value(at + sign * step) for step in steps]) for sign in (1.0, -1.0))
+    bent = np.diag(up + down - 2.0 * here)
+    for i, j in combinations(range(at.size), 2):
+        bent[i, j] = bent[j, i] = value(at + steps[i] + steps[j]) - up[i] - up[j] + here
+    return (up - down) / (2.0 * NOISE_STEP), bent / NOISE_STEP**2
 
 
 def polish(density: Density, candidates: Sequence[FloatArray]) -> Start:

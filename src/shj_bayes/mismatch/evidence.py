@@ -16,7 +16,6 @@ from shj_bayes.mismatch.classes import Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.hypothesis import Hypothesis
 from shj_bayes.mismatch.scene import beside
-from shj_bayes.mismatch.screen import log_gain
 from shj_bayes.mismatch.search import ODDS, RIVAL, Search
 from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
@@ -101,23 +100,32 @@ class _FirstOrder:
         self._along, self._inner = beside(out.metric.products(h.state.beside(*self.columns)), h.state.z.size)
         ends = np.cumsum([0, *(c.shape[1] for c in self.columns)])
         self._places = [np.arange(a, b) for a, b in pairwise(ends)]
+        self._known: dict[int, tuple[float, float]] = {}
 
     def interplay(self, i: int, j: int) -> float:
         """Log Bayes factor of two candidates over the product of theirs; 0 where neither does what the other does."""
-        extra = self._log_factor((i, 1.0), (j, 1.0)) - self._log_factor((i, 1.0)) - self._log_factor((j, 1.0))
+        (one, both_one), (other, both_other) = self._alone(i), self._alone(j)
+        extra = self._log_factor((i, 1.0), (j, 1.0)) - one - other
         if abs(extra) < CLEAR:
             return extra
         # The size that fits a candidate alone need not fit it beside the other.
         both = [self._log_factor((i, u), (j, v)) for u in SMALLER for v in SMALLER]
-        one, other = ([self._log_factor((k, u)) for u in SMALLER] for k in (i, j))
-        return float(logsumexp(both) - logsumexp(one) - logsumexp(other))
+        return float(logsumexp(both)) - both_one - both_other
+
+    def _alone(self, i: int) -> tuple[float, float]:
+        """Log Bayes factor of one candidate at the size that fits best, and summed over the sizes in `SMALLER`."""
+        if i not in self._known:
+            factors = [self._log_factor((i, size)) for size in SMALLER]
+            self._known[i] = (factors[0], float(logsumexp(factors)))
+        return self._known[i]
 
     def _log_factor(self, *which: tuple[int, float]) -> float:
         """Log Bayes factor of candidates of some size each together; their coefficients have standard normal priors."""
         own = np.concatenate([self._places[i] for i, _ in which])
         size = np.concatenate([np.full(self._places[i].size, size) for i, size in which])
-        inner = self._inner[np.ix_(own, own)] * np.outer(size, size)
-        return float(log_gain(inner, self._along[own] * size, np.ones(1), np.ones(1))[0])
+        inner = np.eye(own.size) + self._inner[np.ix_(own, own)] * np.outer(size, size)
+        along = self._along[own] * size
+        return float(0.5 * along @ np.linalg.solve(inner, along) - 0.5 * np.linalg.slogdet(inner)[1])
 
     def mean(self, i: int) -> FloatArray:
         """Posterior mean of the coefficients of one candidate alone."""

@@ -264,12 +264,12 @@ class Search:
             if again or last or member.variant.curve is not None or member.of.action == MOTION:
                 beside = second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key
                 tried = ((replaced(h, place, form), form) for form in self.forms(h, place))
-                ones = self._all_fitted(tried, -math.inf if beside else h.log_weight)
-                for one in ones:
-                    self._keep(one)
                 if beside:
-                    for one in ones[:BEAM]:
+                    for one in self._all_fitted(tried)[:BEAM]:
+                        self._keep(one)
                         self._beside_distance(one, first)
+                else:
+                    self._keep(self._best_fitted(tried, h.log_weight))
             self.beside_direction(h, place)
 
     def _beside_distance(self, one: Hypothesis, first: int) -> None:
@@ -336,7 +336,7 @@ class Search:
                 residual = self.scene.residual(model, starts)
                 heights = np.diag(self.metric.products(np.nan_to_num(residual.T, nan=1e6)))
             best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else 2]
-            out += [replace(form, start=starts[i], model=model) for i in best]
+            out += [replace(form, start=starts[i], model=model, gain=-0.5 * float(heights[i])) for i in best]
         return out
 
     def following(self, h: Hypothesis, place: int) -> Iterator[Hypothesis]:
@@ -354,12 +354,21 @@ class Search:
             return []
         return self._all_fitted(((*rest.members, f), f) for f in self.forms_of(of, rest.members, rest.state.z))
 
-    def _all_fitted(
-        self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]], floor: float = -math.inf
-    ) -> list[Hypothesis]:
+    def _all_fitted(self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]]) -> list[Hypothesis]:
         """Fit hypotheses, each from the start of a form; those with a fit, most probable first."""
-        ones = [self.fitted(members, form.start, floor) for members, form in tried]
+        ones = [self.fitted(members, form.start) for members, form in tried]
         return sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
+
+    def _best_fitted(
+        self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]], floor: float = -math.inf
+    ) -> Hypothesis | None:
+        """Fit hypotheses, each from the start of a form, from the best start on; the most probable one, if any."""
+        best = None
+        for members, form in sorted(tried, key=lambda one: -one[1].gain):
+            one = self.fitted(members, form.start, floor)
+            if one is not None and (best is None or one.log_weight > best.log_weight):
+                best, floor = one, max(floor, one.log_weight)
+        return best
 
     def as_curve(self, h: Hypothesis, place: int) -> Hypothesis | None:
         """Give a hypothesis with a curve in the place of a formula, beside all else that it holds: what can be drawn.
@@ -456,7 +465,8 @@ class Search:
         """
         for place, member in enumerate(self.best.members):
             h = self.best
-            if place < len(h.members) and h.members[place] is member and member.variant.curve is not None:
+            is_there = place < len(h.members) and h.members[place] is member
+            if is_there and member.variant.curve is not None and not self._is_noise(h, place):
                 self._in_place_of_curve(h, place)
 
     def _in_place_of_curve(self, h: Hypothesis, place: int) -> None:
@@ -483,6 +493,12 @@ class Search:
         for one in part.found.values():
             if one.log_weight > floor:
                 self.add(one.members, one.state.z)
+
+    def _is_noise(self, h: Hypothesis, place: int) -> bool:
+        """Whether a member is no better than more noise: what else could stand in its place is not looked for then."""
+        less = self.fitted(*without(self.scene, h, place))
+        weights = [one.log_weight for x in (h, less) if x and (one := self._with_own_noise(x, self.metric.setting))]
+        return len(weights) > 1 and weights[1] >= weights[0]
 
     def ranked(self, n: int) -> list[Hypothesis]:
         """Hypotheses with so many classes, most probable first."""
@@ -520,7 +536,7 @@ class Search:
         less = [self.found[k] for m in best.members if (k := best.key - {m.of.id}) in self.found]
         ranked = sorted({h.key: h for h in (*near, *less)}.values(), key=lambda h: -h.log_weight)[:MOST_FINAL]
         for h in ranked:
-            if h.log_weight > best.log_weight - RIVAL:
+            if h.log_weight > self.best.log_weight - RIVAL:  # which its own forms may have raised
                 self.refine(h, again=True)
         ranked = [self.found[h.key] for h in ranked]
         ranked += [h for h in (self.found[frozenset()],) if h not in ranked]
@@ -555,9 +571,9 @@ class Search:
         """Fit the best formula in the place of each curve over a clock: beside the curve nothing is slow noise."""
         curves = (i for i, m in enumerate(h.members) if m.variant.curve is not None and is_over_a_clock(m.of))
         tried = (
-            self._all_fitted((replaced(h, place, form), form) for form in self.forms(h, place)) for place in curves
+            self._best_fitted((replaced(h, place, form), form) for form in self.forms(h, place)) for place in curves
         )
-        return [ones[0] for ones in tried if ones]
+        return [one for one in tried if one is not None]
 
     def _without_each(self) -> None:
         """Weigh the best hypothesis without each of its classes: another one may have been the best before."""
@@ -603,9 +619,9 @@ class Search:
     def _with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
         """Fit a hypothesis under the noise that is most probable beside it."""
         none = np.zeros((h.state.residual.size, 0))
-        self.metric = Metric(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)
-        new = self.fitted(h.members, h.state.z)
-        return replace(new, metric=self.metric) if new is not None else None
+        metric = Metric(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)
+        new = replace(self, metric=metric).fitted(h.members, h.state.z)
+        return replace(new, metric=metric) if new is not None else None
 
     def retune(self) -> None:
         """Find the noise beside the best hypothesis and everything that could be added; fit the best anew."""

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.optimize import brentq
 
-from shj_bayes.inference.squares import orthogonal_to
+from shj_bayes.inference.squares import orthogonal_to, step_within
 from shj_bayes.inference.start import most_probable_noise
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, Weighing
 from shj_bayes.model.device import DeviceModel
@@ -81,7 +80,7 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floo
         curvature, axes = np.linalg.eigh(inner / np.outer(unit, unit))
         along = axes.T @ (fall / unit)
         while reach > 1e-3:
-            step = _within(reach, along, curvature)
+            step = step_within(reach, along, curvature)
             goes = float(np.linalg.norm(step))
             trial = np.clip(z + (axes @ step) / unit, -Z_LIMIT, Z_LIMIT)
             moved = scene.residual_and_slope(model, trial[None])
@@ -102,19 +101,6 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floo
     # At the top itself: the last step may have stopped beside it.
     laplace = metric.log_constant - 0.5 * now + 0.5 * float(np.linalg.slogdet(covariance)[1])
     return State(model, z, residual, slope, columns, products, covariance, laplace)
-
-
-def _within(reach: float, along: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Step to the least of a quadratic within a distance, along the axes of its curvature, shape (p,).
-
-    `along` is the fall at the start along each axis (Moré and Sorensen 1983, SIAM J. Sci. Stat. Comput. 4, 553).
-    """
-
-    def beyond(damping: float) -> float:
-        return float(np.linalg.norm(along / (curvature + damping))) - reach
-
-    damping = 0.0 if beyond(0.0) <= 0.0 else brentq(beyond, 0.0, float(np.linalg.norm(along)) / reach, rtol=1e-3)
-    return along / (curvature + damping)
 
 
 def settle_under(scene: Scene, setting: NoiseSetting, model: DeviceModel, z: FloatArray) -> tuple[Metric, State]:
