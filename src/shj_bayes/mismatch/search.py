@@ -39,7 +39,7 @@ from shj_bayes.mismatch.hypothesis import (
 )
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.sizes import MOTION, away, may_miss
+from shj_bayes.mismatch.sizes import MOTION, away, may_miss, size_of
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
 from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.coordinates import coordinates_of
@@ -81,7 +81,7 @@ class Search:
     screened: dict[frozenset[str], list[Candidate]] = field(default_factory=dict)
     bends: frozenset[str] = frozenset()  # effects on the motion whose bends the blocks follow
     floor: float = -math.inf  # log weight below which a hypothesis is not followed, however well it is fitted
-    chatter: Chatter | None = None  # scatter that the sliding makes, beside the best hypothesis; known in the end
+    chatter: Chatter | None = None  # scatter that the sliding makes, beside the best hypothesis; see `listen`
 
     @property
     def classes(self) -> dict[str, Class]:
@@ -241,7 +241,7 @@ class Search:
             if size < PROMISING * self.matters:
                 continue
             level = self.ranked(len(h.members) + 1)
-            floor = -math.inf if moves or not level else self.followed_from(level[0].log_weight, h.log_weight)
+            floor = -math.inf if moves or not level else near_to(level[0].log_weight, h.log_weight, FOLLOWED)
             new = self.fitted((*h.members, c), joined(h, c), floor)
             self._keep(new)
             # A wave that follows the cycles leaves its place to the next one.
@@ -413,20 +413,13 @@ class Search:
             self.grow(h)
         if self.best.key == before.key:
             return False
-        least = self.followed_from(self.best.log_weight, before.log_weight)
+        least = near_to(self.best.log_weight, before.log_weight, RIVAL)
         for h in self.ranked(depth + 1):
             if h.log_weight > least:
                 self.refine(h)
         self.shrink(self.best)
         self.retune()
         return True
-
-    def followed_from(self, height: float, before: float) -> float:
-        """Log weight from which hypotheses are followed, where the best has gone from `before` to a height.
-
-        A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
-        """
-        return height - max(FOLLOWED, (1.0 - EXPLAINED) * (height - before))
 
     def deepen_from(self, first: int) -> None:
         """Add classes, one after another, to the best hypotheses with so many and more, until none is better."""
@@ -457,8 +450,13 @@ class Search:
         self._again(h)
         self.retune()
 
+    def listen(self) -> None:
+        """Look for chatter beside the best hypothesis."""
+        sought = "stick_slip" not in self.hidden and str(TEETH) not in self.best.key
+        self.chatter = chatter_of(self.scene, self.best.state, self.noise_most_kN) if sought else None
+
     def explain(self) -> None:
-        """Look for two classes in the place of each curve that no formula follows.
+        """Look for two classes in the place of each curve that matters and that no formula follows.
 
         A smooth curve over one coordinate can do what formulas over two others, or a formula over its own and something
         over another, do together. Neither alone comes near it, so a search that adds one after another ends in it.
@@ -466,7 +464,9 @@ class Search:
         for place, member in enumerate(self.best.members):
             h = self.best
             is_there = place < len(h.members) and h.members[place] is member
-            if is_there and member.variant.curve is not None and not self._is_noise(h, place):
+            if not is_there or member.variant.curve is None:
+                continue
+            if size_of(self.scene, h, place) >= self.matters_of(h, place) and not self._is_noise(h, place):
                 self._in_place_of_curve(h, place)
 
     def _in_place_of_curve(self, h: Hypothesis, place: int) -> None:
@@ -671,13 +671,21 @@ def search(
         # Only now: beside few classes, curves over time that change within a cycle do what many others do together.
         out.look_for(tuple(classes))
         out.deepen_from(len(out.best.members))
+    out.listen()
     if not out.is_capped:
         out.explain()
     out.exchange()
     out.finish()
-    if "stick_slip" not in hidden and str(TEETH) not in out.best.key:
-        out.chatter = chatter_of(out.scene, out.best.state, out.noise_most_kN)
+    out.listen()
     return out
+
+
+def near_to(height: float, before: float, nats: float) -> float:
+    """Log weight from which hypotheses are near to the best, where it has gone from `before` to a height.
+
+    A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
+    """
+    return height - max(nats, (1.0 - EXPLAINED) * (height - before))
 
 
 def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start: NoiseSetting | None) -> Metric:
