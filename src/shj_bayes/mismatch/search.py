@@ -241,7 +241,8 @@ class Search:
             if size < PROMISING * self.matters:
                 continue
             level = self.ranked(len(h.members) + 1)
-            floor = -math.inf if moves or not level else near_to(level[0].log_weight, h.log_weight, FOLLOWED)
+            whole = not level or any(m.of.action == MOTION for m in (*h.members, c))  # `moving` may follow it
+            floor = -math.inf if whole else near_to(level[0].log_weight, h.log_weight, FOLLOWED)
             new = self.fitted((*h.members, c), joined(h, c), floor)
             self._keep(new)
             # A wave that follows the cycles leaves its place to the next one.
@@ -260,8 +261,7 @@ class Search:
         for place in range(first, len(h.members)):
             h = self.found[h.key]
             member = h.members[place]
-            last = place == len(h.members) - 1  # the formula that came last was chosen to first order
-            if again or last or member.variant.curve is not None or member.of.action == MOTION:
+            if again or member.variant.curve is not None or member.of.action == MOTION:
                 beside = second_of(h.members[place]) == DISTANCE and DISTANCE not in h.key
                 tried = ((replaced(h, place, form), form) for form in self.forms(h, place))
                 if beside:
@@ -417,6 +417,9 @@ class Search:
         for h in self.ranked(depth + 1):
             if h.log_weight > least:
                 self.refine(h)
+        last = len(self.best.members) - 1
+        if self.best.members[last].variant.curve is None:  # a formula that came to first order
+            self.refine(self.best, last, again=True)
         self.shrink(self.best)
         self.retune()
         return True
