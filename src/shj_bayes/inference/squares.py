@@ -131,6 +131,13 @@ def step_within(reach: float, along: FloatArray, curvature: FloatArray) -> Float
     return np.asarray(along / (curvature + damping))
 
 
+def reach_after(reach: float, goes: float, kept: float) -> float:
+    """Distance that a quadratic is trusted over after a step of length `goes`, which did `kept` of what it foretold."""
+    if kept > 0.7:
+        return max(reach, 2.0 * goes)
+    return 0.5 * min(reach, goes) if kept < 0.25 else reach
+
+
 def start_values(effect: Effect) -> list[list[float]]:
     """Values in the unbounded space from which a search begins, for each parameter of an effect."""
     out = []

@@ -11,7 +11,16 @@ from scipy.optimize import minimize
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.shared import Density, Shared, n_threads
-from shj_bayes.inference.squares import LawOnly, best_of, descend, extended, jacobian, promising, step_within
+from shj_bayes.inference.squares import (
+    LawOnly,
+    best_of,
+    descend,
+    extended,
+    jacobian,
+    promising,
+    reach_after,
+    step_within,
+)
 from shj_bayes.model.noise.filter import log_density
 from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
@@ -188,10 +197,7 @@ def most_probable_noise(
         else:
             break
         gain, expected = now - then, float(step @ (along - 0.5 * curvature * step))
-        if gain > 0.7 * expected:
-            reach = max(reach, 2.0 * goes)
-        elif gain < 0.25 * expected:
-            reach = 0.5 * min(reach, goes)
+        reach = reach_after(reach, goes, gain / expected)
         at, now = at + axes @ step, then
     return np.asarray(np.clip(at, -limit, limit))
 

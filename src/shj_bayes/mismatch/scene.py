@@ -25,7 +25,7 @@ from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.masing import masing_force
 from shj_bayes.model.measured import Measured
-from shj_bayes.model.noise.filter import whiten
+from shj_bayes.model.noise.filter import LOG_2PI, whiten
 from shj_bayes.model.noise.low_speed import ROUGHER, rougher, slowness
 from shj_bayes.model.parameters import FloatArray
 
@@ -33,7 +33,6 @@ COARSER = 2.5  # blocks than those of a fit: many models are compared
 STEP = 1e-4  # of the standardised parameters, for derivatives
 MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device
 AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the same at any sampling rate
-LOG_2PI = math.log(2.0 * math.pi)
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
 N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `Metric.other`: the same in every run

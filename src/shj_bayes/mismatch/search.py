@@ -414,12 +414,14 @@ class Search:
         if self.best.key == before.key:
             return False
         least = near_to(self.best.log_weight, before.log_weight, RIVAL)
+        grown = {h.key: h.members[-1] for h in self.ranked(depth + 1)}
         for h in self.ranked(depth + 1):
             if h.log_weight > least:
                 self.refine(h)
-        last = len(self.best.members) - 1
-        if self.best.members[last].variant.curve is None:  # a formula that came to first order
-            self.refine(self.best, last, again=True)
+        last = self.best.members[-1]
+        if last is grown.get(self.best.key) and last.variant.curve is None and last.of.action != MOTION:
+            # A formula, chosen to first order; in the place of all others every form has been tried.
+            self.refine(self.best, len(self.best.members) - 1, again=True)
         self.shrink(self.best)
         self.retune()
         return True

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from shj_bayes.inference.squares import orthogonal_to, step_within
+from shj_bayes.inference.squares import orthogonal_to, reach_after, step_within
 from shj_bayes.inference.start import most_probable_noise
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, Weighing
 from shj_bayes.model.device import DeviceModel
@@ -53,7 +53,7 @@ def drawn_from(state: State, n: int, seed: int = 1) -> FloatArray:
 def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floor: float = -math.inf) -> State:
     """Go to the most probable parameters by steps of Gauss-Newton from `z`, shape (n_law,), and linearise there.
 
-    A step goes as far as the one before was foreseen: from far away a formula is no straight line.
+    Steps are kept as short as the derivatives have foretold them well: from far away a formula is no straight line.
 
     Stops on the way where steps like the last one would not reach a log density of `floor`.
     """
@@ -92,10 +92,7 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floo
             break
         gain, expected = now - then, float(step @ (2.0 * along - curvature * step))
         now, z, residual, slope = then, trial, moved[0][0], moved[1][0]
-        if gain > 0.7 * expected:
-            reach = max(reach, 2.0 * goes)
-        elif gain < 0.25 * expected:
-            reach = 0.5 * min(reach, goes)
+        reach = reach_after(reach, goes, gain / expected)
         if now - left * gain > enough:
             break
     # At the top itself: the last step may have stopped beside it.

@@ -35,7 +35,7 @@ from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
 
 IntArray = NDArray[np.int64]
-_LOG_2PI = math.log(2 * math.pi)
+LOG_2PI = math.log(2 * math.pi)
 LANES = 8  # parameter sets side by side
 N_ROWS = 17
 # Where each row of the recursion's work begins: the slow part's estimate and variance, what a turning point's error
@@ -283,7 +283,7 @@ def _filter(out, residual, slope, kind, share, table, half, scales, known, noise
                     spread = 1.0 + noise_turn[k] * work[OWN + lane]
                     # From the left: a product of 0 and the square, which may overflow, would be no number.
                     left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] * work[ALONG + lane] / spread
-                    value -= 0.5 * (count * _LOG_2PI + left + math.log(spread))
+                    value -= 0.5 * (count * LOG_2PI + left + math.log(spread))
                     if known[1] > 0.0 and value > -math.inf:
                         value += _about_zero(work, lane, noise_turn[k] / spread, known[1])
                 # Variances that vanish together: so little noise has no density, not an infinite one.
