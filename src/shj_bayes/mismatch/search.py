@@ -427,10 +427,16 @@ class Search:
         return True
 
     def deepen_from(self, first: int) -> None:
-        """Add classes, one after another, to the best hypotheses with so many and more, until none is better."""
+        """Add classes, one after another, to the best hypotheses with so many and more, until none is better.
+
+        Nor better than more noise, where the noise is capped: any curve has some evidence then.
+        """
         for depth in range(first, DEPTH):
-            self.tell(f"looking beyond {' and '.join(sorted(self.best.key)) or 'the base law'}")
+            before = self.best
+            self.tell(f"looking beyond {' and '.join(sorted(before.key)) or 'the base law'}")
             if not self.deepen(depth) and len(self.best.members) <= depth:
+                break
+            if self.is_capped and self._is_no_better_than_noise(self.best, before):
                 break
             self.follow_bends()
 
@@ -502,7 +508,11 @@ class Search:
     def _is_noise(self, h: Hypothesis, place: int) -> bool:
         """Whether a member is no better than more noise: what else could stand in its place is not looked for then."""
         less = self.fitted(*without(self.scene, h, place))
-        weights = [one.log_weight for x in (h, less) if x and (one := self._with_own_noise(x, self.metric.setting))]
+        return less is not None and self._is_no_better_than_noise(h, less)
+
+    def _is_no_better_than_noise(self, h: Hypothesis, less: Hypothesis) -> bool:
+        """Whether a hypothesis has no more evidence than one with less, each under its most probable noise."""
+        weights = [one.log_weight for x in (h, less) if (one := self._with_own_noise(x, self.metric.setting))]
         return len(weights) > 1 and weights[1] >= weights[0]
 
     def ranked(self, n: int) -> list[Hypothesis]:

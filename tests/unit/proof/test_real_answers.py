@@ -200,13 +200,41 @@ def test_a_catalogue_without_the_effect_must_say_unknown(tmp_path):
     assert [one.agrees for one in judged] == [False, False, False]
 
 
-def test_the_diagnosis_sees_three_columns(band, tmp_path, monkeypatch):
-    """Of a recording with band columns only time, displacement and force go behind the fence."""
+@pytest.fixture
+def lehigh(band, tmp_path):
+    """A folder in which two of the recordings with band columns lie."""
     folder = tmp_path / "recordings" / "brfd-lehigh"
     folder.mkdir(parents=True)
     table = pd.read_csv(band)
     table.insert(2, "Force (kip)", np.sign(np.cos(2 * np.pi * table["Time (s)"])) * 3.0)
-    table.to_csv(folder / "ds4_step0.03ea1forward.csv.gz", index=False)
+    for name in ("step0.03ea1forward", "harmonic0.03ea1forward"):
+        table.to_csv(folder / f"ds4_{name}.csv.gz", index=False)
+    return folder
+
+
+def test_a_run_that_was_stopped_goes_on(lehigh, tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def serve(tasks, workers, done):
+        for task in tasks:
+            asked.append(task["name"])
+            done(task, diagnosis())
+            if len(asked) == 1:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(real, "in_parallel", serve)
+    with pytest.raises(KeyboardInterrupt):
+        prove_recordings(tmp_path / "recordings", tmp_path / "out")
+    result = prove_recordings(tmp_path / "recordings", tmp_path / "out", progress=True)
+    assert sorted(asked) == sorted(row["id"] for row in result.record["cases"])
+    assert "1 of 2 were diagnosed before" in capsys.readouterr().out
+    prove_recordings(tmp_path / "recordings", tmp_path / "out")  # which begins anew: this one had ended
+    assert len(asked) == 4
+
+
+def test_the_diagnosis_sees_three_columns(lehigh, tmp_path, monkeypatch):
+    """Of a recording with band columns only time, displacement and force go behind the fence."""
+    (lehigh / "ds4_harmonic0.03ea1forward.csv.gz").unlink()
     seen = []
 
     def serve(tasks, workers, done):

@@ -1,13 +1,14 @@
 """Real recordings with a concealed answer: the column that records it is withheld, then opened and compared."""
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import shj_bayes
-from shj_bayes._util.files import write_text
+from shj_bayes._util.files import read_json, write_text
 from shj_bayes._util.lock import alone_in
 from shj_bayes.errors import ProofError
 from shj_bayes.recording.reader import read
@@ -20,6 +21,7 @@ from shj_validation.proof.pictures import clamping
 from shj_validation.proof.pool import in_parallel
 
 RECORD, PAGE = "recordings.json", "recordings.html"
+ANSWERS = "answers"  # folder of the diagnoses of a run that has not ended
 SCHEMA = "shj-bayes/proof-recordings/1"
 
 
@@ -76,16 +78,7 @@ def prove_recordings(folder: Path, out: Path, *, workers: int = 2, progress: boo
     if not present:
         raise ProofError(f"{folder.name} holds none of the recordings looked for, such as {CASES[0].file}")
     out.mkdir(parents=True, exist_ok=True)
-    answers: dict[str, dict[str, Any]] = {}
-    with TemporaryDirectory() as scratch:
-        tasks = [_task(case, folder, Path(scratch)) for case in present]
-
-        def done(task: Any, answer: dict[str, Any]) -> None:
-            answers[task["name"]] = answer
-            if progress:
-                print(f"  {task['name']} diagnosed ({len(answers)} of {len(tasks)})", flush=True)
-
-        in_parallel(tasks, workers, done)
+    answers = _answers(present, folder, out / ANSWERS, workers, progress)
     record = {
         "schema": SCHEMA,
         "version": shj_bayes.__version__,
@@ -100,7 +93,28 @@ def prove_recordings(folder: Path, out: Path, *, workers: int = 2, progress: boo
     }
     page = environment().get_template("recordings.html")
     write_text(out / PAGE, page.render(**head(), record=record, pictures=pictures))
+    shutil.rmtree(out / ANSWERS)
     return RealProof(record, out / PAGE)
+
+
+def _answers(cases: list[Case], folder: Path, kept: Path, workers: int, progress: bool) -> dict[str, dict[str, Any]]:
+    """Diagnose what has no answer yet; each is written whole or not at all, so that a run that was stopped goes on."""
+    kept.mkdir(exist_ok=True)
+    files = {case.id: kept / f"{case.id}.json" for case in cases}
+    answers = {name: read_json(file, ProofError) for name, file in files.items() if file.exists()}
+    if progress and answers:
+        print(f"  {len(answers)} of {len(cases)} were diagnosed before and are not diagnosed again", flush=True)
+    with TemporaryDirectory() as scratch:
+        tasks = [_task(case, folder, Path(scratch)) for case in cases if case.id not in answers]
+
+        def done(task: Any, answer: dict[str, Any]) -> None:
+            write_text(files[task["name"]], json.dumps(answer, indent=1, allow_nan=False))
+            answers[task["name"]] = answer
+            if progress:
+                print(f"  {task['name']} diagnosed ({len(answers)} of {len(cases)})", flush=True)
+
+        in_parallel(tasks, workers, done)
+    return answers
 
 
 def _task(case: Case, folder: Path, scratch: Path) -> dict[str, Any]:
