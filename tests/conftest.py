@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
@@ -16,12 +17,23 @@ from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.report.figures import canvas, posterior
 
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 RATE_HZ = 6.0
 TRUTH = Truth(
     K=18.0, Fy=80.0, beta=10.0, gamma=0.01, ratio=0.8, sigma=0.8, phi=0.0, sigma_slow=0.6, tau_slow=1.0,
     displacement_noise_mm=0.0,
 )  # fmt: skip
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_blas_thread() -> Iterator[None]:
+    """Keep BLAS to one thread, also in processes that tests start: tests run two at a time on two processors."""
+    with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
+        for name in ONE_THREAD:
+            patch.setenv(name, "1")
+        yield
 
 
 def small_posterior(
