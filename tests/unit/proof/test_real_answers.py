@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
-from shj_validation.proof import real
+from shj_validation.proof import pool
 from shj_validation.proof.answers import CASES, band_of, clamping_changes
 from shj_validation.proof.real import prove_recordings
 
@@ -222,7 +222,7 @@ def test_a_run_that_was_stopped_goes_on(lehigh, tmp_path, monkeypatch, capsys):
             if len(asked) == 1:
                 raise KeyboardInterrupt
 
-    monkeypatch.setattr(real, "in_parallel", serve)
+    monkeypatch.setattr(pool, "in_parallel", serve)
     with pytest.raises(KeyboardInterrupt):
         prove_recordings(tmp_path / "recordings", tmp_path / "out")
     result = prove_recordings(tmp_path / "recordings", tmp_path / "out", progress=True)
@@ -242,7 +242,7 @@ def test_the_diagnosis_sees_three_columns(lehigh, tmp_path, monkeypatch):
             seen.append(task["recordings"][0].read_text(encoding="utf-8"))
             done(task, diagnosis())
 
-    monkeypatch.setattr(real, "in_parallel", serve)
+    monkeypatch.setattr(pool, "in_parallel", serve)
     result = prove_recordings(tmp_path / "recordings", tmp_path / "out")
     assert [text.splitlines()[0] for text in seen] == ["time_s,displacement_mm,force_kN"]
     assert {len(line.split(",")) for line in seen[0].splitlines()} == {3}

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
-from shj_validation.proof import run, seal
+from shj_validation.proof import pool, run, seal
 from shj_validation.proof.blind import diagnose_blind
 from shj_validation.proof.cases import draw_keys
 from shj_validation.proof.check import check
@@ -52,14 +52,14 @@ def canned(answer, monkeypatch):
             asked.append(task["name"])
             done(task, answer)
 
-    monkeypatch.setattr(run, "in_parallel", serve)
+    monkeypatch.setattr(pool, "in_parallel", serve)
     return asked
 
 
 @pytest.fixture(scope="module")
 def whole(answer, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "in_parallel", lambda tasks, workers, done: [done(task, answer) for task in tasks])
+        patch.setattr(pool, "in_parallel", lambda tasks, workers, done: [done(task, answer) for task in tasks])
         return prove(tmp_path_factory.mktemp("whole") / "proof", n=N, seed=SEED, workers=1).page.parent
 
 
@@ -83,13 +83,13 @@ def test_the_page_and_the_table_hold_every_trial(finished):
 
 
 def test_a_stopped_proof_goes_on_under_the_same_commitment(canned, answer, tmp_path, monkeypatch):
-    whole = run.in_parallel
+    whole = pool.in_parallel
 
     def stops(tasks, workers, done):
         done(next(iter(tasks)), answer)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run, "in_parallel", stops)
+    monkeypatch.setattr(pool, "in_parallel", stops)
     folder = tmp_path / "proof"
     with pytest.raises(KeyboardInterrupt):
         prove(folder, n=N, seed=SEED, workers=1)
@@ -97,7 +97,7 @@ def test_a_stopped_proof_goes_on_under_the_same_commitment(canned, answer, tmp_p
     assert not (folder / seal.OPENED).exists()
     with pytest.raises(ProofError, match="give the same -n and --seed to go on"):
         prove(folder, n=N, seed=SEED + 1, workers=1)
-    monkeypatch.setattr(run, "in_parallel", whole)
+    monkeypatch.setattr(pool, "in_parallel", whole)
     prove(folder, n=N, seed=SEED, workers=1)
     assert canned == ["0002", "0003"]
     assert (folder / seal.COMMITMENT).read_bytes() == sealed
@@ -113,7 +113,7 @@ def test_a_stopped_proof_can_be_opened_with_its_first_trials(canned, answer, tmp
         done(own[2], answer)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run, "in_parallel", stops)
+    monkeypatch.setattr(pool, "in_parallel", stops)
     folder = tmp_path / "proof"
     with pytest.raises(KeyboardInterrupt):
         prove(folder, n=N, seed=SEED, workers=1)
@@ -138,7 +138,7 @@ def test_keys_stay_sealed_until_every_diagnosis_is_done(canned, tmp_path, monkey
         seen.extend(path.name for path in folder.iterdir())
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run, "in_parallel", looks)
+    monkeypatch.setattr(pool, "in_parallel", looks)
     with pytest.raises(KeyboardInterrupt):
         prove(tmp_path / "proof", n=N, seed=SEED, workers=1)
     assert seal.COMMITMENT in seen
@@ -218,7 +218,7 @@ def test_the_command_asks_for_a_folder():
 
 def test_a_failed_diagnosis_counts_in_no_rate(canned, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        run, "in_parallel", lambda tasks, workers, done: [done(task, {"error": "ModelError: no"}) for task in tasks]
+        pool, "in_parallel", lambda tasks, workers, done: [done(task, {"error": "ModelError: no"}) for task in tasks]
     )
     proof = prove(tmp_path / "proof", n=N, seed=SEED, workers=1)
     assert proof.score["failed"] == [1, 2, 3]

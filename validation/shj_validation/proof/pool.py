@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import shj_bayes
+from shj_bayes._util.files import write_text
 from shj_bayes.errors import ProofError
 from shj_validation.proof.fence import scratch
 
@@ -89,6 +90,42 @@ class Blind:
             if stream is not None:
                 stream.close()
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def unanswered(folder: Path, names: Iterable[str]) -> list[str]:
+    """Names of which a folder holds no diagnosis yet."""
+    return [name for name in names if not (folder / f"{name}.json").exists()]
+
+
+def diagnose_rest(
+    folder: Path,
+    names: Iterable[str],
+    task_of: Callable[[str], dict[str, Any]],
+    workers: int,
+    done: Callable[[str], object],
+) -> None:
+    """Diagnose what has no diagnosis in a folder yet; each is written whole or not at all, so that a run can go on.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the diagnoses go, one file for each name.
+    names : iterable of str
+        Of all that is to be diagnosed.
+    task_of : callable
+        Makes the task of a name, as for `in_parallel`; its ``name`` is added here.
+    workers : int
+        Processes.
+    done : callable
+        Gets the name of each that was diagnosed, in this thread.
+    """
+    folder.mkdir(exist_ok=True)
+
+    def keep(task: Mapping[str, Any], answer: dict[str, Any]) -> None:
+        write_text(folder / f"{task['name']}.json", json.dumps(answer, indent=1, allow_nan=False))
+        done(task["name"])
+
+    in_parallel([{"name": name, **task_of(name)} for name in unanswered(folder, names)], workers, keep)
 
 
 def in_parallel(

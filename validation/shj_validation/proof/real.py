@@ -18,7 +18,7 @@ from shj_bayes.report.page import head
 from shj_validation.proof.answers import CASES, Case, Judged, band_of, clamping_changes
 from shj_validation.proof.page import environment
 from shj_validation.proof.pictures import clamping
-from shj_validation.proof.pool import in_parallel
+from shj_validation.proof.pool import diagnose_rest, unanswered
 
 RECORD, PAGE = "recordings.json", "recordings.html"
 ANSWERS = "answers"  # folder of the diagnoses of a run that has not ended
@@ -98,23 +98,21 @@ def prove_recordings(folder: Path, out: Path, *, workers: int = 2, progress: boo
 
 
 def _answers(cases: list[Case], folder: Path, kept: Path, workers: int, progress: bool) -> dict[str, dict[str, Any]]:
-    """Diagnose what has no answer yet; each is written whole or not at all, so that a run that was stopped goes on."""
-    kept.mkdir(exist_ok=True)
-    files = {case.id: kept / f"{case.id}.json" for case in cases}
-    answers = {name: read_json(file, ProofError) for name, file in files.items() if file.exists()}
-    if progress and answers:
-        print(f"  {len(answers)} of {len(cases)} were diagnosed before and are not diagnosed again", flush=True)
+    """Diagnose what has no answer yet, and give the answers of all."""
+    by_id = {case.id: case for case in cases}
+    count = len(by_id) - len(unanswered(kept, by_id))
+    if progress and count:
+        print(f"  {count} of {len(by_id)} were diagnosed before and are not diagnosed again", flush=True)
+
+    def done(name: str) -> None:
+        nonlocal count
+        count += 1
+        if progress:
+            print(f"  {name} diagnosed ({count} of {len(by_id)})", flush=True)
+
     with TemporaryDirectory() as scratch:
-        tasks = [_task(case, folder, Path(scratch)) for case in cases if case.id not in answers]
-
-        def done(task: Any, answer: dict[str, Any]) -> None:
-            write_text(files[task["name"]], json.dumps(answer, indent=1, allow_nan=False))
-            answers[task["name"]] = answer
-            if progress:
-                print(f"  {task['name']} diagnosed ({len(answers)} of {len(cases)})", flush=True)
-
-        in_parallel(tasks, workers, done)
-    return answers
+        diagnose_rest(kept, by_id, lambda name: _task(by_id[name], folder, Path(scratch)), workers, done)
+    return {name: read_json(kept / f"{name}.json", ProofError) for name in by_id}
 
 
 def _task(case: Case, folder: Path, scratch: Path) -> dict[str, Any]:
@@ -124,7 +122,6 @@ def _task(case: Case, folder: Path, scratch: Path) -> dict[str, Any]:
     recording = read(folder / case.file, columns=case.columns, units=case.units, rate_Hz=case.rate_Hz)
     path = write_csv(own / "run1.csv", recording, digits=12)
     return {
-        "name": case.id,
         "recordings": [path],
         "model": "continuous",
         "priors": "general",

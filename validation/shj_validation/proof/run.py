@@ -20,7 +20,7 @@ from shj_validation.proof import seal
 from shj_validation.proof.cases import Key, draw_keys
 from shj_validation.proof.make import make
 from shj_validation.proof.page import render
-from shj_validation.proof.pool import in_parallel
+from shj_validation.proof.pool import diagnose_rest, unanswered
 from shj_validation.proof.score import score_trial
 from shj_validation.proof.summary import summarise
 
@@ -209,36 +209,25 @@ def _commit(folder: Path, keys: list[Key], nonces: list[str], progress: bool) ->
 
 
 def _diagnose(folder: Path, keys: list[Key], workers: int, quick: bool, progress: bool) -> None:
-    """Diagnose what has no diagnosis yet; each is written whole or not at all.
+    """Diagnose what has no diagnosis yet.
 
     Of a key only the reversal rule is told, as ``--model``.
     """
     rules = dict(zip(names(len(keys)), (key.reversal for key in keys), strict=True))
     target = folder / "diagnoses"
-    target.mkdir(exist_ok=True)
-    open_ = [name for name in rules if not (target / f"{name}.json").exists()]
-    tasks = [
-        {
-            "name": name,
-            "recordings": sorted((folder / "recordings" / name).iterdir()),
-            "quick": quick,
-            "model": rules[name],
-        }
-        for name in open_
-    ]
+
+    def task_of(name: str) -> dict[str, Any]:
+        recordings = sorted((folder / "recordings" / name).iterdir())
+        return {"recordings": recordings, "quick": quick, "model": rules[name]}
+
     with tqdm(
         total=len(rules),
-        initial=len(rules) - len(open_),
+        initial=len(rules) - len(unanswered(target, rules)),
         desc="diagnosing",
         disable=None if progress else True,
         unit="trial",
     ) as bar:
-
-        def done(task: Any, answer: dict[str, Any]) -> None:
-            write_text(target / f"{task['name']}.json", json.dumps(answer, indent=1, allow_nan=False))
-            bar.update()
-
-        in_parallel(tasks, workers, done)
+        diagnose_rest(target, rules, task_of, workers, lambda _: bar.update())
 
 
 def _transcribe(folder: Path, n: int) -> None:
