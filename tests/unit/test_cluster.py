@@ -1,7 +1,6 @@
 """Campaigns on a real dask cluster of separate processes, one of them killed midway: the same numbers as alone."""
 
 import json
-import os
 import subprocess
 import sys
 import threading
@@ -36,7 +35,7 @@ def processes():
     def start(part: str, *arguments: object) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *map(str, arguments)]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        started.append(subprocess.Popen(command, env=os.environ | {"OMP_NUM_THREADS": "1"}, **quiet))
+        started.append(subprocess.Popen(command, **quiet))
         return started[-1]
 
     yield start
