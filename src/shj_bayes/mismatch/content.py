@@ -29,9 +29,15 @@ Draws = Mapping[str, FloatArray]
 
 
 def spread(values: FloatArray) -> dict[str, float]:
-    """Mean, standard deviation and 90 % interval of draws."""
-    low, high = np.quantile(values, [0.05, 0.95])
-    return {"mean": float(values.mean()), "sd": float(values.std(ddof=1)), "q05": float(low), "q95": float(high)}
+    """Mean, standard deviation, median and 90 % interval of draws."""
+    low, middle, high = (float(value) for value in np.quantile(values, [0.05, 0.5, 0.95]))
+    return {
+        "mean": float(values.mean()),
+        "sd": float(values.std(ddof=1)),
+        "q05": low,
+        "q50": middle,
+        "q95": high,
+    }
 
 
 def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:

@@ -282,8 +282,8 @@ def test_the_record_keeps_the_contract(prying, tmp_path):
     for effect in again["effects"]:
         assert again["modelled"].keys() >= {effect["id"] + (f"_{effect['form']}" if effect["form"] else "")}
         for value in effect["parameters"].values():
-            assert {"mean", "sd", "q05", "q95", "unit"} == set(value)
-            assert value["q05"] <= value["mean"] <= value["q95"]
+            assert {"mean", "sd", "q05", "q50", "q95", "unit"} == set(value)
+            assert value["q05"] <= min(value["mean"], value["q50"]) <= max(value["mean"], value["q50"]) <= value["q95"]
     assert (tmp_path / "diagnosis.nc").exists()
     assert not list(tmp_path.glob("*.part"))
 

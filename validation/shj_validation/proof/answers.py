@@ -13,12 +13,14 @@ import numpy as np
 import pandas as pd
 
 from shj_bayes.model.coordinates import coordinates_of
+from shj_bayes.model.device import effect_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, combine
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
+from shj_bayes.recording.recording import Recording
 
 PISTON_MM2 = 490.874  # of the seal rig: pi/4 (25 mm)^2
 EMPS = {"mass": 95.1, "coulomb_N": 20.4, "viscous": 203.5, "offset_N": -3.16}  # Janot, Gautier, Brunot 2019
@@ -98,15 +100,15 @@ def _found(answer: Answer, name: str) -> dict[str, Any] | None:
 
 
 def effect(answer: Answer, name: str) -> dict[str, float] | None:
-    """Give the means of an effect's parameters, or None where it was not found."""
+    """Give the medians of an effect's parameters, or None where it was not found."""
     one = _found(answer, name)
-    return {key: float(row["mean"]) for key, row in one["parameters"].items()} if one else None
+    return {key: float(row["q50"]) for key, row in one["parameters"].items()} if one else None
 
 
 def _offset_N(answer: Answer) -> float | None:
     """Constant force that was found, N; not share times Fy, which may both be open where their product is not."""
     one = _found(answer, "load_offset")
-    return float(np.copysign(1000 * one["size_kN"], one["parameters"]["size"]["mean"])) if one else None
+    return float(np.copysign(1000 * one["size_kN"], one["parameters"]["size"]["q50"])) if one else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,23 +156,27 @@ def _slides(speed: FloatArray) -> Any:
     return speed > WAITS * np.percentile(speed, 95)
 
 
-def clamping_changes(answer: Answer, band: Band, n: int = 1000) -> dict[str, tuple[FloatArray, FloatArray]]:
+def clamping_changes(answer: Answer, band: Band) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Give what was diagnosed of push and of pull, as `Band.change`: what was named, or a curve over time.
 
-    A curve is held against its mean before and after the band was moved. Empty where neither was found.
+    At the times at which that end of the band pulls: at others nothing is known of it. A curve is held against its mean
+    before and after the band was moved. Empty where neither was found.
     """
     found = effect(answer, "tension_step")
     if found is not None and "begin" in found:
-        at = np.linspace(0.0, band.test_s, n)
-        since = at / band.test_s - found["begin"]
-        there = (since >= 0.0) & (since <= found["length"])
-        sides = {"push": 1.0 + found["side"], "pull": 1.0 - found["side"]}
-        return {side: (at, np.where(there, found["size"] * share, 0.0)) for side, share in sides.items()}
+        out = {}
+        for side, sense in (("push", 1.0), ("pull", -1.0)):
+            at = band.change[side][0]
+            since = at / band.test_s - found["begin"]
+            there = (since >= 0.0) & (since <= found["length"])
+            out[side] = (at, np.where(there, found["size"] * (1.0 + sense * found["side"]), 0.0))
+        return out
     out = {}
-    for side, (at, clamping) in _curves_over_time(answer).items():
-        early = at < EARLY * band.test_s
-        rest = float(np.mean(clamping[~band.inside(at) & ~early]))
-        out[side] = (at, np.where(early, 0.0, clamping / rest - 1.0))
+    for side, (times, clamping) in _curves_over_time(answer).items():
+        at = band.change[side][0]
+        own, early = np.interp(at, times, clamping), at < EARLY * band.test_s
+        rest = float(np.mean(own[~band.inside(at) & ~early]))
+        out[side] = (at, np.where(early, 0.0, own / rest - 1.0))
     return out
 
 
@@ -235,53 +241,48 @@ def _emps(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     return [*out, Judged(near, f"mass {EMPS['mass']} kg; {weighed}")]
 
 
-def _straight(answer: Answer, file: Path) -> tuple[float, float, float]:
-    """Fit Coulomb friction (N), viscous friction (N s/m) and offset (N) to the friction of a diagnosed model."""
-    recording = read(file, columns=EMPS_COLUMNS, units="s,m,N")
+def _friction_of(answer: Answer, recording: Recording) -> tuple[History, FloatArray]:
+    """Friction of the model that was diagnosed where a device slides, and what it adds to it but for a mass, kN."""
     (history,) = histories([recording.time_s], [motion_of(recording)])
-    law = {name: row["after"]["mean"] for name, row in answer["shift"].items()}
-    base = Base(law["K"], law["Fy"], law["beta"], law["gamma"], law["Fy"])
-    forms = {(form.mechanism, form.form): form for form in catalogue().values()}
-    acting = [(forms.get((one["id"], one["form"])), effect(answer, one["id"])) for one in answer["effects"]]
+    law = {name: row["after"]["q50"] for name, row in answer["shift"].items()}
+    base = Base(law["K"], law["Fy"], law["beta"], law.get("gamma", 0.0), law["Fy"])
     does = combine(
-        [form.act(history, values, base) for form, values in acting if form and values and form.id != "inertia"]
+        [effect_named(id).act(history, values, base) for id, values in answer["modelled"].items() if id != "inertia"]
     )
     speed = history.speed_mm_s
-    clamping = does.clamping * _curves(answer, history, base)
-    friction = history.direction * base.Fy * clamping * (1.0 + (base.gamma + does.gamma_s_per_mm) * speed)
+    friction = history.direction * base.Fy * does.clamping * (1.0 + (base.gamma + does.gamma_s_per_mm) * speed)
+    return history, np.broadcast_to(friction + does.added_kN, speed.shape)
+
+
+def _straight(answer: Answer, file: Path) -> tuple[float, float, float]:
+    """Fit Coulomb friction (N), viscous friction (N s/m) and offset (N) to the friction of a diagnosed model."""
+    history, friction = _friction_of(answer, read(file, columns=EMPS_COLUMNS, units="s,m,N"))
+    speed = history.speed_mm_s
     columns = np.stack([history.direction, history.direction * speed / 1000.0, np.ones(speed.size)], axis=1)
     slides = speed > 0.01 * history.peak_speed_mm_s
-    force_N = 1000.0 * np.broadcast_to(friction + does.added_kN, speed.shape)
-    coulomb, viscous, offset = np.linalg.lstsq(columns[slides], force_N[slides], rcond=None)[0].tolist()
+    coulomb, viscous, offset = np.linalg.lstsq(columns[slides], 1000.0 * friction[slides], rcond=None)[0].tolist()
     return coulomb, viscous, offset
 
 
-def _curves(answer: Answer, history: History, base: Base) -> FloatArray:
-    """Clamping that the curves make which no formula follows, shape (n_samples,); periods have none in the mean."""
-    clamping = np.ones(history.speed_mm_s.size)
-    for row in answer.get("coordinates", []):
-        if row["action"] == "capacity" and row["curve"] and not row["period"] and not row["matches"]:
-            at = coordinates_of(row["coordinate"])[0].values(history, base)
-            own = 1.0 + np.interp(at, row["curve"]["at"], row["curve"]["mean"]) / 100.0
-            side = {"push": history.direction > 0, "pull": history.direction < 0}.get(row["direction"], True)
-            clamping = np.where(side, clamping * own, clamping)
-    return clamping
-
-
 def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
-    """Compare how far push and pull are apart with their levels at mid-stroke, read off the loop."""
+    """Compare how far push and pull are apart with their levels at mid-stroke, read off the loop.
+
+    By the friction of the model that was diagnosed: the difference may stand in an asymmetry, in a constant force, or
+    in curves for push and pull.
+    """
     recording = read(file)
-    motion = motion_of(recording)
-    position = motion.displacement_mm - np.median(motion.displacement_mm)
+    history, friction = _friction_of(answer, recording)
+    position = recording.displacement_mm - np.median(recording.displacement_mm)
     middle = np.abs(position) < 0.25 * np.percentile(np.abs(position), 99)
-    middle &= _slides(motion.speed_mm_s)
-    direction = motion.direction[motion.half_cycle]
-    push, pull = (q * float(np.median(recording.force_kN[middle & (direction == q)])) for q in (1, -1))
-    level = (push - pull) / (push + pull)
-    found = [one["size"] for name in ("asymmetry", "load_offset") if (one := effect(answer, name))]
-    own = f"diagnosed {sum(found):+.0%}" if found else "neither asymmetry nor offset was named"
-    words = f"push is {level:+.0%} off the mean of push and pull at mid-stroke; {own}"
-    return [Judged(abs(sum(found) - level) <= LEVEL, words)]
+    middle &= _slides(history.speed_mm_s)
+
+    def level(force: FloatArray) -> float:
+        push, pull = (q * float(np.median(force[middle & (history.direction == q)])) for q in (1, -1))
+        return (push - pull) / (push + pull)
+
+    known, own = level(recording.force_kN), level(friction)
+    words = f"push is {known:+.0%} off the mean of push and pull at mid-stroke; diagnosed {own:+.0%}"
+    return [Judged(abs(own - known) <= LEVEL, words)]
 
 
 def _change(expected: bool) -> Judge:

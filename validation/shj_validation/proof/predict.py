@@ -16,7 +16,7 @@ from shj_bayes.recording.motion import Motion
 def predict(
     record: Mapping[str, Any], tested: Sequence[tuple[FloatArray, Motion]], new: tuple[FloatArray, Motion], when: str
 ) -> FloatArray:
-    """Force for a further run of the device, with the parameter means of the diagnosis.
+    """Force for a further run of the device, with the parameter medians of the diagnosis.
 
     The device carries on from its last run: same clamping, travel and time counted on. Lengths, speeds and durations
     that effects refer to (half stroke, peak speed, testing time) are those of the tested runs, whatever the new motion.
@@ -41,7 +41,7 @@ def predict(
     last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
     middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
     history = last.on_scales_of(scales, new[1].displacement_mm - middle)
-    values = {name: float(row[when]["mean"]) for name, row in record["shift"].items()}
+    values = {name: float(row[when]["q50"]) for name, row in record["shift"].items()}
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
     base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])
     own = record["modelled"] if when == "after" else {}
