@@ -13,7 +13,9 @@ from page_tools import Page, check_safe, folded
 from shj_bayes.commands.pipeline import diagnosis_text
 from shj_bayes.errors import ReportError
 from shj_bayes.report.diagnosis import render_diagnosis
+from shj_bayes.report.diagnosis_data import read_diagnosis
 from shj_bayes.report.diagnosis_numbers import profile
+from shj_bayes.report.diagnosis_pictures import draw, moves
 from shj_bayes.report.diagnosis_words import (
     VERDICTS,
     along_words,
@@ -204,6 +206,25 @@ def test_missing_or_damaged_files(tmp_path: Path) -> None:
     (folder / "diagnosis.nc").write_bytes(b"not channels")
     with pytest.raises(ReportError, match="cannot be read"):
         render_diagnosis(folder)
+
+
+def test_a_curve_of_push_over_time_is_known_while_the_device_pushes(tmp_path: Path) -> None:
+    """Sine cycles of 20 pi s, two runs of six: pull is the middle half of each cycle."""
+    at = np.linspace(0.0, 240.0 * np.pi, 97)
+    band = {"at": at.tolist(), "mean": at.tolist(), "q05": at.tolist(), "q95": at.tolist(), "unit": "% of Fy"}
+    row = {"coordinate": "time", "unit": "s", "action": "capacity", "period": None, "curve": band, "probability": 0.99}
+    folder = write(tmp_path, "named", "device")
+    changed = record("named", "device") | {"coordinates": [row | {"direction": side} for side in ("push", "pull")]}
+    (folder / "diagnosis.json").write_text(json.dumps(changed), encoding="utf-8")
+    data = read_diagnosis(folder)
+    phase = (at / (20.0 * np.pi)) % 1.0
+    away = np.abs((phase + 0.25) % 0.5 - 0.25) < 0.2  # from where it turns
+    for side, moved in (("push", (phase <= 0.25) | (phase >= 0.75)), ("pull", (phase > 0.25) & (phase < 0.75))):
+        known = moves(data.channels, at, {"push": 1, "pull": -1}[side])
+        assert np.array_equal(known[away] > 0.5, moved[away])
+        assert 0 < known.sum() < known.size
+    push, pull = (one["address"] for one in draw(data)["curves"])
+    assert push != pull
 
 
 def test_a_period_and_a_fluctuation_are_sentences() -> None:

@@ -160,14 +160,16 @@ def clamping(band: Band, diagnosed: Mapping[str, tuple[FloatArray, FloatArray]])
         axes.scatter(at[few], 100 * change[few], s=5, color=colour, alpha=0.5, linewidths=0, label=f"{side}, measured")
         if side in diagnosed:
             at, change = diagnosed[side]
-            axes.plot(at, 100 * change, color=colour, linewidth=1.8, label=f"{side}, diagnosed")
+            waits = np.append(False, np.diff(at) > 10.0 * np.median(np.diff(at)))  # while the other end pulls
+            drawn = np.where(waits, np.nan, 100 * change)
+            axes.plot(at, drawn, color=colour, linewidth=1.8, label=f"{side}, diagnosed")
     legend(axes, 4)
     label(axes, "time (s)", "change (%)")
     return Picture(
         svg(figure),
         "Force of the band and clamping that was diagnosed, over time",
         "Dots: force of the band while it pulls, which the diagnosis did not see. Lines: clamping as diagnosed from "
-        "displacement and force. Grey: the band was moved.",
+        "displacement and force, while that end of the band pulls. Grey: the band was moved.",
         "Clamping over time",
         wide=True,
     )

@@ -112,14 +112,22 @@ def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, aft
     return svg(figure)
 
 
-def curve(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, axis: str) -> str:
-    """Draw a curve that was found over its coordinate, with its 90 % band, per cent of Fy."""
+def curve(
+    at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, axis: str, known: FloatArray | None = None
+) -> str:
+    """Draw a curve that was found over its coordinate, with its 90 % band, per cent of Fy.
+
+    Dotted and without the band where it is not `known`, 1 or 0 at each place; known everywhere by default.
+    """
     figure, axes = sheet(WIDE, 3.4)
     axes.axhline(0, color=INK, linewidth=0.8)
-    axes.fill_between(at, low, high, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
-    axes.plot(at, mean, color=BLUE, linewidth=1.8, label="curve found")
+    there = np.ones(at.size, dtype=np.bool_) if known is None else known > 0.5
+    axes.fill_between(at, low, high, where=there, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
+    axes.plot(at, np.where(there, mean, np.nan), color=BLUE, linewidth=1.8, label="curve found")
+    if not there.all():
+        axes.plot(at, mean, color=BLUE, linewidth=1.0, linestyle=":", label="in between, not measured")
     label(axes, plain(axis), "change (% of Fy)")
-    legend(axes, 2)
+    legend(axes, 3)
     return svg(figure)
 
 
