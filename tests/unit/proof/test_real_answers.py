@@ -25,7 +25,7 @@ def diagnosis(verdict="named", where=(), fy_kN=0.02, gamma=0.0, heldout=0.5, **e
             "id": k,
             "form": "",
             "size_kN": fy_kN * abs(values["size"]),
-            "parameters": {n: {"q50": v} for n, v in values.items()},
+            "parameters": {n: dict.fromkeys(("q05", "q50", "q95"), v) for n, v in values.items()},
         }
         for k, values in effects.items()
     ]

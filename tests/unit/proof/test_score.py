@@ -196,7 +196,7 @@ def test_prediction_carries_the_device_on_from_its_last_run():
     new_time = np.arange(new.displacement_mm.size) / 20.0
     shift = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.01, "ratio": 0.8}
     record = {
-        "shift": {name: {"before": {"q50": v}, "after": {"q50": v}} for name, v in shift.items()},
+        "shift": {name: {"before": {"mean": v}, "after": {"mean": 9.0, "q50": v}} for name, v in shift.items()},
         "modelled": {"wear": {"size": 0.1}},
         "model": {"variant": "seed"},
     }

@@ -4,6 +4,7 @@ What is known stands in the publications (see the README of the recordings' fold
 the pressure are read only after the diagnosis is done.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -331,9 +332,13 @@ def _both(*judges: Judge) -> Judge:
 def _backlash(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     """Compare the free travel with the published backlash."""
     low, high = BACKLASH_MM
-    found = effect(answer, "slack")
-    own = f"diagnosed {found['size']:.3f} mm" if found else "no free travel was named"
-    return [Judged(found is not None and low <= found["size"] <= high, f"backlash {low} to {high} mm; {own}")]
+    found, size = _found(answer, "slack"), math.nan
+    own = "no free travel was named"
+    if found:
+        row = found["parameters"]["size"]
+        size = row["q50"]
+        own = f"diagnosed {size:.2f} mm (90 % interval {row['q05']:.2f} to {row['q95']:.2f} mm)"
+    return [Judged(low <= size <= high, f"backlash {low} to {high} mm; {own}")]
 
 
 def _hidden(pair: str) -> Judge:

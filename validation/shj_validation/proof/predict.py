@@ -41,7 +41,8 @@ def predict(
     last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
     middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
     history = last.on_scales_of(scales, new[1].displacement_mm - middle)
-    values = {name: float(row[when]["q50"]) for name, row in record["shift"].items()}
+    law = {name: row[when] for name, row in record["shift"].items()}
+    values = {name: float(row.get("q50", row["mean"])) for name, row in law.items()}  # of earlier proofs: the means
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
     base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])
     own = record["modelled"] if when == "after" else {}
