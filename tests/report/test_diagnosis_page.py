@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_diagnosis import record, write
+from markupsafe import Markup
 from page_tools import Page, check_safe, folded
 
 from shj_bayes.commands.pipeline import diagnosis_text
@@ -29,6 +30,7 @@ from shj_bayes.report.diagnosis_words import (
     title_of,
     verdict_words,
 )
+from shj_bayes.report.page import kept_together
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,16 @@ def test_every_verdict_renders_in_words(pages: dict[str, Page], verdict: str, ho
     assert page.outside == []
     assert len(page.raw) < 3_000_000
     assert " ".join(hostile_name.split()) in page.text
+
+
+def test_no_line_breaks_between_a_number_and_its_unit(pages: dict[str, Page]) -> None:
+    gap = "\N{NO-BREAK SPACE}"
+    assert f"falls by 15{gap}% at full stroke" in pages["named"].raw
+    assert (
+        kept_together("2 mm, 3 strokes of 4 kN: 5 % in 2 months")
+        == f"2{gap}mm, 3 strokes of 4{gap}kN: 5{gap}% in 2 months"
+    )
+    assert kept_together(Markup("2 mm")) == "2 mm"  # code and data
 
 
 def test_what_was_found_stands_open_and_the_rest_is_folded_away(pages: dict[str, Page]) -> None:

@@ -45,7 +45,7 @@ def _curves(data: DiagnosisData) -> list[dict[str, Any]]:
             continue
         at, mean, low, high = (np.array([number(v) for v in table[key]]) for key in ("at", "mean", "q05", "q95"))
         name = say.along_words(c["coordinate"]).removeprefix("the ")
-        unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})"
+        unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})".replace("^2", "\N{SUPERSCRIPT TWO}")
         over = f"{name}{', one period' if c.get('period') else ''}"
         what = ("sliding force" if c.get("action") == "capacity" else "added force") + say.way_words(c)
         sense = SENSES.get(c.get("direction"))

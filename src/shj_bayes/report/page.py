@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -29,12 +30,22 @@ class Picture:
     wide: bool = False  # takes the full width
 
 
+# A space between a number and its unit.
+GAP = re.compile(r"(?<=\d) (?=%|(?:kN|N|mm|m|s|min|Hz|kJ|J|MPa|degC)\b)")
+
+
+def kept_together(value: Any) -> Any:
+    """Give a text in which no line breaks between a number and its unit; everything else as it is."""
+    return GAP.sub("\N{NO-BREAK SPACE}", value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
 @cache
 def environment_of(*packages: str) -> jinja2.Environment:
     """Templates of packages, those of the first before those of the next, with escaping."""
     made = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package) for package in packages]),
         autoescape=True,
+        finalize=kept_together,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
