@@ -64,7 +64,7 @@ def test_a_change_of_clamping_is_compared_in_time_and_size(band):
     step = {"size": 0.15, "begin": 4 / 15, "length": 5 / 15, "side": 1.0}
     judged = BY_ID["brfd step"].judge(diagnosis(tension_step=step), band, {})
     assert [one.agrees for one in judged] == [True, True, True]
-    assert "from 4.0 to 9.0 s (band force push +30%, pull +0%)" in judged[0].words
+    assert "from 4.0 to 9.0 s (band force push +30 %, pull +0 %)" in judged[0].words
     late = BY_ID["brfd step"].judge(diagnosis(tension_step=step | {"begin": 0.8}), band, {})
     assert not late[0].agrees
     weak = BY_ID["brfd step"].judge(diagnosis(tension_step=step | {"size": -0.15}), band, {})
@@ -174,7 +174,7 @@ def test_push_and_pull_are_compared_with_the_loop(tmp_path):
     )
     judged = judge(apart, path, {})
     assert [one.agrees for one in judged] == [True, True]
-    assert "push is +20% off the mean of push and pull at mid-stroke; diagnosed +18%" in judged[1].words
+    assert "push is +20 % off the mean of push and pull at mid-stroke; diagnosed +18 %" in judged[1].words
     assert [one.agrees for one in judge(diagnosis(), path, {})] == [False, False]
 
 

@@ -185,7 +185,7 @@ def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     """Compare when the clamping changed, and by how much in each direction, with the band's own columns."""
     band = band_of(file)
     known = {side: float(np.mean(change[band.inside(at)])) for side, (at, change) in band.change.items()}
-    size = f"push {known['push']:+.0%}, pull {known['pull']:+.0%}"
+    size = f"push {100 * known['push']:+.0f} %, pull {100 * known['pull']:+.0f} %"
     truth = f"the band was moved from {band.begin_s:.1f} to {band.end_s:.1f} s (band force {size})"
     changes = clamping_changes(answer, band)
     if not changes:
@@ -195,10 +195,12 @@ def _band(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     low, high = (float(at[np.abs(change) >= 0.5 * np.abs(change).max()][i]) for i in (0, -1))
     shared = max(0.0, min(band.end_s, high) - max(band.begin_s, low))
     shared /= max(band.end_s, high) - min(band.begin_s, low)
-    out = [Judged(shared >= 0.5, f"{truth}; diagnosed from {low:.1f} to {high:.1f} s ({shared:.1%} shared)")]
+    out = [Judged(shared >= 0.5, f"{truth}; diagnosed from {low:.1f} to {high:.1f} s ({100 * shared:.1f} % shared)")]
     for side, found_in in own.items():
         near = abs(found_in - known[side]) <= max(0.1, 0.5 * abs(known[side]))
-        out.append(Judged(near, f"{side}: band force {known[side]:+.0%}, diagnosed clamping {found_in:+.0%}"))
+        out.append(
+            Judged(near, f"{side}: band force {100 * known[side]:+.0f} %, diagnosed clamping {100 * found_in:+.0f} %")
+        )
     return out
 
 
@@ -282,7 +284,7 @@ def _apart(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
         return (push - pull) / (push + pull)
 
     known, own = level(recording.force_kN), level(friction)
-    words = f"push is {known:+.0%} off the mean of push and pull at mid-stroke; diagnosed {own:+.0%}"
+    words = f"push is {100 * known:+.0f} % off the mean of push and pull at mid-stroke; diagnosed {100 * own:+.0f} %"
     return [Judged(abs(own - known) <= LEVEL, words)]
 
 

@@ -48,9 +48,13 @@ class RealProof:
             lines += [f"{row['id']}: {row['verdict']} ({', '.join(row['found']) or 'nothing named'})"]
             lines += [f"  {'agrees' if j['agrees'] else 'DIFFERS'}: {j['words']}" for j in row["judged"]]
         lines += [f"skipped: {name} is not in the folder" for name in self.record["absent"]]
-        agreed = sum(j["agrees"] for row in self.record["cases"] for j in row["judged"])
-        total = sum(len(row["judged"]) for row in self.record["cases"])
-        return "\n".join([*lines, "", f"{agreed} of {total} comparisons agree", f"page: {self.page}"])
+        return "\n".join([*lines, "", agreement(self.record), f"page: {self.page}"])
+
+
+def agreement(record: dict[str, Any]) -> str:
+    """Say how many of all comparisons agree."""
+    agrees = [j["agrees"] for row in record["cases"] for j in row["judged"]]
+    return f"{sum(agrees)} of {len(agrees)} comparisons agree"
 
 
 @alone_in("out")
@@ -92,7 +96,7 @@ def prove_recordings(folder: Path, out: Path, *, workers: int = 2, progress: boo
         if case.band and "error" not in answers[case.id]
     }
     page = environment().get_template("recordings.html")
-    write_text(out / PAGE, page.render(**head(), record=record, pictures=pictures))
+    write_text(out / PAGE, page.render(**head(), record=record, agreement=agreement(record), pictures=pictures))
     shutil.rmtree(out / ANSWERS)
     return RealProof(record, out / PAGE)
 
