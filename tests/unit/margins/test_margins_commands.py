@@ -41,7 +41,7 @@ def test_margins_prints_a_table_and_writes_the_sheet(folder):
     assert "Zinc 70: 2 devices" in done.output
     assert "corroded" not in done.output.split("\n- ")[0]
     page = (folder / "margins.html").read_text(encoding="utf-8")
-    assert "<strong>2 cycles of 48 mm at a peak speed of 10" in page
+    assert "<strong>2 cycles of 48\N{NO-BREAK SPACE}mm at a peak speed of 10" in page
     assert "for drift and displacement" in done.output
     assert "by 11 for dep = +30" in page
     assert "by -9 for dep = -30" in page
