@@ -23,6 +23,8 @@ from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
+from shj_bayes.planning import plan
+from shj_bayes.planning.rehearsal import rehearse
 from shj_bayes.population import hierarchy
 from shj_bayes.report.browse import find_browser
 
@@ -83,7 +85,7 @@ def commands() -> list[str]:
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with the files that the documents speak of, and the sampler cut short."""
+    """A folder with the files that the documents speak of; chains and rehearsals are cut short."""
     folder = tmp_path_factory.mktemp("desk")
     for number, stem in enumerate(("run", "plain-run"), start=3):
         made = [p for p in write_simulated(folder / "x", TRUTH, seed=number, rate_Hz=3.0) if p.suffix == ".csv"]
@@ -117,6 +119,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setattr(hierarchy, "LONGER", 1)
         for limit, loose in (("RHAT_LIMIT", 2.0), ("ESS_LIMIT", 100.0), ("TAU_LIMIT", 1.0)):
             patch.setattr(convergence, limit, loose)
+        patch.setattr(
+            plan, "rehearse", lambda known, protocol, rate_Hz, n, *rest: rehearse(known, protocol, rate_Hz, 2, *rest)
+        )
         # In this process, where pictures are left empty; tests/unit/test_campaign.py runs the workers.
         patch.setattr(campaign, "_in_processes", lambda devices, out, _: (campaign._fit_one(d, out) for d in devices))
         patch.chdir(folder)
