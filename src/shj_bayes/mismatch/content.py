@@ -30,14 +30,9 @@ Draws = Mapping[str, FloatArray]
 
 def spread(values: FloatArray) -> dict[str, float]:
     """Mean, standard deviation, median and 90 % interval of draws."""
-    low, middle, high = (float(value) for value in np.quantile(values, [0.05, 0.5, 0.95]))
-    return {
-        "mean": float(values.mean()),
-        "sd": float(values.std(ddof=1)),
-        "q05": low,
-        "q50": middle,
-        "q95": high,
-    }
+    quantiles = np.quantile(values, [0.05, 0.5, 0.95]).tolist()
+    mean, sd = float(values.mean()), float(values.std(ddof=1))
+    return {"mean": mean, "sd": sd, **dict(zip(("q05", "q50", "q95"), quantiles, strict=True))}
 
 
 def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import diagnosis_words as say
+from shj_bayes.report.data import BoolArray
 from shj_bayes.report.diagnosis_data import Channels, DiagnosisData, number
 from shj_bayes.report.diagnosis_numbers import N_BINS, position_travel, profile, shown_cycle, travel_bins
 from shj_bayes.report.figures import diagnosis as draw_
@@ -45,23 +46,24 @@ def _curves(data: DiagnosisData) -> list[dict[str, Any]]:
             continue
         at, mean, low, high = (np.array([number(v) for v in table[key]]) for key in ("at", "mean", "q05", "q95"))
         name = say.along_words(c["coordinate"]).removeprefix("the ")
-        unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})".replace("^2", "\N{SUPERSCRIPT TWO}")
+        unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})"
         over = f"{name}{', one period' if c.get('period') else ''}"
         what = ("sliding force" if c.get("action") == "capacity" else "added force") + say.way_words(c)
-        sense = SENSES.get(c.get("direction"))
-        known = None if sense is None or c["coordinate"] != "time" else moves(data.channels, at, sense)
+        sense = SENSES.get(c.get("direction")) if c["coordinate"] == "time" else None
+        known = moves(data.channels, at, sense) if sense else None
         address = draw_.curve(at, mean, low, high, over + unit, known)
         out.append({"address": address, "of": c, "what": what, "name": name, "over": over})
     return out
 
 
-def moves(channels: Channels, at_s: FloatArray, sense: int) -> FloatArray:
-    """Whether a device moves in a direction, +1 or -1, near evenly spaced times of all runs, shape (n,): 1 or 0."""
-    lasts_s = [float(channels.time_s[channels.run == run].max()) for run in np.unique(channels.run)]
-    begun_s = np.append(0.0, np.cumsum(lasts_s))[np.searchsorted(np.unique(channels.run), channels.run)]
+def moves(channels: Channels, at_s: FloatArray, sense: int) -> BoolArray:
+    """Whether a device moves in a direction, +1 or -1, near evenly spaced times of all runs, shape (n,)."""
+    runs, place = np.unique(channels.run, return_inverse=True)
+    lasts_s = [channels.time_s[channels.run == run].max() for run in runs]
+    begun_s = np.append(0.0, np.cumsum(lasts_s))[place]
     half = 0.5 * np.ptp(at_s) / max(at_s.size - 1, 1)
     own = np.sort((begun_s + channels.time_s)[channels.direction == sense])
-    return np.array(np.searchsorted(own, at_s + half) > np.searchsorted(own, at_s - half), dtype=np.float64)
+    return np.asarray(np.searchsorted(own, at_s + half) > np.searchsorted(own, at_s - half))
 
 
 def _loops(data: DiagnosisData) -> list[dict[str, Any]]:

@@ -4,7 +4,6 @@ What is known stands in the publications (see the README of the recordings' fold
 the pressure are read only after the diagnosis is done.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,6 @@ import numpy as np
 import pandas as pd
 
 from shj_bayes.model.coordinates import coordinates_of
-from shj_bayes.model.device import effect_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, combine
 from shj_bayes.model.history import History, histories
@@ -22,6 +20,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
+from shj_validation.proof.predict import acting_in, law_of
 
 PISTON_MM2 = 490.874  # of the seal rig: pi/4 (25 mm)^2
 EMPS = {"mass": 95.1, "coulomb_N": 20.4, "viscous": 203.5, "offset_N": -3.16}  # Janot, Gautier, Brunot 2019
@@ -163,21 +162,17 @@ def clamping_changes(answer: Answer, band: Band) -> dict[str, tuple[FloatArray, 
     At the times at which that end of the band pulls: at others nothing is known of it. A curve is held against its mean
     before and after the band was moved. Empty where neither was found.
     """
-    found = effect(answer, "tension_step")
-    if found is not None and "begin" in found:
-        out = {}
-        for side, sense in (("push", 1.0), ("pull", -1.0)):
-            at = band.change[side][0]
+    found, curves, out = effect(answer, "tension_step"), _curves_over_time(answer), {}
+    for side, sense in (("push", 1.0), ("pull", -1.0)):
+        at = band.change[side][0]
+        if found is not None and "begin" in found:
             since = at / band.test_s - found["begin"]
             there = (since >= 0.0) & (since <= found["length"])
             out[side] = (at, np.where(there, found["size"] * (1.0 + sense * found["side"]), 0.0))
-        return out
-    out = {}
-    for side, (times, clamping) in _curves_over_time(answer).items():
-        at = band.change[side][0]
-        own, early = np.interp(at, times, clamping), at < EARLY * band.test_s
-        rest = float(np.mean(own[~band.inside(at) & ~early]))
-        out[side] = (at, np.where(early, 0.0, own / rest - 1.0))
+        elif side in curves:
+            own, early = np.interp(at, *curves[side]), at < EARLY * band.test_s
+            rest = float(np.mean(own[~band.inside(at) & ~early]))
+            out[side] = (at, np.where(early, 0.0, own / rest - 1.0))
     return out
 
 
@@ -247,11 +242,9 @@ def _emps(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
 def _friction_of(answer: Answer, recording: Recording) -> tuple[History, FloatArray]:
     """Friction of the model that was diagnosed where a device slides, and what it adds to it but for a mass, kN."""
     (history,) = histories([recording.time_s], [motion_of(recording)])
-    law = {name: row["after"]["q50"] for name, row in answer["shift"].items()}
+    law = law_of(answer, "after")
     base = Base(law["K"], law["Fy"], law["beta"], law.get("gamma", 0.0), law["Fy"])
-    does = combine(
-        [effect_named(id).act(history, values, base) for id, values in answer["modelled"].items() if id != "inertia"]
-    )
+    does = combine([of.act(history, values, base) for of, values in acting_in(answer) if of.id != "inertia"])
     speed = history.speed_mm_s
     friction = history.direction * base.Fy * does.clamping * (1.0 + (base.gamma + does.gamma_s_per_mm) * speed)
     return history, np.broadcast_to(friction + does.added_kN, speed.shape)
@@ -334,13 +327,12 @@ def _both(*judges: Judge) -> Judge:
 def _backlash(answer: Answer, file: Path, _: Mapping[str, Answer]) -> list[Judged]:
     """Compare the free travel with the published backlash."""
     low, high = BACKLASH_MM
-    found, size = _found(answer, "slack"), math.nan
-    own = "no free travel was named"
-    if found:
-        row = found["parameters"]["size"]
-        size = row["q50"]
-        own = f"diagnosed {size:.2f} mm (90 % interval {row['q05']:.2f} to {row['q95']:.2f} mm)"
-    return [Judged(low <= size <= high, f"backlash {low} to {high} mm; {own}")]
+    found = _found(answer, "slack")
+    if found is None:
+        return [Judged(False, f"backlash {low} to {high} mm; no free travel was named")]
+    size = found["parameters"]["size"]
+    own = f"diagnosed {size['q50']:.2f} mm (90 % interval {size['q05']:.2f} to {size['q95']:.2f} mm)"
+    return [Judged(low <= size["q50"] <= high, f"backlash {low} to {high} mm; {own}")]
 
 
 def _hidden(pair: str) -> Judge:

@@ -7,10 +7,21 @@ import numpy as np
 
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.device import effect_named
-from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.effects.effect import Base, Effect
 from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.recording.motion import Motion
+
+
+def law_of(record: Mapping[str, Any], when: str) -> dict[str, float]:
+    """Give the medians of the law's parameters by name; their means in a diagnosis without medians."""
+    rows = {name: row[when] for name, row in record["shift"].items()}
+    return {name: float(row["q50"] if "q50" in row else row["mean"]) for name, row in rows.items()}
+
+
+def acting_in(record: Mapping[str, Any]) -> list[tuple[Effect, Mapping[str, float]]]:
+    """Effects of the model that was found, curves among them, with the medians of their parameters."""
+    return [(effect_named(name), values) for name, values in record["modelled"].items()]
 
 
 def predict(
@@ -41,10 +52,8 @@ def predict(
     last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
     middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
     history = last.on_scales_of(scales, new[1].displacement_mm - middle)
-    law = {name: row[when] for name, row in record["shift"].items()}
-    values = {name: float(row.get("q50", row["mean"])) for name, row in law.items()}  # of earlier proofs: the means
+    values = law_of(record, when)
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
     base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])
-    own = record["modelled"] if when == "after" else {}
-    acting = [(effect_named(name), values) for name, values in own.items()]
+    acting = acting_in(record) if when == "after" else []
     return np.asarray(force_with_effects(history, base, acting, variant=record["model"]["variant"]))

@@ -44,7 +44,7 @@ def tidy(axes: Axes) -> Axes:
 
 def label(axes: Axes, x: str, y: str, unit: ForceUnit = KN) -> None:
     """Axis titles; they always carry a unit. Forces are drawn in kN; `unit` says what stands at the marks."""
-    axes.set_xlabel(x, fontsize=10.5, color=INK)
+    axes.set_xlabel(x.replace("^2", "\N{SUPERSCRIPT TWO}"), fontsize=10.5, color=INK)
     axes.set_ylabel(y.replace("(kN)", f"({unit.name})"), fontsize=10.5, color=INK)
     if "(kN)" in y and unit.factor != 1:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * unit.factor:g}"))

@@ -9,6 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report.data import BoolArray
 from shj_bayes.report.diagnosis_numbers import Map, Profile
 from shj_bayes.report.figures.canvas import (
     BLUE,
@@ -113,15 +114,15 @@ def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, aft
 
 
 def curve(
-    at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, axis: str, known: FloatArray | None = None
+    at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, axis: str, known: BoolArray | None = None
 ) -> str:
     """Draw a curve that was found over its coordinate, with its 90 % band, per cent of Fy.
 
-    Dotted and without the band where it is not `known`, 1 or 0 at each place; known everywhere by default.
+    Dotted and without the band where it is not `known`, shape (n,); known everywhere by default.
     """
     figure, axes = sheet(WIDE, 3.4)
     axes.axhline(0, color=INK, linewidth=0.8)
-    there = np.ones(at.size, dtype=np.bool_) if known is None else known > 0.5
+    there = np.ones(at.size, dtype=np.bool_) if known is None else known
     axes.fill_between(at, low, high, where=there, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
     axes.plot(at, np.where(there, mean, np.nan), color=BLUE, linewidth=1.8, label="curve found")
     if not there.all():
