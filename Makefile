@@ -3,9 +3,9 @@
 
 PYTHON ?= python3
 
-.PHONY: demo test check docs prove fuzz kill thousand calibrate audit minimum recover bench clean
+.PHONY: install demo test check docs prove fuzz kill thousand calibrate audit minimum recover bench clean
 
-demo test check docs prove fuzz kill thousand calibrate audit minimum recover bench:
+install demo test check docs prove fuzz kill thousand calibrate audit minimum recover bench:
 	$(PYTHON) tasks.py $@
 
 clean:

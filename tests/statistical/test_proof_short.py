@@ -69,18 +69,18 @@ def test_the_short_proof_fails_when_naming_is_broken(tmp_path, monkeypatch):
         return [replace(candidate, gain=gain) for candidate, gain in zip(right[::-1], gains, strict=True)]
 
     monkeypatch.setattr(search, "screen", worst_first)
-    assert outcome(TRIALS["prying"], diagnosed(TRIALS["prying"], tmp_path)) != "right"
+    assert outcome(TRIALS["asymmetry"], diagnosed(TRIALS["asymmetry"], tmp_path)) != "right"
 
 
 def test_the_short_proof_fails_when_the_coordinate_is_wrong(tmp_path, monkeypatch):
     """What was found is said of another dependence, with the formula that fits there."""
-    monkeypatch.setattr(search, "candidates", _without_distance(search.candidates))
-    assert outcome(TRIALS["prying"], diagnosed(TRIALS["prying"], tmp_path)) != "right"
+    monkeypatch.setattr(search, "candidates", _without_direction(search.candidates))
+    assert outcome(TRIALS["asymmetry"], diagnosed(TRIALS["asymmetry"], tmp_path)) != "right"
 
 
-def _without_distance(candidates):
-    """Candidates but for those over the distance from mid-stroke."""
-    return lambda *told: [c for c in candidates(*told) if c.of.coordinate != "distance"]
+def _without_direction(candidates):
+    """Candidates but for a difference of push and pull."""
+    return lambda *told: [c for c in candidates(*told) if c.of.coordinate != "direction"]
 
 
 def test_an_unseen_history_is_predicted_once_the_effect_is_known(records):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
@@ -297,8 +297,8 @@ class Metric:
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
-        white, reduced = self.factors(columns)
-        return np.asarray(white.T @ reduced)
+        white, taken = self.factors(columns)
+        return np.asarray(white.T @ white - taken.T @ taken)
 
     @property
     def fluctuation(self) -> float:
@@ -317,9 +317,12 @@ class Metric:
         return left * slow**2 > math.exp(-1.0) * (slow**2 + white**2)
 
     def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Give whitened columns and the same less what the discrepancy takes up: products are of one with the other."""
+        """Give whitened columns and what the discrepancy takes up of each: products are those of the former less these.
+
+        Shapes (n_evidence, p) and (p + 1 + n_runs, p), the rows of the latter being those of `other` made orthogonal.
+        """
         white, _ = self.whitened(columns)
-        return white, np.asarray(white - self.other @ cho_solve(self._root, self.other.T @ white))
+        return white, np.asarray(solve_triangular(self._root[0], self.other.T @ white, lower=True))
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""

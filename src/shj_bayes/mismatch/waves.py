@@ -129,14 +129,19 @@ def _columns(scene: Scene, over: Coordinate, response: list[FloatArray], frequen
 
 def _gains(metric: Metric, state: State, columns: FloatArray) -> FloatArray:
     """Log Bayes factor of a plain wave of each frequency, to first order, shape (n_frequencies,)."""
-    white, reduced = metric.factors(state.beside())
-    data, model = reduced[:, :1], reduced[:, 1:]
-    root = cho_factor(np.eye(state.z.size) + white[:, 1:].T @ model, lower=True)
-    fitted = cho_solve(root, white[:, 1:].T @ data)
+    beside, beside_taken = metric.factors(state.beside())
     k = columns.shape[1]
-    wave, left = (f.reshape(-1, k, 2) for f in metric.factors(columns.reshape(columns.shape[0], 2 * k)))
-    cross = np.einsum("nd,nki->dki", model, wave, optimize=True)
-    solved = cho_solve(root, cross.reshape(-1, 2 * k)).reshape(cross.shape)
-    inner = np.einsum("nki,nkj->kij", wave, left, optimize=True) - np.einsum("dki,dkj->kij", cross, solved)
-    along = np.einsum("n,nki->ki", (data - model @ fitted)[:, 0], wave, optimize=True)
+    wave, taken = metric.factors(columns.reshape(columns.shape[0], 2 * k))
+    own = beside.T @ beside - beside_taken.T @ beside_taken
+    along, cross = np.split(beside.T @ wave - beside_taken.T @ taken, [1])
+    root = cho_factor(np.eye(state.z.size) + own[1:, 1:], lower=True)
+    solved = cho_solve(root, cross)
+    along = (along[0] - own[0, 1:] @ solved).reshape(k, 2)
+    inner = _of_each(wave, wave) - _of_each(taken, taken) - _of_each(cross, solved)
     return np.asarray(logsumexp(log_gain(inner, along, np.array(SIZES), size_weights()), axis=-1))
+
+
+def _of_each(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products of the cosine and the sine of each frequency in `a` with those in `b`, shape (m, 2 k) to (k, 2, 2)."""
+    pairs = [np.einsum("mk,mk->k", a[:, i::2], b[:, j::2]) for i in (0, 1) for j in (0, 1)]
+    return np.stack(pairs, axis=-1).reshape(-1, 2, 2)

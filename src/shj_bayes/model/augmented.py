@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import gammainc, gammaincinv
 
 from shj_bayes.model.effects.effect import LEAST, Base, Contribution, Effect, combine
-from shj_bayes.model.effects.kernel import limit_rise, rate_free_force
+from shj_bayes.model.effects.kernel import at_speed, gone_further, limit_rise, rate_free_force
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.parameters import FloatArray
 
@@ -69,9 +69,13 @@ def _late(
             acted[key] = effect.act(moved, values, base)
         parts.append(acted[key])
     total = combine(parts)
-    clamping = np.maximum(np.broadcast_to(total.clamping, moved.time_s.shape), LEAST)
-    if np.ndim(total.clamping):
-        limit_rise(clamping, moved.travel_m, moved.motion.start, 1000.0 * base.K / base.Fy)
+    clamping = np.maximum(np.ravel(total.clamping), LEAST)
+    if clamping.size > 1:
+        motion = moved.motion
+        gone = moved.recall("gone further", lambda: np.asarray(gone_further(moved.travel_m, motion.start)))
+        limit_rise(clamping, gone, motion.start, 1000.0 * base.K / base.Fy)
+    else:
+        clamping = np.full(moved.time_s.size, clamping[0])
     if start_force_kN:  # as it was read: the state of the device is without what is added to it
         start_force_kN -= float(np.ravel(total.added_kN)[0])
     share, gap, stiffness = total.second_surface
@@ -80,7 +84,7 @@ def _late(
     if share > 0:
         second = (share, gap, stiffness * share, smooth)
         force = force + _surface(moved, base, total, clamping, second, start_force_kN)
-    force = force * (1.0 + (base.gamma + total.gamma_s_per_mm) * moved.speed_mm_s) + total.added_kN
+    at_speed(force, moved.speed_mm_s, base.gamma + total.gamma_s_per_mm, np.ravel(total.added_kN))
     force = force[own]
     if lag_s and late is None:
         force = np.interp(history.time_s - lag_s, history.time_s, force)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.history import History
@@ -176,21 +177,20 @@ class Effect:
         return tuple(p.name for p in self.parameters)
 
 
-def combine(contributions: list[Contribution]) -> Contribution:
+def combine(contributions: Sequence[Contribution]) -> Contribution:
     """Join the contributions of several effects."""
-    clamping: FloatArray | float = 1.0
-    added: FloatArray | float = 0.0
-    for c in contributions:
-        clamping, added = clamping * c.clamping, added + c.added_kN
-    second = [c.second_surface for c in contributions if c.second_surface[0] > 0]
+    return reduce(_joined, contributions) if contributions else Contribution()
+
+
+def _joined(a: Contribution, b: Contribution) -> Contribution:
     return Contribution(
-        clamping=clamping,
-        added_kN=added,
-        slack_mm=sum(c.slack_mm for c in contributions),
-        take_up_mm=sum(c.take_up_mm for c in contributions),
-        open_at_start=next((c.open_at_start for c in contributions if c.slack_mm > 0), 0.5),
-        compliance_mm_per_kN=sum(c.compliance_mm_per_kN for c in contributions),
-        smooth_reversal=min(1.0, sum(c.smooth_reversal for c in contributions)),
-        gamma_s_per_mm=sum(c.gamma_s_per_mm for c in contributions),
-        second_surface=second[0] if second else (0.0, 0.0, 1.0),
+        clamping=a.clamping * b.clamping,
+        added_kN=a.added_kN + b.added_kN,
+        slack_mm=a.slack_mm + b.slack_mm,
+        take_up_mm=a.take_up_mm + b.take_up_mm,
+        open_at_start=(a if a.slack_mm > 0 else b).open_at_start,
+        compliance_mm_per_kN=a.compliance_mm_per_kN + b.compliance_mm_per_kN,
+        smooth_reversal=min(1.0, a.smooth_reversal + b.smooth_reversal),
+        gamma_s_per_mm=a.gamma_s_per_mm + b.gamma_s_per_mm,
+        second_surface=(a if a.second_surface[0] > 0 else b).second_surface,
     )

@@ -141,18 +141,24 @@ def gone_further(distance, start):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def limit_rise(clamping, travel, start, slope):  # type: ignore[no-untyped-def]
-    """Keep the capacity from rising faster than the elastic stiffness can follow: `slope` per unit of travel.
+def limit_rise(clamping, gone, start, slope):  # type: ignore[no-untyped-def]
+    """Keep the capacity from rising faster than the elastic stiffness can follow: `slope` per distance `gone_further`.
 
     A capacity that recovers makes no force without motion. Without this a pause in which the plates cool looked like a
     force that grows at rest, and friction that rises as the speed falls came back at full height within the last
     hundredth of a millimetre of a stroke, from where the next one then started. The other direction has a capacity of
     its own, so each half-cycle begins anew.
     """
-    gone = gone_further(travel, start)
     for k in range(start.size - 1):
         for i in range(start[k] + 1, start[k + 1]):
             clamping[i] = min(clamping[i], clamping[i - 1] + slope * gone[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def at_speed(force, speed, gamma, added):  # type: ignore[no-untyped-def]
+    """Make a rate-free force, in its place, that of Eq. (2) with a force `added` to it: one number, or n of them."""
+    for i in range(force.size):
+        force[i] = force[i] * (1.0 + gamma * speed[i]) + added[i if added.size > 1 else 0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
