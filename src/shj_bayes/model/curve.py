@@ -143,7 +143,22 @@ class Curve:
 
     def rows(self, place: FloatArray, direction: FloatArray) -> FloatArray:
         """Basis functions, shape (n, r): what each coefficient adds, as a share of Fy."""
-        basis = self.size * self.components(place)
+        return self._by_side(self.size * self.components(place), direction)
+
+    def columns(self, history: History, base: Base) -> FloatArray:
+        """Clamping, or force (kN), that each coefficient adds at the points of a history, shape (n, r)."""
+        basis = self.size * self._components_at(history, base)
+        if self.over.times is not None:
+            basis = basis * self.over.times(history)[:, None]
+        out = self._by_side(basis, history.direction)
+        if self.action == "added":
+            return np.asarray(base.Fy_first * out)
+        if self.over.memory_mm > 0.0:
+            return np.stack([felt(column, history, base, self.over.memory_mm) for column in out.T], axis=1)
+        return out
+
+    def _by_side(self, basis: FloatArray, direction: FloatArray) -> FloatArray:
+        """Functions for both directions, or those for push and then those for pull, shape (n, r)."""
         if not self.sides:
             return np.asarray(basis)
         push = (direction > 0)[:, None]
@@ -175,16 +190,24 @@ class Curve:
 
     def _at(self, history: History, base: Base, coefficients: FloatArray) -> FloatArray:
         """Curve of given coefficients at the points of a history."""
-        if self.over.of_base or history.passing or history.time_s.size * self.n > RECALLED_NUMBERS:
-            place = self.place(history, base)
-            if self.period is not None:
-                return np.asarray(self.components(place) @ coefficients)
-            spline = self._spline
-            return np.asarray(PPoly.construct_fast(spline.c @ coefficients, spline.x)(place))
-        rows = history.recall(
-            (self.coordinate, self.period, self.length), lambda: self.components(self.place(history, base))
-        )
-        return np.asarray(rows @ coefficients)
+        if not self._is_passing(history):
+            return np.asarray(self._components_at(history, base) @ coefficients)
+        place = self.place(history, base)
+        if self.period is not None:
+            return np.asarray(self.components(place) @ coefficients)
+        spline = self._spline
+        return np.asarray(PPoly.construct_fast(spline.c @ coefficients, spline.x)(place))
+
+    def _is_passing(self, history: History) -> bool:
+        """Whether the components at the points of a history are not worth keeping: few will ask, or they are many."""
+        return self.over.of_base or history.passing or history.time_s.size * self.n > RECALLED_NUMBERS
+
+    def _components_at(self, history: History, base: Base) -> FloatArray:
+        """Components at the points of a history, shape (n, r)."""
+        if self._is_passing(history):
+            return self.components(self.place(history, base))
+        key = (self.coordinate, self.period, self.length)
+        return history.recall(key, lambda: self.components(self.place(history, base)))
 
     def effect(self) -> Effect:
         """Give the curve as an effect of the device model."""
@@ -204,6 +227,8 @@ class Curve:
             ),
             neutral=dict.fromkeys(self.names, 0.0),
             act=self.act,
+            columns=self.columns,
+            columns_added=self.action == "added",
             source="Gaussian process in its principal components.",
         )
         if not self.over.measured:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import ModelError
-from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.augmented import force_with_effects, slopes_with_effects
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, Contribution, Effect
@@ -167,6 +167,21 @@ class DeviceModel:
                 history, base, acting, variant=self.variant, start_force_kN=start_force_kN, acted=acted
             )
         return out
+
+    @cached_property
+    def linear(self) -> NDArray[np.intp]:
+        """Places of the parameters that belong to effects which are linear in theirs, shape (p,): those of `slopes`."""
+        of = {f"{e.id}.{name}" for e in self.effects if e.columns for name in e.names}
+        return np.flatnonzero([name in of for name in self.names])
+
+    def slopes(self, theta: FloatArray, history: History, start_force_kN: float) -> FloatArray:
+        """Give the derivatives of the force of one run after the parameters at `linear`, shape (d,) to (n_samples, p).
+
+        In the unbounded space, kN; other arguments as for `force`.
+        """
+        ((base, acting),) = self.acting(theta[None], history.run)
+        own = slopes_with_effects(history, base, acting, variant=self.variant, start_force_kN=start_force_kN)
+        return own * self._normal[1][self.linear]
 
     def noise_values(self, theta: FloatArray) -> dict[str, FloatArray]:
         """Noise parameters by name, each of shape (m,)."""

@@ -77,6 +77,35 @@ def test_noise_may_be_rougher_at_low_speed(scene: Scene, metric: Metric) -> None
     assert not metric.is_slow
 
 
+@pytest.mark.parametrize("variant", ["published", "continuous"])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        ("capacity_over_position_by_direction_15_05", "added_over_time_15_05"),
+        ("slack", "capacity_over_travel_50_05"),
+        ("two_stage", "added_over_position_15_05", "capacity_over_distance_15_05"),
+        ("frame_compliance", "capacity_over_slip_15_20", "wear"),
+        ("capacity_over_speed_felt_15_20", "capacity_over_speed_by_travel_30_05"),
+        ("sensor_lag", "capacity_over_heat2_30_40", "capacity_over_position_every_20000_15_05"),
+        ("added_over_slip_15_40", "load_offset"),
+    ],
+    ids="+".join,
+)
+def test_derivatives_after_the_coefficients_of_curves(make_small, effects, variant) -> None:
+    """Against central differences, beside whatever else acts on the law and its motion; some strokes do not slide."""
+    posterior = make_small(effects=effects, variant=variant)
+    model = posterior.model
+    z = 0.3 * np.random.default_rng(4).standard_normal(model.n_law)
+    z[model.index("K")] = -2.5
+    own = Scene(posterior, z)
+    steps = 1e-5 * np.eye(z.size)
+    expected = (own.residual(model, z - steps) - own.residual(model, z + steps)).T / 2e-5
+    found = own.jacobian(model, z, own.residual(model, z[None])[0])
+    assert model.linear.size > 3
+    wrong = np.abs(found - expected)[:, model.linear].max(axis=0)
+    assert np.all(wrong < 5e-3 * np.abs(expected).max(axis=0)[model.linear] + 1e-6)
+
+
 def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(scene: Scene, metric: Metric) -> None:
     """Columns of such a size that only under large noise something is left of one beside the other."""
     _, state = settle_under(scene, metric.setting, scene.device, scene.z)

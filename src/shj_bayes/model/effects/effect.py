@@ -67,6 +67,8 @@ class Base:
 
 Values = Mapping[str, float]
 Act = Callable[[History, Values, Base], Contribution]
+# ``columns(history, base)``, shape (n_samples, p)
+Columns = Callable[[History, Base], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,10 @@ class Effect:
     delay: str = ""
     # parameter that is the share of this time that a filter with two poles makes: it rounds corners. Empty for most.
     filtered: str = ""
+    # Where the effect is linear in its parameters: what each adds to the clamping, or to the force (kN), at its unit;
+    # None for most. Derivatives then cost little.
+    columns: Columns | None = None
+    columns_added: bool = False  # to the force, not to the clamping
 
     def __post_init__(self) -> None:
         """Refuse effects without words, parameters or a neutral value."""

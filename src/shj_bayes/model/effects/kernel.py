@@ -1,5 +1,7 @@
 """Compiled law with effects: Eq. (1) with a capacity that changes, slack, compliance and a reversal rule."""
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -8,6 +10,7 @@ from shj_bayes.model.kernel import knee_of, saturate, saturate_with_slope
 # Bolts with unlike clearances: a part of the stiffness comes back first. 0.3 to 0.5 fit brfd-lehigh alike.
 FIRST = 0.4
 
+STEP = 1e-6  # of the capacity, for derivatives
 _TOGETHER = 64  # samples whose equation is solved together, until the last one is close
 _MAX_NEWTON = 40
 _CLOSE = 1e-16  # square of the last change, in units of the capacity; the next would be about its square
@@ -161,42 +164,72 @@ def at_speed(force, speed, gamma, added):  # type: ignore[no-untyped-def]
         force[i] = force[i] * (1.0 + gamma * speed[i]) + added[i if added.size > 1 else 0]
 
 
+@njit(error_model="numpy", fastmath={"contract"})
+def _fill(out, x, origin, reset, sense, law, caps, knee, parts, work):  # type: ignore[no-untyped-def]
+    """Force of the samples of a half-cycle, which each have one of their own once the force at its start is known."""
+    if parts[2] > 0.0:
+        _fill_in_series(out, x, origin, reset, sense, law, caps, knee, parts, work)
+    else:
+        _fill_straight(out, x, caps, origin, reset, sense, law, knee, parts[3], parts[0], parts[1])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def rate_free_force(out, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]
+def rate_free_force(out, slopes, at_ends, x, start, turning, direction, law, clamping, parts, start_force):  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
     """Fill `out` with the rate-free force of one run.
 
     `law` holds K, Fy, beta; `clamping` multiplies Fy; `parts` holds slack and take-up (mm), compliance (mm/kN),
     the share of the continuous reversal rule, and the share of the slack that lies ahead of the first motion.
+
+    `slopes`, shape (2, n), gets the derivatives of the force after that at the start of its half-cycle and after the
+    clamping there; `at_ends`, shape (2, n_half), the same of the force at the end of each half-cycle. Without them for
+    shapes (2, 0).
     """
-    stiffness, beta = law[0], law[2]
-    slack, take_up, compliance, smooth = parts[0], parts[1], parts[2], parts[3]
+    stiffness, slack, compliance = law[0], parts[0], parts[2]
     # A reversal inside the clearance leads back over what was crossed of it, not over the whole of it.
     ahead = parts.copy()
     ahead[0] = slack * parts[4] if start_force == 0.0 else slack
-    knee = knee_of(beta)
-    work, end = np.empty((3, _TOGETHER)), np.empty(1)
+    knee = knee_of(law[2])
+    work, end, moved_end = np.empty((3, _TOGETHER)), np.empty(1), np.empty(1)
     reset = start_force
     for k in range(turning.size):
         a, b, sense = start[k], start[k + 1], float(direction[k])
-        xs, caps, outs, origin = x[a:b], clamping[a:b], out[a:b], turning[k]
-        if compliance > 0.0:
-            _fill_in_series(outs, xs, origin, reset, sense, law, caps, knee, ahead, work)
-        else:
-            _fill_straight(outs, xs, caps, origin, reset, sense, law, knee, smooth, ahead[0], take_up)
+        xs, caps, origin = x[a:b], clamping[a:b], turning[k]
+        _fill(out[a:b], xs, origin, reset, sense, law, caps, knee, ahead, work)
+        capacity = law[1] * clamping[b - 1]
+        there, last = turning[k + 1 : k + 2], caps[b - a - 1 :]
         if k + 1 < turning.size:
-            reach = (turning[k + 1] - origin) * sense
-            capacity = law[1] * clamping[b - 1]
-            before = reset
-            if compliance > 0.0:
-                there, last = turning[k + 1 : k + 2], clamping[b - 1 : b]
-                _fill_in_series(end, there, origin, reset, sense, law, last, knee, ahead, work)
-                reset = end[0]
-            else:
-                reset = _held(
-                    _elastic(reach, reset, sense, stiffness, ahead[0], take_up), sense, capacity, beta, knee, smooth
-                )
+            _fill(end, there, origin, reset, sense, law, last, knee, ahead, work)
+        if slopes.size > 0:
+            for i, step in enumerate((math.copysign(STEP * capacity, reset), STEP)):
+                other = reset + step if i == 0 else reset
+                more = step if i == 1 else 0.0
+                _fill(slopes[i, a:b], xs, origin, other, sense, law, caps + more, knee, ahead, work)
+                slopes[i, a:b] = (slopes[i, a:b] - out[a:b]) / step
+                if k + 1 < turning.size:
+                    _fill(moved_end, there, origin, other, sense, law, last + more, knee, ahead, work)
+                    at_ends[i, k] = (moved_end[0] - end[0]) / step
+        if k + 1 < turning.size:
+            reach, before, reset = (turning[k + 1] - origin) * sense, reset, end[0]
             if abs(reset) <= 1e-9 * capacity and before * sense <= 0.0:
                 crossed = reach + compliance * before * sense + before * sense / stiffness
                 ahead[0] = max(slack - ahead[0] + min(max(crossed, 0.0), ahead[0]), 0.0)
             else:
                 ahead[0] = slack
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def changes_of_force(changes, first, limited, slopes, at_ends, start):  # type: ignore[no-untyped-def]
+    """Make small changes of the clamping, shape (n, p), in their place those of the rate-free force.
+
+    `first`, shape (p,), is the change of the force at the first sample; a capacity that `limit_rise` has `limited`
+    changes as it did before. Other arguments as from `rate_free_force`.
+    """
+    reset, before = first.copy(), np.zeros(first.size)
+    for k in range(start.size - 1):
+        for i in range(start[k], start[k + 1]):
+            for j in range(first.size):
+                own = before[j] if limited[i] else changes[i, j]
+                before[j] = own
+                changes[i, j] = slopes[0, i] * reset[j] + slopes[1, i] * own
+        for j in range(first.size):
+            reset[j] = at_ends[0, k] * reset[j] + at_ends[1, k] * before[j]
