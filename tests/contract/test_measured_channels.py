@@ -26,6 +26,7 @@ from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("empty_pictures")
 CURVE = Curve("capacity", "measured_tension", 0.5)
 TIME, MOTION = exact_motion(table_1(), 5.0)
 COLUMNS = "tension=Bolt load (kN),temperature=Plate (degC),load2=Second cell (kN)"

@@ -44,7 +44,7 @@ def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:
     """
     cycles = cycles_of(scene)
     order = scene.used > 0
-    white, _ = metric.whitened(np.column_stack([state.residual, state.jacobian]))
+    white = metric.whitened(np.column_stack([state.residual, state.jacobian]))
     cycle = cycles[order]
     told = state.model.predicted[: state.z.size]
     slopes = white[:, 1:][:, told]

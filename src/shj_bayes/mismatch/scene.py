@@ -243,10 +243,10 @@ class NoiseSetting:
         return np.concatenate([np.full(scene.discrepancy.shape[1], self.model_error_kN), [1.0], scene.zero_kN])
 
     def whitened(self, scene: Scene, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
-        """Columns in units of what is new in the noise of each block, and the log determinant of the noise.
+        """Columns in units of what is new in the noise of each block, and the log density of data that are all 0.
 
-        `slope`, shape (n,), is that of the modelled force in each block, through which the error of the displacement
-        acts, kN/mm.
+        The latter holds the prior of the noise. `slope`, shape (n,), is that of the modelled force in each block,
+        through which the error of the displacement acts, kN/mm.
         """
         values, more = self.values(scene), rougher(self.at_rest, scene.slow)
         out, total, first = [], 0.0, 0
@@ -255,7 +255,8 @@ class NoiseSetting:
             white, log_det = whiten(scene.device.noise, values, columns[own], slope[own], part.timing, more[own])
             out.append(white)
             total, first = total + log_det, first + part.n
-        return np.concatenate(out), total
+        white = np.concatenate(out)
+        return white, self.log_prior(scene) - 0.5 * (white.shape[0] * LOG_2PI + total)
 
     def at_most(self, scene: Scene, most_kN: float) -> NoiseSetting:
         """Give the same noise, smaller where its size is more than this."""
@@ -291,17 +292,15 @@ class Metric:
 
     def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
         self.scene, self.setting, self.slope = scene, setting, slope
-        white, log_det = self.whitened(scene.missed)
+        white, constant = setting.whitened(scene, scene.missed, slope)
         self.other = white * setting.sizes(scene)
         inner = np.eye(white.shape[1]) + self.other.T @ self.other
         self._root = cho_factor(inner, lower=True)
-        self.n = white.shape[0]
-        root_det = float(np.log(np.diag(self._root[0])).sum())
-        self.log_constant = setting.log_prior(scene) - 0.5 * (self.n * LOG_2PI + log_det) - root_det
+        self.log_constant = constant - float(np.log(np.diag(self._root[0])).sum())
 
-    def whitened(self, columns: FloatArray) -> tuple[FloatArray, float]:
-        """Columns in units of what is new in the noise of each block, and the log determinant of the noise."""
-        return self.setting.whitened(self.scene, columns, self.slope)
+    def whitened(self, columns: FloatArray) -> FloatArray:
+        """Columns in units of what is new in the noise of each block, shapes (n, p) to (n_evidence, p)."""
+        return self.setting.whitened(self.scene, columns, self.slope)[0]
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
@@ -329,40 +328,14 @@ class Metric:
 
         Shapes (n_evidence, p) and (p + 1 + n_runs, p), the rows of the latter being those of `other` made orthogonal.
         """
-        white, _ = self.whitened(columns)
+        white = self.whitened(columns)
         return white, np.asarray(solve_triangular(self._root[0], self.other.T @ white, lower=True))
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""
-        white, _ = self.whitened(residual[:, None])
+        white = self.whitened(residual[:, None])
         mean = cho_solve(self._root, self.other.T @ white[:, 0])[: self.scene.discrepancy.shape[1]]
         return np.asarray(self.scene.discrepancy @ mean * self.setting.model_error_kN)
-
-
-class Weighing:
-    """How probable the data are under one noise and another, with columns beside them integrated out.
-
-    Parameters
-    ----------
-    scene : Scene
-        The recordings.
-    slope : array, shape (n,)
-        As for `Metric`.
-    columns : array, shape (n, 1 + p)
-        The data, and columns whose coefficients have standard normal priors.
-    """
-
-    def __init__(self, scene: Scene, slope: FloatArray, columns: FloatArray) -> None:
-        self._scene, self._slope = scene, slope
-        self._columns = np.column_stack([columns, scene.missed])
-        self._known = np.ones(columns.shape[1] - 1)
-
-    def evidence(self, setting: NoiseSetting) -> float:
-        """Log density of the data, as `log_evidence` under the `Metric` of this noise."""
-        white, log_det = setting.whitened(self._scene, self._columns, self._slope)
-        constant = setting.log_prior(self._scene) - 0.5 * (white.shape[0] * LOG_2PI + log_det)
-        variances = np.concatenate([self._known, setting.sizes(self._scene) ** 2])
-        return log_evidence(constant, white.T @ white, variances)
 
 
 def log_evidence(constant: float, products: FloatArray, variances: FloatArray | None = None) -> float:

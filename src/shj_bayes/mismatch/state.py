@@ -8,7 +8,7 @@ import numpy as np
 
 from shj_bayes.inference.squares import orthogonal_to, reach_after, step_within
 from shj_bayes.inference.start import most_probable_noise
-from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, Weighing
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -129,7 +129,7 @@ def largest(columns: FloatArray, count: FloatArray) -> FloatArray:
 
 def zero_of(metric: Metric, state: State) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
-    white, _ = metric.whitened(state.beside())
+    white = metric.whitened(state.beside())
     columns = np.column_stack([white[:, 1:], metric.other])
     zero = metric.scene.zero_kN / metric.scene.zero_kN.size
     weights = np.append(np.zeros(columns.shape[1] - zero.size), zero)
@@ -150,7 +150,8 @@ def find_noise(
     Begins at the best of a grid by default; `most_kN` is the largest standard deviation, as of `NoiseSetting.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
-    weighing = Weighing(scene, state.slope, state.beside(columns))
+    beside = np.column_stack([state.beside(columns), scene.missed])
+    known = np.ones(beside.shape[1] - 1 - scene.missed.shape[1])
     unit = MODEL_ERROR * scene.scale_kN
     lasts_s = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
     laws = scene.device.laws_of_parameters[scene.device.n_law :]
@@ -162,8 +163,10 @@ def find_noise(
         return noise.at_most(scene, most_kN)
 
     def negative(u: FloatArray) -> float:
+        noise = setting(u)
+        white, constant = noise.whitened(scene, beside, state.slope)
         try:
-            return -weighing.evidence(setting(u))
+            return -log_evidence(constant, white.T @ white, np.append(known, noise.sizes(scene) ** 2))
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others
             return math.inf
 

@@ -156,14 +156,14 @@ def _lines(
     """
     first = known.beliefs[0]
     metric = Metric(scene, known.setting, scene.residual_and_slope(first.model, first.z[None])[1][0])
-    columns, forces = [metric.whitened(misread[:, None])[0], metric.other], []
+    columns, forces = [metric.whitened(misread[:, None]), metric.other], []
     for b in known.beliefs:
         residual = scene.residual(b.model, b.z[None])[0]
         force, jacobian = (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
         told = jacobian * _drawn(b)
         own = np.linalg.inv(b.precision)[: b.z.size, : b.z.size]
         forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
-        columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian]))[0])
+        columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian])))
     wrong, other, *own_columns = _reduced(columns)
     lines = []
     for b, white in zip(known.beliefs, own_columns, strict=True):

@@ -357,7 +357,7 @@ def _belief(metric: Metric, key: Key, share: float, h: Hypothesis) -> Belief:
     further = replace(h.state.model, n_runs=h.state.model.n_runs + 1)
     z, places = _joint(h.state.model, further, h.state.z)
     columns = np.column_stack([h.state.residual + h.state.jacobian @ h.state.z, h.state.jacobian])
-    white = metric.whitened(columns)[0]
+    white = metric.whitened(columns)
     disturbed, zeros = np.split(metric.other, [N_OF_DEVICE], axis=1)
     unknown = np.zeros((white.shape[0], 1))  # the zero of the run to come
     design = np.concatenate([np.zeros((white.shape[0], z.size)), disturbed, unknown, zeros], axis=1)

@@ -38,7 +38,7 @@ def metric(scene: Scene) -> Metric:
 @pytest.fixture(scope="module")
 def covariance(scene: Scene, metric: Metric) -> np.ndarray:
     """Of noise, zeros, Masing's rule and discrepancy, of the blocks that are evidence; `whiten` has its own tests."""
-    root, _ = metric.whitened(np.eye(scene.used.size))
+    root = metric.whitened(np.eye(scene.used.size))
     used = scene.used > 0
     noise = np.linalg.inv(root[:, used].T @ root[:, used])
     functions = metric.setting.model_error_kN * scene.discrepancy[used]
@@ -70,9 +70,12 @@ def test_noise_may_be_rougher_at_low_speed(scene: Scene, metric: Metric) -> None
     still = Metric(scene, rough.setting, np.zeros(metric.slope.size))
     plain = Metric(scene, metric.setting, np.zeros(metric.slope.size))
     column = np.random.default_rng(3).normal(0, 1, (scene.used.size, 1))
-    (own, log_det), (other, less) = still.whitened(column), plain.whitened(column / more[:, None])
+    columns = (column, column / more[:, None])
+    own, other = (m.whitened(c) for m, c in zip((still, plain), columns, strict=True))
     np.testing.assert_allclose(own, other, rtol=1e-12)
-    assert log_det - less == pytest.approx(2.0 * np.log(more[used]).sum())
+    (_, log_all), (_, log_plain) = (m.setting.whitened(scene, column, m.slope) for m in (still, plain))
+    priors = still.setting.log_prior(scene) - plain.setting.log_prior(scene)
+    assert log_all - log_plain == pytest.approx(priors - np.log(more[used]).sum())
     assert rough.fluctuation == pytest.approx(3.0 * metric.fluctuation)
     assert not metric.is_slow
 
@@ -133,7 +136,7 @@ def test_products_are_those_of_the_covariance(scene: Scene, metric: Metric, cova
     columns = np.random.default_rng(1).normal(0, 3, (scene.used.size, 4))
     own = columns[scene.used > 0]
     np.testing.assert_allclose(metric.products(columns), own.T @ np.linalg.solve(covariance, own), rtol=1e-7)
-    assert metric.products(columns)[0, 0] < np.sum(metric.whitened(columns)[0][:, 0] ** 2)
+    assert metric.products(columns)[0, 0] < np.sum(metric.whitened(columns)[:, 0] ** 2)
 
 
 def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
@@ -317,7 +320,7 @@ def test_held_out_cycles_are_those_of_a_refit(scene: Scene, metric: Metric, stat
     rng = np.random.default_rng(5)
     used = scene.used > 0
     y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, state.jacobian.shape) * used[:, None]
-    white, _ = metric.whitened(np.column_stack([y, columns]))
+    white = metric.whitened(np.column_stack([y, columns]))
     z = np.linalg.solve(white[:, 1:].T @ white[:, 1:] + np.eye(columns.shape[1]), white[:, 1:].T @ white[:, 0])
     got = held_out(scene, metric, replace(state, z=z, residual=y - columns @ z, jacobian=columns))
     cycle = cycles_of(scene)

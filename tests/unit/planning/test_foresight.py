@@ -127,8 +127,8 @@ def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Known
     residual, slope = scene.residual_and_slope(first.model, first.z[None])
     metric = Metric(scene, alone.setting, slope[0])
     jacobian = scene.jacobian(first.model, first.z, residual[0])
-    old_zero = np.zeros((metric.n, 1))
-    white = np.column_stack([metric.whitened(jacobian)[0], metric.other, old_zero])
+    old_zero = np.zeros((metric.other.shape[0], 1))
+    white = np.column_stack([metric.whitened(jacobian), metric.other, old_zero])
     expected = np.linalg.inv(first.precision + white.T @ white)[3, 3]
     assert seen.sd is not None
     assert seen.sd == pytest.approx(0.02 * np.sqrt(expected), rel=1e-3)  # gamma has a normal prior of 0.02 s/mm
