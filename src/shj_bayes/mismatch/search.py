@@ -470,24 +470,28 @@ class Search:
         """Look for two classes in the place of each curve that matters and that no formula follows.
 
         A smooth curve over one coordinate can do what formulas over two others, or a formula over its own and something
-        over another, do together. Neither alone comes near it, so a search that adds one after another ends in it.
+        over another, do together. Neither alone comes near it, so a search that adds one after another ends in it. What
+        is no better than more noise is not explained, nor one of as many classes as a hypothesis may hold.
         """
         for place, member in enumerate(self.best.members):
             h = self.best
             is_there = place < len(h.members) and h.members[place] is member
-            if not is_there or member.variant.curve is None:
+            if not is_there or member.variant.curve is None or len(h.members) == DEPTH:
                 continue
-            if size_of(self.scene, h, place) >= self.matters_of(h, place) and not self._is_noise(h, place):
-                self._in_place_of_curve(h, place)
+            if size_of(self.scene, h, place) < self.matters_of(h, place):
+                continue
+            rest = self.fitted(*without(self.scene, h, place))
+            if rest is not None and not self._is_no_better_than_noise(h, rest):
+                self._in_place_of_curve(h, place, rest)
 
-    def _in_place_of_curve(self, h: Hypothesis, place: int) -> None:
-        """Fit the promising hypotheses with two classes in the place of a curve that no formula follows."""
+    def _in_place_of_curve(self, h: Hypothesis, place: int, rest: Hypothesis) -> None:
+        """Fit the promising hypotheses with two classes in the place of a curve that no formula follows.
+
+        `rest` is the hypothesis without it.
+        """
         if next(self.following(h, place), None) is not None:
             return
         of = h.members[place].of
-        rest = self.fitted(*without(self.scene, h, place))
-        if rest is None:
-            return
         self.tell(f"looking for two dependences in the place of {of.id}")
         looked = [c for c in self.looked if c.of.id != of.id or c.variant.curve is None]
         alone, floor = {rest.key: rest}, h.log_weight - RIVAL
@@ -504,11 +508,6 @@ class Search:
         for one in part.found.values():
             if one.log_weight > floor:
                 self.add(one.members, one.state.z)
-
-    def _is_noise(self, h: Hypothesis, place: int) -> bool:
-        """Whether a member is no better than more noise: what else could stand in its place is not looked for then."""
-        less = self.fitted(*without(self.scene, h, place))
-        return less is not None and self._is_no_better_than_noise(h, less)
 
     def _is_no_better_than_noise(self, h: Hypothesis, less: Hypothesis) -> bool:
         """Whether a hypothesis has no more evidence than one with less, each under its most probable noise."""

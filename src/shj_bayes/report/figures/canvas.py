@@ -25,10 +25,10 @@ def sheet(width: float = NARROW, height: float = 3.5, *, measured: bool = True) 
     return figure, tidy(figure.add_subplot())
 
 
-def fixed(width: float, height: float, *, left: float = LEFT, top: float = TOP) -> Figure:
+def fixed(width: float, height: float, *, left: float = LEFT, top: float = TOP, right: float = RIGHT) -> Figure:
     """Empty sheet with margins in inches; to measure what stands in them takes as long as to draw it."""
     figure = Figure(figsize=(width, height))
-    edges = {"left": left / width, "right": 1 - RIGHT / width, "bottom": BOTTOM / height, "top": 1 - top / height}
+    edges = {"left": left / width, "right": 1 - right / width, "bottom": BOTTOM / height, "top": 1 - top / height}
     figure.subplots_adjust(**edges)
     return figure
 

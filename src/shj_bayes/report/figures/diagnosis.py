@@ -19,6 +19,7 @@ from shj_bayes.report.figures.canvas import (
     ORANGE,
     RED,
     WIDE,
+    fixed,
     label,
     legend,
     plain,
@@ -35,7 +36,7 @@ MAP = mpl.colormaps["RdBu_r"].with_extremes(bad="#D9D9D9")
 
 def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None, unit: ForceUnit) -> str:
     """One cycle: measured points, base law, and the law with what was found (None where nothing was)."""
-    figure, axes = sheet(NARROW, 3.9)
+    figure, axes = sheet(NARROW, 3.9, measured=False)
     axes.plot(x, measured, ".", color=INK, markersize=2.6, alpha=0.75, markeredgewidth=0, rasterized=True)
     axes.plot([], [], ".", color=INK, markersize=6, label="measured")
     axes.plot(x, before, color=BASE, linewidth=1.4, linestyle="--" if after is not None else "-", label="base law")
@@ -48,7 +49,8 @@ def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatAr
 
 def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit) -> str:
     """Mean direction-signed residual over one coordinate, panels side by side on the same axes."""
-    figure, panels = _panels(len(parts), 2.9)
+    figure = fixed(WIDE if len(parts) > 1 else NARROW, 2.9, right=0.75)
+    panels = _panels(figure, len(parts))
     reach = 1.12 * max(_reach(p.push_kN, p.pull_kN) for _, p in parts)
     for axes, (title, p) in zip(panels, parts, strict=True):
         axes.axhline(0, color=INK, linewidth=0.8)
@@ -69,7 +71,8 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
 
 def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
-    figure, panels = _panels(2 * len(parts), 3.6)
+    figure = Figure(figsize=(WIDE, 3.6), layout="constrained")
+    panels = _panels(figure, 2 * len(parts))
     sides = np.concatenate([side for _, m in parts for side in (m.push_kN, m.pull_kN)], axis=None)
     reach = unit.factor * float(np.nanquantile(np.abs(sides), 0.99)) or 1.0
     scale, image = Normalize(-reach, reach), None
@@ -91,7 +94,7 @@ def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit) -> str:
 
 def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, after_J: FloatArray | None) -> str:
     """Energy of each cycle, and below it the error of the models."""
-    figure = Figure(figsize=(WIDE, 4.6), layout="constrained")
+    figure = fixed(WIDE, 4.6, left=0.95)
     top, low = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
     unit, factor = ("kJ", 1e-3) if np.nanmax(np.abs(measured_J)) >= 1000 else ("J", 1.0)
     top.plot(number, factor * measured_J, "o", color=INK, markersize=5.5, markerfacecolor="none", label="measured")
@@ -120,7 +123,7 @@ def curve(
 
     Dotted and without the band where it is not `known`, shape (n,); known everywhere by default.
     """
-    figure, axes = sheet(WIDE, 3.4)
+    figure, axes = sheet(WIDE, 3.4, measured=False)
     axes.axhline(0, color=INK, linewidth=0.8)
     there = np.ones(at.size, dtype=np.bool_) if known is None else known
     axes.fill_between(at, low, high, where=there, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
@@ -134,7 +137,7 @@ def curve(
 
 def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, unit: ForceUnit) -> str:
     """Shape of what no effect explains."""
-    figure, axes = sheet(WIDE, 2.9)
+    figure, axes = sheet(WIDE, 2.9, measured=False)
     axes.axhline(0, color=INK, linewidth=0.8)
     for (name, values), colour, marker in zip(columns, (BLUE, RED, ORANGE, GREY), "os^D", strict=False):
         axes.plot(x, values, marker + "-", color=colour, markersize=4, linewidth=1.2, label=plain(name))
@@ -143,10 +146,8 @@ def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, u
     return svg(figure)
 
 
-def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDE if n > 1 else NARROW, height), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, n, sharey=True, squeeze=True))
-    return figure, [tidy(axes) for axes in panels]
+def _panels(figure: Figure, n: int) -> list[Axes]:
+    return [tidy(axes) for axes in figure.subplots(1, n, sharey=True, squeeze=False, gridspec_kw={"wspace": 0.14})[0]]
 
 
 def _reach(*values: FloatArray) -> float:
