@@ -608,7 +608,7 @@ def completion(shell: str) -> None:
 @main.command()
 @click.option("-n", "n", type=click.IntRange(1, 9999), default=200, show_default=True, help="Number of trials.")
 @click.option(
-    "--seed", type=click.IntRange(0, 2**32 - 1), default=21301127, show_default=True, help="Of what is concealed."
+    "--seed", type=click.IntRange(0, 2**32 - 1), default=21401127, show_default=True, help="Of what is concealed."
 )
 @click.option("-o", "--out", type=FOLDER, help="Folder for the results.")
 @click.option("--check", "checked", type=FOLDER, help="Check a finished proof.")
