@@ -3,6 +3,7 @@
 install  install into .venv, and nothing else; every other task does so first
 demo     run the whole job on data that ship with the project
 test     run the tests
+lint     ruff and mypy
 check    the gates: ruff, mypy, imports, tests
 docs     build the documentation site into build/docs; a warning or a link to nowhere is an error
 prove    200 concealed-effect trials, sealed, diagnosed, opened, scored (under an hour; goes on where it stopped)
@@ -34,8 +35,7 @@ PYTHON = BIN / ("python.exe" if sys.platform == "win32" else "python")
 TOOL = BIN / ("shj-bayes.exe" if sys.platform == "win32" else "shj-bayes")
 STAMP = VENV / "installed-from"
 
-QUIET = ("--quiet", "--disable-pip-version-check", "--no-compile")
-TESTS_OF_OTHERS = r"[/\\]tests?[/\\]"  # half of what is installed; nobody imports it
+QUIET = ("--quiet", "--disable-pip-version-check", "--no-compile")  # Python compiles what is imported
 
 TASKS: dict[str, list[list[str]]] = {
     "install": [],
@@ -43,11 +43,10 @@ TASKS: dict[str, list[list[str]]] = {
     "test": [
         [str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
     ],
-    "check": [
+    "lint": [
         [str(PYTHON), "-m", "ruff", "check", "."],
         [str(PYTHON), "-m", "ruff", "format", "--check", "."],
         [str(PYTHON), "-m", "mypy"],
-        [str(PYTHON), "-m", "pytest", "-m", "not slow", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"],
     ],
     "docs": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--require-hashes", "-r", "requirements-docs.txt"],
@@ -69,6 +68,7 @@ TASKS: dict[str, list[list[str]]] = {
     "recover": [[str(PYTHON), "benchmarks/recover.py"]],
     "bench": [[str(PYTHON), "benchmarks/bench.py"]],
 }
+TASKS["check"] = [*TASKS["lint"], *TASKS["test"]]
 
 
 def main() -> int:
@@ -96,8 +96,6 @@ def install() -> None:
     for command in (
         [*pip, "--require-hashes", "-r", "requirements.txt"],
         [*pip, "--no-deps", "--no-build-isolation", "--editable", "."],
-        # On all processors; pip would take one.
-        [str(PYTHON), "-m", "compileall", "-q", "-j", "0", "-x", TESTS_OF_OTHERS, str(VENV)],
     ):
         if run(command):
             sys.exit("installation failed; the lines above say why. Delete .venv to start anew")

@@ -27,6 +27,15 @@ TRUTH = Truth(
 )  # fmt: skip
 
 
+# Of a minute or more: they go first, or a worker would be left alone with one of them at the end.
+LONG = ("test_snippets", "test_diagnosis", "test_effects_in_fits", "test_python_interface", "test_campaign")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the long files first; all others stay in their order."""
+    items.sort(key=lambda item: LONG.index(item.path.stem) if item.path.stem in LONG else len(LONG))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _one_blas_thread() -> Iterator[None]:
     """Keep BLAS to one thread, also in processes that tests start: tests run two at a time on two processors."""
