@@ -121,11 +121,9 @@ class Scene:
     def jacobian(self, model: DeviceModel, z: FloatArray, residual: FloatArray) -> FloatArray:
         """Give the derivatives of the force after the unbounded parameters of the law, shape (n, n_law)."""
         out, linear = np.empty((residual.size, z.size)), model.linear
-        theta = model.natural_of_law(z[None])[0]
         if linear.size:
-            out[:, linear] = self.blocks(
-                [model.slopes(theta, part.history, part.start_force_kN) for part in self.posterior.averages]
-            )
+            theta, parts = model.natural_of_law(z[None])[0], self.posterior.averages
+            out[:, linear] = self.blocks([model.slopes(theta, p.history, p.start_force_kN) for p in parts])
         steps = np.delete(STEP * np.eye(z.size), linear, axis=0)
         out[:, np.delete(np.arange(z.size), linear)] = (residual - self.residual(model, z + steps)).T / STEP
         return out
