@@ -140,9 +140,14 @@ class _Late:
             if effect.columns is None:
                 continue
             columns = effect.columns(self.moved, self.base)
-            others = combine([part for i, part in enumerate(self.parts) if i != place]).clamping
-            added.append(columns if effect.columns_added else np.zeros(columns.shape))
-            capacity.append(np.zeros(columns.shape) if effect.columns_added else columns * np.reshape(others, (-1, 1)))
+            nothing = np.zeros(columns.shape)
+            if effect.columns_added:
+                capacity.append(nothing)
+                added.append(columns)
+            else:
+                others = combine([part for i, part in enumerate(self.parts) if i != place]).clamping
+                capacity.append(columns * np.reshape(others, (-1, 1)))
+                added.append(nothing)
         clamping, force = np.concatenate(capacity, axis=1), np.concatenate(added, axis=1)
         wanted = np.broadcast_to(self.total.clamping, n)
         clamping[wanted < LEAST] = 0.0
