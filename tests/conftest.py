@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from shj_bayes.commands import campaign
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -14,6 +15,7 @@ from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.population import hierarchy
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.report.figures import canvas, posterior
 
@@ -120,4 +122,24 @@ def empty_pictures() -> Iterator[None]:
         patch.setattr(canvas, "_drawn", lambda figure, kind, dpi, metadata: EMPTY[kind])
         for name in ("corner", "densities", "traces"):  # of dozens of panels
             patch.setattr(posterior, name, lambda *_: canvas._data_uri("svg+xml", EMPTY["svg"]))
+        yield
+
+
+@pytest.fixture(scope="module")
+def short_populations() -> Iterator[None]:
+    """Sample populations with a tenth of the sweeps and never longer, where tests are about something else."""
+    short = hierarchy.Sweeps(75, 150, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        for sweeps in ("_FULL", "_SHORT"):
+            patch.setattr(hierarchy, sweeps, short)
+        patch.setattr(hierarchy, "_brief", lambda n_sets: short)
+        patch.setattr(hierarchy, "LONGER", 1)
+        yield
+
+
+@pytest.fixture(scope="module")
+def no_workers() -> Iterator[None]:
+    """Fit the devices of campaigns in this process, where pictures can be left empty."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "_in_processes", lambda devices, out, _: (campaign._fit_one(d, out) for d in devices))
         yield

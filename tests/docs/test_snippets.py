@@ -18,14 +18,12 @@ from click.testing import CliRunner
 from scipy.io import savemat
 
 from shj_bayes.cli import main
-from shj_bayes.commands import campaign
 from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
 from shj_bayes.planning import plan
 from shj_bayes.planning.rehearsal import rehearse
-from shj_bayes.population import hierarchy
 from shj_bayes.report.browse import find_browser
 
 TOP = Path(__file__).resolve().parents[2]
@@ -84,7 +82,7 @@ def commands() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def desk(tmp_path_factory: pytest.TempPathFactory, short_populations: None, no_workers: None) -> Iterator[Path]:
     """A folder with the files that the documents speak of; chains and rehearsals are cut short."""
     folder = tmp_path_factory.mktemp("desk")
     for number, stem in enumerate(("run", "plain-run"), start=3):
@@ -111,19 +109,12 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "my-device.toml").write_text(priors, encoding="utf-8")
     (folder / "made").mkdir()
     (folder / "made" / "campaign.toml").write_text(MANIFEST.replace('"run', '"../run').replace('"plain', '"../plain'))
-    short = hierarchy.Sweeps(75, 150, 1)  # of populations: a tenth of the time, and bands all the same
     with pytest.MonkeyPatch.context() as patch:
-        for sweeps in ("_FULL", "_SHORT"):
-            patch.setattr(hierarchy, sweeps, short)
-        patch.setattr(hierarchy, "_brief", lambda n_sets: short)
-        patch.setattr(hierarchy, "LONGER", 1)
         for limit, loose in (("RHAT_LIMIT", 2.0), ("ESS_LIMIT", 100.0), ("TAU_LIMIT", 1.0)):
             patch.setattr(convergence, limit, loose)
         patch.setattr(
             plan, "rehearse", lambda known, protocol, rate_Hz, n, *rest: rehearse(known, protocol, rate_Hz, 2, *rest)
         )
-        # In this process, where pictures are left empty; tests/unit/test_campaign.py runs the workers.
-        patch.setattr(campaign, "_in_processes", lambda devices, out, _: (campaign._fit_one(d, out) for d in devices))
         patch.chdir(folder)
         yield folder
 

@@ -23,6 +23,7 @@ from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
+pytestmark = pytest.mark.usefixtures("short_populations")
 HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'
 
 
@@ -279,7 +280,7 @@ def test_failed_devices_have_a_status_of_their_own_even_when_quiet(campaign):
         assert (option == "--json") == bool(done.stdout)
 
 
-def test_what_recordings_say_of_themselves_reaches_campaign_and_sheet(tmp_path):
+def test_what_recordings_say_of_themselves_reaches_campaign_and_sheet(tmp_path, no_workers):
     """A recording in two sets is said; so is that it was simulated, whatever the manifest says."""
     (made,) = simulate_device(Truth(phi=0.3), seed=1, rate_Hz=4.0, blocks=BLOCKS, n_runs=1)
     write_csv(tmp_path / "a.csv", made, comment="SIMULATED")

@@ -67,6 +67,7 @@ BRAKE = {
 }
 
 
+@pytest.mark.slow
 def test_five_effects_in_a_test_of_seven_cycles_are_told_apart():
     """Curves over time that change within a cycle did what three of them do, beside an Fy of 21 kN for 10."""
     out = search(_brake(BRAKE), classes())

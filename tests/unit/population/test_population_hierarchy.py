@@ -171,7 +171,7 @@ def covers_90_percent(coverage, error):
     return abs(coverage - 0.9) < 0.03 + 3 * error
 
 
-@pytest.mark.parametrize("n_devices", [4, 8])
+@pytest.mark.parametrize("n_devices", [4, pytest.param(8, marks=pytest.mark.slow)])
 def test_band_of_a_new_device_holds_90_percent(n_devices):
     assert covers_90_percent(*new_device_coverage(n_devices, 36))
 
