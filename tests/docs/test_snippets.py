@@ -113,7 +113,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory, short_populations: None, no_w
         for limit, loose in (("RHAT_LIMIT", 2.0), ("ESS_LIMIT", 100.0), ("TAU_LIMIT", 1.0)):
             patch.setattr(convergence, limit, loose)
         patch.setattr(
-            plan, "rehearse", lambda known, protocol, rate_Hz, n, *rest: rehearse(known, protocol, rate_Hz, 2, *rest)
+            plan, "rehearse", lambda known, protocol, rate_Hz, n, *rest: rehearse(known, protocol, rate_Hz, 1, *rest)
         )
         patch.chdir(folder)
         yield folder

@@ -43,7 +43,9 @@ def records(tmp_path_factory):
     return record
 
 
-@pytest.mark.parametrize("name", TRIALS)
+@pytest.mark.parametrize(
+    "name", ["prying", "asymmetry", *(pytest.param(n, marks=pytest.mark.slow) for n in ("load_offset", "amplitude"))]
+)
 def test_what_is_concealed_is_named(name, records):
     """Offset and asymmetry may stand in one family (both are even in direction); prying has no such twin.
 

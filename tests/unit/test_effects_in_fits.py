@@ -105,15 +105,15 @@ def test_a_fit_beside_a_diagnosis_is_kept(recordings: list[Path], found: shj_bay
 def test_a_diagnosis_goes_where_a_tentative_fit_lies(recordings: list[Path], tmp_path: Path) -> None:
     """Such a fit keeps its checkpoint, to be gone on from; it must not stop the diagnosis that it advises."""
     short = {"max_steps": 200, "seed": 4, "threads": 1}
-    tentative = shj_bayes.fit(recordings[:1], tmp_path, **short)
+    tentative = shj_bayes.fit(recordings, tmp_path, **short)
     assert tentative.verdict != "reliable"
     left = (tmp_path / "checkpoint.h5").read_bytes()
-    assert "slack.size" in shj_bayes.fit(recordings[:1], tmp_path, effects=("slack",), **short).summary.index
+    assert "slack.size" in shj_bayes.fit(recordings, tmp_path, effects=("slack",), **short).summary.index
     # One whose fit was not finished is of an answer that nobody has yet.
     (tmp_path / "fit.json").unlink()
     (tmp_path / "checkpoint.h5").write_bytes(left)
     with pytest.raises(CheckpointError, match="belongs to another problem"):
-        shj_bayes.fit(recordings[:1], tmp_path, effects=("slack",), **short)
+        shj_bayes.fit(recordings, tmp_path, effects=("slack",), **short)
 
 
 def test_speed_dependence_that_was_taken_out_and_found_is_fitted(tmp_path: Path) -> None:
@@ -144,11 +144,11 @@ def test_what_is_known_is_not_looked_for(recordings: list[Path], tmp_path: Path)
 
 
 def test_the_command_takes_the_effects_too(recordings: list[Path], tmp_path: Path) -> None:
-    words = ["-o", str(tmp_path), "--effects", "slack, wear", "--max-steps", "200", "--quiet"]
+    words = ["-o", str(tmp_path), "--effects", "wear, asymmetry", "--max-steps", "200", "--quiet"]
     done = CliRunner().invoke(main, ["fit", str(recordings[0]), *words])
     assert done.exit_code == 0, done.output
     names = list(shj_bayes.load(tmp_path).summary.index)
-    assert names == ["K", "Fy", "beta", "gamma", *SLACK, "wear.size", "sigma_white", "sigma_slow", "tau_slow"]
+    assert names == ["K", "Fy", "beta", "gamma", "wear.size", "asymmetry.size", "sigma_white", "sigma_slow", "tau_slow"]
     done = CliRunner().invoke(main, ["fit", str(recordings[0]), "-o", str(tmp_path), "--effects", "slak"])
     assert done.exit_code == 1
     assert "'slak' is not an effect" in done.output

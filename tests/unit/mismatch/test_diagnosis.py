@@ -130,12 +130,10 @@ def test_a_trough_too_steep_for_a_smooth_curve_over_the_distance_is_still_one_of
     assert (finding.member.of.coordinate, finding.names) == ("distance", (("centre_wear", 1.0),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "concealed"),
-    [
-        (75, {"added over time", "capacity over direction"}),
-        pytest.param(138, {"added over time"}, marks=pytest.mark.slow),
-    ],
+    [(75, {"added over time", "capacity over direction"}), (138, {"added over time"})],
 )
 def test_a_drift_is_told_from_noise_that_drifts(number, concealed):
     """Beside noise with a memory of twice the test no drift is needed; beside a fine curve nothing is slow noise."""
@@ -321,7 +319,7 @@ def test_same_seed_same_record(prying, look):
     }
 
 
-@pytest.mark.parametrize("name", ["slack", "tension_step", "breakaway"])
+@pytest.mark.parametrize("name", ["tension_step", "breakaway"])
 def test_effects_are_named(name, trials, look):
     assert is_right(look(trials.simulate({name: trials.EFFECTS[name]}, 4)).record, {name})
 
