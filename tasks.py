@@ -5,6 +5,7 @@ demo     run the whole job on data that ship with the project
 test     run the tests
 lint     ruff and mypy
 check    the gates: ruff, mypy, imports, tests
+install-docs  install what builds the documentation site
 docs     build the documentation site into build/docs; a warning or a link to nowhere is an error
 prove    200 concealed-effect trials, sealed, diagnosed, opened, scored (under an hour; goes on where it stopped)
 fuzz     read 6000 damaged files of every kind; a traceback, a hang or a garbled refusal is an error (15 minutes)
@@ -48,9 +49,8 @@ TASKS: dict[str, list[list[str]]] = {
         [str(PYTHON), "-m", "ruff", "format", "--check", "."],
         [str(PYTHON), "-m", "mypy"],
     ],
-    "docs": [
+    "install-docs": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--require-hashes", "-r", "requirements-docs.txt"],
-        [str(PYTHON), "-m", "sphinx", "-W", "--keep-going", "-q", "docs", "build/docs"],
     ],
     "prove": [[str(TOOL), "prove", "-n", "200", "--workers", "2", "--out", "shj-bayes-proof"]],
     "fuzz": [[str(PYTHON), "tests/fuzz/run.py", "-n", "6000"]],
@@ -69,6 +69,10 @@ TASKS: dict[str, list[list[str]]] = {
     "bench": [[str(PYTHON), "benchmarks/bench.py"]],
 }
 TASKS["check"] = [*TASKS["lint"], *TASKS["test"]]
+TASKS["docs"] = [
+    *TASKS["install-docs"],
+    [str(PYTHON), "-m", "sphinx", "-W", "--keep-going", "-q", "docs", "build/docs"],
+]
 
 
 def main() -> int:

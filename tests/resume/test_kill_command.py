@@ -34,9 +34,10 @@ def whole(kill, tmp_path_factory):
     return arguments, folder / "reference", kill["finish"](arguments, folder / "reference")
 
 
-def test_a_killed_fit_resumes_to_the_same_bits(kill, whole, tmp_path):
+@pytest.mark.parametrize("share", [pytest.param(0.5, marks=pytest.mark.slow), 0.8])
+def test_a_killed_fit_resumes_to_the_same_bits(kill, whole, tmp_path, share):
     arguments, reference, seconds = whole
-    result = kill["kill_and_resume"]("fit", arguments, reference, tmp_path / "killed", 0.7 * seconds)
+    result = kill["kill_and_resume"]("fit", arguments, reference, tmp_path / "killed", share * seconds)
     assert result.same
     assert result.half == ()
     assert result.left == ()

@@ -23,6 +23,7 @@ TRIALS = {
     "asymmetry": stated_key("asymmetry", 0.07, seed=43),
     "amplitude": stated_key("amplitude", -0.025, seed=44),
 }
+SLOW = pytest.mark.slow
 NOTHING = [replace(stated_key("wear", 0.01, seed=seed), effects=(), kind="nothing") for seed in (45, 46)]
 
 
@@ -44,7 +45,7 @@ def records(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "name", ["prying", "asymmetry", *(pytest.param(n, marks=pytest.mark.slow) for n in ("load_offset", "amplitude"))]
+    "name", [pytest.param(n, marks=SLOW if n in ("load_offset", "amplitude") else ()) for n in TRIALS]
 )
 def test_what_is_concealed_is_named(name, records):
     """Offset and asymmetry may stand in one family (both are even in direction); prying has no such twin.

@@ -23,8 +23,8 @@ from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
-pytestmark = pytest.mark.usefixtures("short_populations")
 HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'
+pytestmark = pytest.mark.usefixtures("short_populations")
 
 
 @pytest.fixture(scope="module")

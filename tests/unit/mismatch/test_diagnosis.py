@@ -132,8 +132,7 @@ def test_a_trough_too_steep_for_a_smooth_curve_over_the_distance_is_still_one_of
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "concealed"),
-    [(75, {"added over time", "capacity over direction"}), (138, {"added over time"})],
+    ("number", "concealed"), [(75, {"added over time", "capacity over direction"}), (138, {"added over time"})]
 )
 def test_a_drift_is_told_from_noise_that_drifts(number, concealed):
     """Beside noise with a memory of twice the test no drift is needed; beside a fine curve nothing is slow noise."""
@@ -319,7 +318,9 @@ def test_same_seed_same_record(prying, look):
     }
 
 
-@pytest.mark.parametrize("name", ["tension_step", "breakaway"])
+@pytest.mark.parametrize(
+    "name", ["tension_step", "breakaway", *(pytest.param(n, marks=pytest.mark.slow) for n in ("slack", "asymmetry"))]
+)
 def test_effects_are_named(name, trials, look):
     assert is_right(look(trials.simulate({name: trials.EFFECTS[name]}, 4)).record, {name})
 
@@ -376,6 +377,12 @@ def test_a_speed_coefficient_that_changes_with_the_distance_slid_is_a_curve_over
     assert classes(record) == {("capacity", "speed_by_travel")}
     assert record["coordinates"][0]["range_percent"] == pytest.approx(10.0, abs=2.0)
     assert any("depends on the speed, in a way that changes with the distance slid" in s for s in sentences(record))
+
+
+@pytest.mark.slow
+def test_a_misfit_that_follows_the_clock_is_seen(trials, look):
+    record = look(trials.simulate({}, 10, shape=trials.OUTSIDE["mains wave, 40 s"])).record
+    assert record["verdict"] == "unknown"
 
 
 @pytest.mark.slow
