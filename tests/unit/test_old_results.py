@@ -4,11 +4,15 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from shj_bayes.api import load
 from shj_bayes.errors import ShjError
 from shj_bayes.inference import record as record_file
+from shj_bayes.model.priors import LAWS
+from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.report.device import render_device
 
@@ -52,3 +56,28 @@ def test_what_it_lacks_is_said(old, key):
         (old / "fit.json").write_text(json.dumps(record | {key: change}), encoding="utf-8")
         with pytest.raises(ShjError, match=r"fit\.json .*run the (fit|command) again"):
             (device_from_fit(old, "old", "set") if key == "prior_laws" else render_device(old))
+
+
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [*(("Fy", law) for law in LAWS), ("gamma", "normal"), ("gamma", "cauchy"), ("gamma", "uniform")],
+)
+def test_a_fit_under_any_law_of_a_prior_can_be_pooled(old, monkeypatch, name, law):
+    a, b = (50.0, 150.0) if name == "Fy" else (0.001, 0.1)
+    b = 0.5 if law == "lognormal" else b
+    record = json.loads((old / "fit.json").read_text(encoding="utf-8"))
+    entry = next(entry for entry in record["prior_laws"] if entry["name"] == name)
+    entry.update(law=law, a=a, b=b)
+    (old / "fit.json").write_text(json.dumps(record), encoding="utf-8")
+    densities = {}
+    monkeypatch.setattr(DeviceEstimate, "from_posterior", lambda *given: densities.update(given[3]))
+    device_from_fit(old, "old", "set")
+    draws = record_file.read_group(old, "posterior")[name].ravel()
+    known = {
+        "normal": stats.norm(a, b), "cauchy": stats.cauchy(a, b), "lognormal": stats.lognorm(b, scale=a),
+        "uniform": stats.uniform(a, b - a), "loguniform": stats.loguniform(a, b),
+    }[law]  # fmt: skip
+    inside = np.isfinite(known.logpdf(draws))
+    pooled = known.logpdf(draws) + (np.log(draws) if name == "Fy" else 0.0)  # Fy is pooled as its logarithm
+    assert inside.any()
+    assert densities[name][inside] == pytest.approx(pooled[inside])

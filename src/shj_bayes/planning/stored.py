@@ -79,13 +79,7 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
 
 def _priors(record: Mapping[str, Any]) -> Priors:
     """Priors that a fit used, from its record."""
-    laws = {}
-    for entry in record["prior_laws"]:
-        if "." not in entry["name"]:
-            laws[str(entry["name"])] = Prior(
-                str(entry["name"]), str(entry["unit"]), str(entry["law"]), float(entry["a"]), float(entry["b"]),
-                str(entry.get("source", "")),
-            )  # fmt: skip
+    laws = {str(entry["name"]): Prior.of_record(entry) for entry in record["prior_laws"] if "." not in entry["name"]}
     model = record["model"]
     laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
     return Priors(str(model["priors"]), str(model.get("priors_statement", "")), laws, str(model["priors_sha256"]))

@@ -1,7 +1,6 @@
 """Device estimates from the results folders of finished fits."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -9,6 +8,7 @@ from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.model.law import variant_named
+from shj_bayes.model.priors import Prior
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 from shj_bayes.population.tested import RangeTested
@@ -22,25 +22,18 @@ def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS
     """
     record = read_record(folder)
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
-        laws = {law["name"]: law for law in record["prior_laws"]}
+        laws = {law["name"]: Prior.of_record(law) for law in record["prior_laws"]}
         posterior = read_group(folder, "posterior")
         draws = {q: posterior[q].ravel() for q in QUANTITIES if q in posterior}
         log_prior = {q: _pooled_log_density(laws[q], values) for q, values in draws.items()}
         return DeviceEstimate.from_posterior(name, set_name, draws, log_prior, tags)
 
 
-def _pooled_log_density(law: dict[str, Any], values: FloatArray) -> FloatArray:
-    """Log density, up to a constant, of a prior law on the scale on which the quantity is pooled."""
-    logarithmic = QUANTITIES[law["name"]].logarithmic
-    if law["law"] == ("lognormal" if logarithmic else "normal"):
-        pooled, centre = (np.log(values), np.log(law["a"])) if logarithmic else (values, law["a"])
-        return np.asarray(-0.5 * ((pooled - centre) / law["b"]) ** 2)
-    if law["law"] == ("loguniform" if logarithmic else "uniform"):
-        return np.zeros_like(values)
-    if logarithmic:  # a density of the value itself gains the factor d value / d log value
-        density = 0.0 if law["law"] == "uniform" else -0.5 * ((values - law["a"]) / law["b"]) ** 2
-        return np.asarray(density + np.log(values))
-    return np.asarray(-0.5 * (np.log(values / law["a"]) / law["b"]) ** 2 - np.log(values))
+def _pooled_log_density(prior: Prior, values: FloatArray) -> FloatArray:
+    """Log density of a prior on the scale on which the quantity is pooled, shape (n,)."""
+    density = prior.log_density(values)
+    # On a logarithmic scale a density of the value itself gains the factor d value / d log value.
+    return density + np.log(values) if QUANTITIES[prior.name].logarithmic else density
 
 
 def tested_by_fit(folder: Path) -> RangeTested | None:
