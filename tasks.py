@@ -6,6 +6,7 @@ test     run the tests
 lint     ruff and mypy
 check    the gates: ruff, mypy, imports, tests
 install-docs  install what builds the documentation site
+install-reference  install the analysis program that exported materials are tested in
 docs     build the documentation site into build/docs; a warning or a link to nowhere is an error
 prove    200 concealed-effect trials, sealed, diagnosed, opened, scored (under an hour; goes on where it stopped)
 fuzz     read 6000 damaged files of every kind; a traceback, a hang or a garbled refusal is an error (15 minutes)
@@ -51,6 +52,9 @@ TASKS: dict[str, list[list[str]]] = {
     ],
     "install-docs": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--require-hashes", "-r", "requirements-docs.txt"],
+    ],
+    "install-reference": [
+        [str(PYTHON), "-m", "pip", "install", *QUIET, "--require-hashes", "-r", "tests/requirements-reference.txt"],
     ],
     "prove": [[str(TOOL), "prove", "-n", "200", "--workers", "2", "--out", "shj-bayes-proof"]],
     "fuzz": [[str(PYTHON), "tests/fuzz/run.py", "-n", "6000"]],

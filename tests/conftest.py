@@ -31,8 +31,9 @@ TRUTH = Truth(
 
 # Of about a minute or more: they go first, or a worker would be left alone with one of them at the end.
 LONG = (
-    "test_snippets", "test_diagnosis", "test_effects_in_fits", "test_campaign", "test_simulators", "test_proof_short",
-    "test_margins_commands", "test_resume", "test_run_and_check", "test_command_line", "test_kill_command",
+    "test_snippets", "test_diagnosis", "test_browser", "test_effects_in_fits", "test_campaign", "test_simulators",
+    "test_proof_short", "test_margins_commands", "test_resume", "test_run_and_check", "test_command_line",
+    "test_kill_command",
 )  # fmt: skip
 
 

@@ -44,7 +44,7 @@ def unequal_numbers():
 
 def joint_fit(sets):
     """Quantiles of a new device of every set from NUTS on the joint model."""
-    numpyro = pytest.importorskip("numpyro", reason="numpyro is not installed (see tests/requirements-reference.txt)")
+    numpyro = pytest.importorskip("numpyro", reason="numpyro is not installed (pip install -e .[nuts])")
     jax = pytest.importorskip("jax")
     import jax.numpy as jnp  # noqa: PLC0415
     from jax.scipy.special import log_ndtr  # noqa: PLC0415
