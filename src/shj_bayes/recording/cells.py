@@ -1,9 +1,8 @@
-"""Single samples of a channel: empty cells, dropouts of the displacement transducer, clipping."""
+"""Single samples of a channel: empty cells, clipping."""
 
 import numpy as np
 
 from shj_bayes.recording import limits
-from shj_bayes.recording.noise import noise_of
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
 
 
@@ -28,51 +27,34 @@ def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, l
         findings.append(Finding("empty-ends", "repaired", f"{ends} rows without numbers at the ends left out", ends))
     if holes:
         message = (
-            f"{holes} rows in holes of more than {limits.FILL_RUN} empty rows left out; each hole is now a gap in time"
+            f"{holes} rows in holes of more than {limits.FILL_RUN} rows without a reading left out; each is now a gap in time"
         )
         findings.append(Finding("holes", "warning", message, holes))
     return keep, findings
 
 
-def fill(time_s: FloatArray, values: FloatArray, name: str) -> tuple[FloatArray, BoolArray, list[Finding]]:
-    """Bridge short runs of empty cells (NaN) of a channel by a straight line.
+def fill(
+    time_s: FloatArray, values: FloatArray, name: str, no_reading: BoolArray
+) -> tuple[FloatArray, BoolArray, list[Finding]]:
+    """Bridge short runs of cells without a reading (NaN) of a channel by a straight line.
 
-    Values without NaN, which samples are no evidence, both of shape (n_samples,), and findings.
+    `no_reading` are those among them that held a number, which has been said. Values without NaN, which samples are no
+    evidence, all of shape (n_samples,), and findings.
     """
     filled = np.isnan(values)
-    count = int(np.count_nonzero(filled))
+    count, empty = int(np.count_nonzero(filled)), int(np.count_nonzero(filled & ~no_reading))
     if count in (0, values.size):
         return values, filled, []
     bridged = np.where(filled, np.interp(time_s, time_s[~filled], values[~filled]), values)
     share = count / values.size
-    message = f"{name}: {count} empty cells ({share:.2%}) bridged by straight lines and not used as evidence"
-    found = Finding("empty-cells", "repaired", message, count)
     if share > limits.BAD_CELL_SHARE:
         message = (
-            f"{message}; allowed are {limits.BAD_CELL_SHARE:.0%}; fill them in, or take these rows out of the file "
-            "(steps of time may differ)"
+            f"{name}: {count} cells are empty or no readings ({share:.2%}); allowed are {limits.BAD_CELL_SHARE:.0%}; export "
+            "the test anew, or take these rows out of the file (steps of time may differ)"
         )
-        found = Finding("empty-cells", "unusable", message, count)
-    return bridged, filled, [found]
-
-
-def spikes(displacement_mm: FloatArray) -> BoolArray:
-    """Single displacement samples, shape (n,), far off both neighbours: no device jumps and returns in one."""
-    x = displacement_mm
-    found = np.zeros(x.size, dtype=np.bool_)
-    if x.size < 32:
-        return found
-    here = x[2:-2]
-    between = np.abs(here - 0.5 * (x[1:-3] + x[3:-1]))
-    onward = np.abs(here - (2 * x[1:-3] - x[:-4]))
-    backward = np.abs(here - (2 * x[3:-1] - x[4:]))
-    # A corner or a jolt continues the line on one of its sides; a dropout continues neither.
-    off = np.minimum(between, np.minimum(onward, backward))
-    core = float(np.diff(np.percentile(x, [1, 99]))[0])
-    usual = limits.SPIKE_USUAL * float(np.percentile(off, 95))
-    limit = max(limits.SPIKE_NOISE * noise_of(x), limits.SPIKE_RANGE * core, usual)
-    found[2:-2] = off > limit
-    return found if np.count_nonzero(found) <= max(2, limits.SPIKE_SHARE * found.size) else np.zeros_like(found)
+        return bridged, filled, [Finding("empty-cells", "unusable", message, count)]
+    message = f"{name}: {empty} empty cells ({empty / values.size:.2%}) bridged by straight lines and not used as evidence"
+    return bridged, filled, [Finding("empty-cells", "repaired", message, empty)] if empty else []
 
 
 def clipped(values: FloatArray, other: FloatArray) -> BoolArray:

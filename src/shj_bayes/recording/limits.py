@@ -33,11 +33,15 @@ MANY_GAPS_SHARE = 0.01  # more gaps than this and the median step itself means l
 FILL_RUN = 10  # longest run of empty cells that a straight line may bridge, samples
 BAD_CELL_SHARE = 0.05  # above this share of filled cells the recording is not usable
 
-# --- dropouts: one displacement sample that continues the line on neither side ---
-SPIKE_NOISE = 10.0  # standard deviations; noise has none of these
-SPIKE_RANGE = 0.003  # of the range; smaller ones harm neither reversals nor speed
-SPIKE_USUAL = 8.0  # times the 95 % point of the same measure, so that coarse sampling makes none
-SPIKE_SHARE = 0.01  # more than this is a property of the channel, not a dropout
+# --- rows that are no readings: a jump away from the course of a channel and one back within FILL_RUN rows ---
+SPIKE_NOISE = 12.0  # standard deviations; the noise of a step is 1.4 of them
+SPIKE_RANGE = 0.003  # of the range of the displacement; smaller ones harm neither reversals nor speed
+SPIKE_FORCE = 0.2  # of the range of the force: 40 % of the sliding force; peaks of a breakaway and stick-slip stay below
+SPIKE_USUAL = 4.0  # times the usual bend of the channel there, so that coarse sampling makes none
+SPIKE_RETURN = 0.25  # of the jump: the device has moved on meanwhile
+SPIKE_ROUNDS = 5  # searches; each finds what those before had hidden
+JUMP = 3.0  # times the limit: a jump without return this large leaves no doubt
+FAR = 3.0  # quartile distances from the median: five sliding forces; twice the stroke
 
 # --- clipping: a run of exactly equal values AT the extreme, longer than chance and far longer than elsewhere ---
 CLIP_RUN = 5
@@ -82,6 +86,12 @@ BENDS_AGREE = 0.9
 BEND_WITHIN = 1 / 6  # of a period, which the clock of the recorded samples may vary by
 BEND_PERIOD = 3.0  # samples; twice the rate cannot be told from noise that was filtered
 BENDS_PER_HALF_CYCLE = 4  # a drive without noise bends where it turns, and once more where the force does
+
+# --- a channel slower than the table ---
+HELD_LEAST = 1.18  # rows from one reading to the next; 100 Hz in a table of 120 Hz
+HELD_MOST = 32  # more is a test in steps
+HELD_COUNTS = 10.0  # counts from one reading to the next: noise of so many stands still in 3 % of the rows
+HELD_SHARE = 0.2  # of the rows at least: in the others the device may rest
 
 # --- kinematics ---
 REVERSAL_NOISE = 10.0  # white noise of a million samples spans 10 standard deviations peak to peak

@@ -1,0 +1,184 @@
+"""Rows that are no readings: zeros of a dropout, sentinels, slips of a few rows; found by a jump away and one back.
+
+A device moves on from where it is. A channel that leaves its course between two rows by more than the rest of the
+record ever changes, and is back on it some rows later, did not measure meanwhile, however many rows there are.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shj_bayes.recording import limits
+from shj_bayes.recording.noise import noise_of, resolution_of
+from shj_bayes.recording.recording import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class NoReadings:
+    """Cells that are no readings, and jumps of the displacement from which it does not come back."""
+
+    # displacement, force: shape (n_rows,)
+    displacement: BoolArray
+    force: BoolArray
+    jumps: tuple[int, ...] = ()  # rows after which the displacement goes on elsewhere while the force goes on
+
+
+def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> NoReadings:
+    """Find what is no reading in two channels, shape (n_rows,), NaN where empty; times increase strictly."""
+    channels = displacement_mm, force_kN
+    bad_x, bad_f = bad = [_sentinels(values) for values in channels]
+    known = [np.isfinite(values) & ~wrong for values, wrong in zip(channels, bad, strict=True)]
+    if min(map(np.count_nonzero, known)) < limits.MIN_SAMPLES:
+        return NoReadings(bad_x, bad_f)
+    x, f = (np.interp(time_s, time_s[good], values[good]) for values, good in zip(channels, known, strict=True))
+    jumps: list[int] = []
+    for _ in range(limits.SPIKE_ROUNDS):  # what was found no longer hides the rest
+        course, pull = _Course(time_s, x, limits.SPIKE_RANGE), _Course(time_s, f, limits.SPIKE_FORCE, still=True)
+        if not course.is_motion:
+            break
+        goes_on = np.abs(pull.excess) <= pull.limit
+        out = np.zeros(goes_on.size, dtype=np.bool_)
+        out[pull.big] = True
+        off_x, alone = course.excursions(goes_on, out)
+        alone = [k for k in alone if goes_on[k]]
+        ends = [k for k in alone if min(k + 1, x.size - 1 - k) <= limits.FILL_RUN]
+        for k in ends:
+            off_x[: k + 1] |= k < x.size // 2
+            off_x[k + 1 :] |= k >= x.size // 2
+        off_f, _ = pull.excursions(~_turning(x, off_x, course.limit))
+        jumps = [k for k in alone if k not in ends and abs(course.excess[k]) > limits.JUMP * course.least[k]]
+        for values, wrong, off in ((x, bad_x, off_x), (f, bad_f, off_f)):
+            wrong |= off
+            values[off] = np.interp(time_s[off], time_s[~off], values[~off])
+        if not (off_x.any() or off_f.any()):
+            break
+    for values, wrong in zip(channels, bad, strict=True):
+        _same_value(values, wrong)
+    return NoReadings(bad_x, bad_f, tuple(jumps))
+
+
+class _Course:
+    """Changes of a channel from row to row, apart from its own course."""
+
+    def __init__(self, time_s: FloatArray, values: FloatArray, share: float, *, still: bool = False) -> None:
+        from scipy.ndimage import median_filter  # noqa: PLC0415  takes long to import
+
+        self.values, step = values, np.diff(values)
+        lasted = np.diff(time_s) / np.median(np.diff(time_s))
+        apart = lasted > limits.GAP_STEPS
+        step[apart] = 0.0
+        # The displacement moves on meanwhile; a force has to come back for itself.
+        self.trend = np.zeros(step.size) if still else np.asarray(median_filter(step, 7, mode="nearest"))
+        # Clocks that are printed with few digits misplace samples: of changes by row and by time the less unusual one.
+        by_row, by_time = _outside(step), _outside(step / np.maximum(lasted, 0.5))
+        self.excess = np.where(np.abs(by_row) < np.abs(by_time), by_row, by_time)
+        self.excess[apart] = 0.0
+        self.core = float(np.diff(np.percentile(values, [2, 98]))[0])
+        # The median of the changes alone: what is no reading must not count as noise, nor does it in a rounded channel.
+        noise = max(noise_of(values, 0.0), resolution_of(values) / float(np.sqrt(12.0)))
+        self.limit = max(limits.SPIKE_NOISE * noise, share * self.core)
+        bend = np.abs(np.diff(step, prepend=step[0]))
+        # A low quantile over more rows where much is wrong: each row that is no reading bends the channel three times.
+        usual = np.minimum(_near(bend, 50, 7), 2.5 * _near(bend, 35, 15))
+        self.least = np.maximum(limits.SPIKE_USUAL * usual, self.limit)
+        self.big = np.flatnonzero(np.abs(self.excess) > self.least)
+        self.along = np.concatenate([[0.0], np.cumsum(self.trend)])
+
+    @property
+    def is_motion(self) -> bool:
+        """Whether the ordinary changes make up the motion: where it goes in steps or pulses, a jump says nothing."""
+        step = np.diff(self.values)
+        step[self.big] = self.trend[self.big]
+        return float(np.ptp(np.cumsum(step))) > 0.5 * self.core > 0.0
+
+    def excursions(self, plain: BoolArray, dead: BoolArray | None = None) -> tuple[BoolArray, list[int]]:
+        """Rows between a jump away and one back at changes that are `plain`, and the jumps that belong to none.
+
+        The shortest ones first, so that a jump that is missing does not exchange what is on and off the course.
+        """
+        off, big = np.zeros(self.values.size, dtype=np.bool_), self.big
+        base = self.values - self.along  # the course taken off
+        pairs = []
+        for further in range(1, limits.FILL_RUN + 1):
+            first, last = big[:-further], big[further:]
+            jump = np.minimum(np.abs(self.excess[first]), np.abs(self.excess[last]))
+            back = np.abs(base[last + 1] - base[first]) <= np.maximum(self.limit, limits.SPIKE_RETURN * jump)
+            pairs.append(np.column_stack([first, last])[back & (last - first <= limits.FILL_RUN)])
+        found = np.concatenate(pairs)
+        left = set(big.tolist())
+        for first, last in found[np.argsort(found[:, 1] - found[:, 0], kind="stable")].tolist():
+            rows = slice(first + 1, last + 1)
+            away = np.abs(base[rows] - base[first]) > 0.5 * self.limit
+            if {first, last} <= left and away.all() and not off[rows].any():
+                off[rows] = plain[first : last + 1].all() or (dead is not None and dead[first] and dead[last] and not np.ptp(self.values[rows]))
+                left -= {k for k in big[np.searchsorted(big, first) : np.searchsorted(big, last) + 1].tolist()}
+        return off, sorted(left)
+
+
+def _outside(step: FloatArray) -> FloatArray:
+    """By how much a change is larger, or smaller, than both of its neighbours: 0 in what speeds up or slows down.
+
+    At the ends, where a motion may begin or stop between two rows, it is 0.
+    """
+    before, after = np.append(step[0], step[:-1]), np.append(step[1:], step[-1])
+    return np.asarray(step - np.clip(step, np.minimum(before, after), np.maximum(before, after)))
+
+
+def _near(sizes: FloatArray, percent: float, reach: int) -> FloatArray:
+    """Percentile over so many values on both sides of each, the largest of those near it."""
+    from scipy.ndimage import maximum_filter, percentile_filter  # noqa: PLC0415  takes long to import
+
+    inner = percentile_filter(sizes, percent, 2 * reach + 1)[reach:-reach]
+    return np.asarray(maximum_filter(np.pad(inner, reach, mode="edge"), 2 * reach + 1), dtype=np.float64)
+
+
+def _turning(x: FloatArray, off: BoolArray, limit: float) -> BoolArray:
+    """Changes beside which the displacement, without what is no reading, turns: a force may go and come back there."""
+    index = np.arange(x.size)
+    way = np.interp(index, index[~off], x[~off])
+    reach = 3
+    ahead, behind = (np.concatenate([way[reach:], np.full(reach, way[-1])]) - way), way - np.concatenate([np.full(reach, way[0]), way[:-reach]])
+    least = 0.3 * limit
+    turns = (ahead * behind < 0) & (np.abs(ahead) > least) & (np.abs(behind) > least)
+    return turns[1:] | turns[:-1]
+
+
+def _sentinels(values: FloatArray) -> BoolArray:
+    """Cells of a value that stands far outside all others, in runs of any length, or is exactly 0 where that is a jump.
+    """
+    bad = np.zeros(values.size, dtype=np.bool_)
+    known = np.isfinite(values)
+    if np.count_nonzero(known) < limits.MIN_SAMPLES:
+        return bad
+    low, middle, high = np.percentile(values[known], [25, 50, 75])
+    far = known & (np.abs(values - middle) > limits.FAR * (high - low))
+    common, count = np.unique(values[far], return_counts=True)
+    for level in [*common[np.argsort(-count)][:8].tolist(), 0.0]:
+        at = np.flatnonzero(known & ~bad)
+        here = values[at] == level
+        if not 0 < np.count_nonzero(here) <= 0.5 * at.size:
+            continue
+        step = np.abs(np.diff(values[at]))
+        touched = here[1:] | here[:-1]
+        usual = float(np.percentile(step[~touched], 99))
+        core = float(np.diff(np.percentile(values[at[~here]], [2, 98]))[0])
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(np.int8)))
+        first, last = edges[::2], edges[1::2]
+        before, after = values[at[np.maximum(first - 1, 0)]], values[at[np.minimum(last, at.size - 1)]]
+        if level != 0.0:  # at an end of the record there is one jump only; a force may well begin and end at 0
+            before, after = np.where(first == 0, after, before), np.where(last == at.size, before, after)
+        jump = np.minimum(np.abs(before - level), np.abs(after - level))
+        back = np.abs(after - before) <= 0.5 * jump + usual * (last - first)
+        gone = (jump > np.maximum(usual, limits.SPIKE_FORCE * core)) & back
+        for a, b in zip(first[gone].tolist(), last[gone].tolist(), strict=True):
+            bad[at[a:b]] = True
+    return bad
+
+
+def _same_value(values: FloatArray, bad: BoolArray) -> None:
+    """Take out the few other cells of a value that most often is no reading: a dropout to 0 as 0 was passed."""
+    common, count = np.unique(values[bad], return_counts=True)
+    for level in common[count > 1].tolist():
+        same = values == level
+        if np.count_nonzero(same & ~bad) <= np.count_nonzero(same & bad):
+            bad |= same
