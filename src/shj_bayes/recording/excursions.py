@@ -25,21 +25,21 @@ class NoReadings:
 
 def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> NoReadings:
     """Find what is no reading in two channels, shape (n_rows,), NaN where empty; times increase strictly."""
-    channels = displacement_mm, force_kN
-    bad_x, bad_f = bad = [_sentinels(values) for values in channels]
-    known = [np.isfinite(values) & ~wrong for values, wrong in zip(channels, bad, strict=True)]
-    if min(map(np.count_nonzero, known)) < limits.MIN_SAMPLES:
-        return NoReadings(bad_x, bad_f)
-    x, f = (np.interp(time_s, time_s[good], values[good]) for values, good in zip(channels, known, strict=True))
+    channels, shares = (displacement_mm, force_kN), (limits.SPIKE_RANGE, limits.SPIKE_FORCE)
+    bad_x, bad_f = bad = [_sentinels(values, share) for values, share in zip(channels, shares, strict=True)]
     jumps: list[int] = []
     for _ in range(limits.SPIKE_ROUNDS):  # what was found no longer hides the rest
+        known = [np.isfinite(values) & ~wrong for values, wrong in zip(channels, bad, strict=True)]
+        if min(map(np.count_nonzero, known)) < limits.MIN_SAMPLES:
+            break
+        x, f = (np.interp(time_s, time_s[good], values[good]) for values, good in zip(channels, known, strict=True))
         course, pull = _Course(time_s, x, limits.SPIKE_RANGE), _Course(time_s, f, limits.SPIKE_FORCE, still=True)
         if not course.is_motion:
             break
         goes_on = np.abs(pull.excess) <= pull.limit
-        out = np.zeros(goes_on.size, dtype=np.bool_)
-        out[pull.big] = True
-        off_x, alone = course.excursions(goes_on, out)
+        leaves = np.zeros(goes_on.size, dtype=np.bool_)
+        leaves[pull.big] = True
+        off_x, alone = course.excursions(goes_on, leaves)
         alone = [k for k in alone if goes_on[k]]
         ends = [k for k in alone if min(k + 1, x.size - 1 - k) <= limits.FILL_RUN]
         for k in ends:
@@ -47,13 +47,12 @@ def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: Floa
             off_x[k + 1 :] |= k >= x.size // 2
         off_f, _ = pull.excursions(~_turning(x, off_x, course.limit))
         jumps = [k for k in alone if k not in ends and abs(course.excess[k]) > limits.JUMP * course.least[k]]
-        for values, wrong, off in ((x, bad_x, off_x), (f, bad_f, off_f)):
+        before = np.count_nonzero(bad)
+        for values, wrong, off in zip(channels, bad, (off_x, off_f), strict=True):
             wrong |= off
-            values[off] = np.interp(time_s[off], time_s[~off], values[~off])
-        if not (off_x.any() or off_f.any()):
+            _same_value(values, wrong)
+        if np.count_nonzero(bad) == before:
             break
-    for values, wrong in zip(channels, bad, strict=True):
-        _same_value(values, wrong)
     return NoReadings(bad_x, bad_f, tuple(jumps))
 
 
@@ -143,15 +142,15 @@ def _turning(x: FloatArray, off: BoolArray, limit: float) -> BoolArray:
     return turns[1:] | turns[:-1]
 
 
-def _sentinels(values: FloatArray) -> BoolArray:
+def _sentinels(values: FloatArray, share: float) -> BoolArray:
     """Cells of a value that stands far outside all others, in runs of any length, or is exactly 0 where that is a jump.
     """
     bad = np.zeros(values.size, dtype=np.bool_)
     known = np.isfinite(values)
     if np.count_nonzero(known) < limits.MIN_SAMPLES:
         return bad
-    low, middle, high = np.percentile(values[known], [25, 50, 75])
-    far = known & (np.abs(values - middle) > limits.FAR * (high - low))
+    away = np.abs(values - np.median(values[known]))
+    far = known & (away > limits.FAR * 2 * np.median(away[known]))
     common, count = np.unique(values[far], return_counts=True)
     for level in [*common[np.argsort(-count)][:8].tolist(), 0.0]:
         at = np.flatnonzero(known & ~bad)
@@ -160,7 +159,7 @@ def _sentinels(values: FloatArray) -> BoolArray:
             continue
         step = np.abs(np.diff(values[at]))
         touched = here[1:] | here[:-1]
-        usual = float(np.percentile(step[~touched], 99))
+        usual = 1.5 * float(np.percentile(step[~touched], 99)) if not touched.all() else 0.0
         core = float(np.diff(np.percentile(values[at[~here]], [2, 98]))[0])
         edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(np.int8)))
         first, last = edges[::2], edges[1::2]
@@ -169,7 +168,7 @@ def _sentinels(values: FloatArray) -> BoolArray:
             before, after = np.where(first == 0, after, before), np.where(last == at.size, before, after)
         jump = np.minimum(np.abs(before - level), np.abs(after - level))
         back = np.abs(after - before) <= 0.5 * jump + usual * (last - first)
-        gone = (jump > np.maximum(usual, limits.SPIKE_FORCE * core)) & back
+        gone = (jump > max(usual, share * core)) & back
         for a, b in zip(first[gone].tolist(), last[gone].tolist(), strict=True):
             bad[at[a:b]] = True
     return bad

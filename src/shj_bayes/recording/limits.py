@@ -41,7 +41,7 @@ SPIKE_USUAL = 4.0  # times the usual bend of the channel there, so that coarse s
 SPIKE_RETURN = 0.25  # of the jump: the device has moved on meanwhile
 SPIKE_ROUNDS = 5  # searches; each finds what those before had hidden
 JUMP = 3.0  # times the limit: a jump without return this large leaves no doubt
-FAR = 3.0  # quartile distances from the median: five sliding forces; twice the stroke
+FAR = 3.0  # times twice the median distance from the median: six sliding forces, or several strokes
 
 # --- clipping: a run of exactly equal values AT the extreme, longer than chance and far longer than elsewhere ---
 CLIP_RUN = 5

@@ -242,20 +242,26 @@ def lag_of(recording: Recording, motion: Motion) -> float | None:
 
 
 def _unloading(recording: Recording, motion: Motion) -> list[tuple[int, FloatArray, FloatArray]]:
-    """For each reversal: its half-cycle, and times and relative force drops between 5 and 60 % of the plateau."""
-    pieces = []
+    """For each reversal: its half-cycle, and times and relative force drops between 5 and 60 % of the plateau.
+
+    Of samples that are evidence: a plateau at which the load cell is clipped, or a reading that is repeated, would seem
+    to be late.
+    """
+    used, pieces = np.asarray(recording.used), []
     for k in range(1, motion.n_half):
         a, b, before = int(motion.start[k]), int(motion.start[k + 1]), int(motion.start[k - 1])
-        tail = recording.force_kN[max(before, a - max(3, (a - before) // 20)) : a]
-        top = float(np.median(tail)) * -motion.direction[k]
+        first = max(before, a - max(3, (a - before) // 20))
+        tail = np.flatnonzero(used[first:a]) + first
+        top = float(np.median(recording.force_kN[tail])) * -motion.direction[k] if tail.size else 0.0
         if top <= 0:
             continue
-        drop = 1.0 - recording.force_kN[a:b] * -motion.direction[k] / top
+        rows = np.flatnonzero(used[a:b]) + a
+        drop = 1.0 - recording.force_kN[rows] * -motion.direction[k] / top
         end = int(np.argmax(drop > 0.6)) if np.any(drop > 0.6) else 0
-        rows = np.flatnonzero(drop[:end] > 0.05) + a
-        rows = rows[:: max(1, rows.size // 100)]
-        if rows.size >= 3:
-            pieces.append((k, recording.time_s[rows], drop[rows - a]))
+        within = np.flatnonzero(drop[:end] > 0.05)
+        within = within[:: max(1, within.size // 100)]
+        if within.size >= 3:
+            pieces.append((k, recording.time_s[rows[within]], drop[within]))
     return pieces
 
 

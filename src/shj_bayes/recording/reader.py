@@ -14,6 +14,8 @@ from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.recording import Extra, Finding, FloatArray, Recording, RunStart, Source
 from shj_bayes.recording.tables import Table
 
+_HOLLOW = {"text-cells", "empty-cells", "jumps"}  # findings of channels of which too much is missing or wrong
+
 
 def read(
     path: str | Path,
@@ -58,9 +60,13 @@ def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: 
     time_s, displacement_mm, force_kN, used, findings = repair(
         clock_s, channels.displacement_mm, channels.force_kN, table.name
     )
-    known = {finding.code for finding in findings}
-    unlikely = plausibility_findings(channels, time_s, displacement_mm, force_kN)
-    findings += tuple(finding for finding in unlikely if finding.code not in known)
+    if any(finding.code in _HOLLOW and finding.severity == "unusable" for finding in (*channels.findings, *findings)):
+        # What is left of a channel has another size and shape: it says nothing of units, signs and order.
+        findings = tuple(finding for finding in findings if finding.code != "swapped-columns")
+    else:
+        known = {finding.code for finding in findings}
+        unlikely = plausibility_findings(channels, time_s, displacement_mm, force_kN)
+        findings += tuple(finding for finding in unlikely if finding.code not in known)
     findings = tuple(with_exchange(finding, channels) for finding in findings)
     samples = {int(np.searchsorted(time_s, first)): shift for first, shift in begins}
     recording = Recording(
