@@ -137,6 +137,12 @@ def longest_increasing(values: FloatArray) -> np.ndarray[tuple[int], np.dtype[np
     return np.array(chain[::-1], dtype=np.int64)
 
 
+def step_spread(time_s: FloatArray) -> float:
+    """Range of the steps of time, without the smallest and largest twentieth, over their median."""
+    low, median, high = np.percentile(np.diff(time_s), [5, 50, 95])
+    return float((high - low) / median)
+
+
 def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Finding]:
     """Jitter, gaps and an unlikely duration of strictly increasing times; nothing is changed.
 
@@ -145,7 +151,7 @@ def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Find
     steps = np.diff(time_s)
     median = float(np.median(steps))
     findings: list[Finding] = []
-    spread = float(np.diff(np.percentile(steps, [5, 95]))[0]) / median
+    spread = step_spread(time_s)
     if spread > limits.JITTER_SHARE:
         message = (
             f"time steps vary by {spread:.0%} of their median {1e3 * median:.4g} ms; each sample keeps its own time"

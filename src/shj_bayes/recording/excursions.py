@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.recording import limits
+from shj_bayes.recording.clock import step_spread
 from shj_bayes.recording.noise import noise_of, resolution_of
 from shj_bayes.recording.recording import BoolArray, FloatArray
 
@@ -28,6 +29,8 @@ def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: Floa
     channels, shares = (displacement_mm, force_kN), (limits.SPIKE_RANGE, limits.SPIKE_FORCE)
     bad_x, bad_f = bad = [_sentinels(values, share) for values, share in zip(channels, shares, strict=True)]
     jumps: list[int] = []
+    if step_spread(time_s) > 1.0:  # points picked off a figure: the next may be anywhere
+        return NoReadings(bad_x, bad_f)
     for _ in range(limits.SPIKE_ROUNDS):  # what was found no longer hides the rest
         known = [np.isfinite(values) & ~wrong for values, wrong in zip(channels, bad, strict=True)]
         if min(map(np.count_nonzero, known)) < limits.MIN_SAMPLES:
@@ -46,7 +49,7 @@ def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: Floa
             off_x[: k + 1] |= k < x.size // 2
             off_x[k + 1 :] |= k >= x.size // 2
         off_f, _ = pull.excursions(~_turning(x, off_x, course.limit))
-        jumps = [k for k in alone if k not in ends and abs(course.excess[k]) > limits.JUMP * course.least[k]]
+        jumps = [k for k in alone if k not in ends and course.is_lone(k)]
         before = np.count_nonzero(bad)
         for values, wrong, off in zip(channels, bad, (off_x, off_f), strict=True):
             wrong |= off
@@ -81,7 +84,7 @@ class _Course:
         usual = np.minimum(_near(bend, 50, 7), 2.5 * _near(bend, 35, 15))
         self.least = np.maximum(limits.SPIKE_USUAL * usual, self.limit)
         self.big = np.flatnonzero(np.abs(self.excess) > self.least)
-        self.along = np.concatenate([[0.0], np.cumsum(self.trend)])
+        self.still, self.base = still, values - np.concatenate([[0.0], np.cumsum(self.trend)])  # the course taken off
 
     @property
     def is_motion(self) -> bool:
@@ -90,13 +93,25 @@ class _Course:
         step[self.big] = self.trend[self.big]
         return float(np.ptp(np.cumsum(step))) > 0.5 * self.core > 0.0
 
-    def excursions(self, plain: BoolArray, dead: BoolArray | None = None) -> tuple[BoolArray, list[int]]:
-        """Rows between a jump away and one back at changes that are `plain`, and the jumps that belong to none.
+    def is_lone(self, k: int) -> bool:
+        """Whether a change is a jump beyond doubt, with an ordinary course before and after it."""
+        beside = np.abs(self.excess[[k - 2, k - 1, min(k + 1, self.excess.size - 1), min(k + 2, self.excess.size - 1)]])
+        return bool(abs(self.excess[k]) > limits.JUMP * self.least[k] and beside.max() <= self.least[k])
 
-        The shortest ones first, so that a jump that is missing does not exchange what is on and off the course.
+    def _away(self, first: int, last: int) -> bool:
+        """Whether all rows between two changes are off the course: a force, which may ring, in full."""
+        between = self.base[first + 1 : last + 1]
+        if not self.still:
+            return bool(np.all(np.abs(between - self.base[first]) > 0.5 * self.limit))
+        return bool(np.min(np.abs(between - self.base[[first, last + 1]][:, None])) > self.limit)
+
+    def excursions(self, plain: BoolArray, leaves: BoolArray | None = None) -> tuple[BoolArray, list[int]]:
+        """Find the rows between a jump away and one back, and the jumps that belong to none.
+
+        At changes that are `plain`, or where the other channel `leaves` its course too and the rows hold one value. The
+        shortest ones first, so that a jump that is missing does not exchange what is on and off the course.
         """
-        off, big = np.zeros(self.values.size, dtype=np.bool_), self.big
-        base = self.values - self.along  # the course taken off
+        off, big, base = np.zeros(self.values.size, dtype=np.bool_), self.big, self.base
         pairs = []
         for further in range(1, limits.FILL_RUN + 1):
             first, last = big[:-further], big[further:]
@@ -105,12 +120,15 @@ class _Course:
             pairs.append(np.column_stack([first, last])[back & (last - first <= limits.FILL_RUN)])
         found = np.concatenate(pairs)
         left = set(big.tolist())
+        calm = np.pad(np.abs(self.excess) <= self.limit, 1, constant_values=True)
         for first, last in found[np.argsort(found[:, 1] - found[:, 0], kind="stable")].tolist():
             rows = slice(first + 1, last + 1)
-            away = np.abs(base[rows] - base[first]) > 0.5 * self.limit
-            if {first, last} <= left and away.all() and not off[rows].any():
-                off[rows] = plain[first : last + 1].all() or (dead is not None and dead[first] and dead[last] and not np.ptp(self.values[rows]))
-                left -= {k for k in big[np.searchsorted(big, first) : np.searchsorted(big, last) + 1].tolist()}
+            if not {first, last} <= left or off[rows].any() or not self._away(first, last):
+                continue
+            left -= set(big[np.searchsorted(big, first) : np.searchsorted(big, last) + 1].tolist())
+            dead = leaves is not None and leaves[first] and leaves[last] and np.ptp(self.values[rows]) == 0.0
+            # A course that goes to and fro on both sides rings.
+            off[rows] = (plain[first : last + 1].all() or dead) and (calm[first] or calm[last + 2])
         return off, sorted(left)
 
 

@@ -78,6 +78,14 @@ FEW_HALF_CYCLES = 4  # fewer cannot show whether anything changes from cycle to 
 MIN_SAMPLES = 32  # fewer hold less information than the law has parameters, several times over
 MIN_SAMPLES_PER_HALF_CYCLE = 8  # fewer leave the elastic branch without a sample
 
+# --- points too few to see the reversals. Eq. (1) at 0.7 Hz (10 samples in a half-cycle of Table 1) still gives K ---
+FEW_RETURN = 0.25  # of the range: half-cycles that count whatever seems to be noise
+FEW_APART = 5  # samples from one of their reversals to the next; with 3 a third of the reversals is missed
+FEW_UNSEEN = 12  # samples in a half-cycle: with more, a force against the motion is another thing (inertia, spring)
+FEW_AGAINST = 0.02  # of the samples; 0.03 and more where reversals are missed, 0 where none is
+FEW_UNEVEN = 16  # samples in a half-cycle at uneven times: with 12 K is off by 9 %, with 16 it is in its interval
+FEW_GAPS = 40  # the same where every other half-cycle has a gap: with 32 K is off by 2 %
+
 # --- interpolated to a higher rate. Bends at random places are a whole number of periods apart, to a sixth of one, with
 # probability 1/3; that 90 % of 40 bends are so has one below 1e-11 ---
 BEND_COUNTS = 20.0  # of the resolution: rounding makes two, and ten times as much beyond a power of ten

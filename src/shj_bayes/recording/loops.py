@@ -3,6 +3,7 @@
 import numpy as np
 
 from shj_bayes.recording import limits
+from shj_bayes.recording.clock import step_spread
 from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.kinematics import blind_stretches
 from shj_bayes.recording.motion import Motion
@@ -116,7 +117,7 @@ def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[Fl
 
 def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
     """Too few samples or half-cycles, offsets and lag."""
-    findings = []
+    findings = [*few_points(recording, motion)]
     if recording.n_samples < limits.MIN_SAMPLES:
         message = f"{recording.n_samples} samples; at least {limits.MIN_SAMPLES} are needed; export every row"
         message += ", or sample faster"
@@ -138,7 +139,7 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
         )
         findings.append(Finding("gap-turns", "warning", message, count))
     per_half = recording.n_samples / motion.n_half
-    if per_half < limits.MIN_SAMPLES_PER_HALF_CYCLE:
+    if per_half < limits.MIN_SAMPLES_PER_HALF_CYCLE and not findings:
         message = (
             f"{per_half:.1f} samples in a half-cycle; at least {limits.MIN_SAMPLES_PER_HALF_CYCLE} are needed "
             f"to see the stiffness; sample faster"
@@ -146,6 +147,48 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
         findings.append(Finding("coarse-sampling", "warning", message))
     findings += resampled_findings(recording, motion.n_half)
     return [*findings, *_offsets(recording, motion), *_lag(recording, motion)]
+
+
+def few_points(recording: Recording, motion: Motion | None) -> list[Finding]:
+    """Refuse points that are too few, or too uneven in time, to show where the motion turns, and with it K and beta.
+
+    Turning points alone, points picked off a figure, rows thinned out: the displacement from one to the next is not
+    known, and what is not known of it looks like noise. The force tells: it turns round where no reversal is found.
+    Without a `motion` the points alone are judged.
+    """
+    x, f, n = recording.displacement_mm, recording.force_kN, recording.n_samples
+    turns = hysteresis(x, limits.FEW_RETURN * float(np.ptp(x)))
+    apart = float(np.median(np.diff(turns))) if len(turns) > limits.FEW_HALF_CYCLES else np.inf
+    middle, half = (0.5 * float(s @ np.percentile(f, [5, 95])) for s in (np.array([1, 1]), np.array([-1, 1])))
+    push = (f - middle) / max(half, 1e-300)
+    few = None
+    follows = bool(turns) and float(np.median(np.sign(x[turns] - np.median(x)) * push[turns])) > 0.5
+    if apart < limits.FEW_APART and follows:
+        few = f"{apart:.3g} points from one reversal to the next"
+    elif motion is not None:
+        per_half = n / motion.n_half
+        spread = step_spread(recording.time_s)
+        gaps = (np.count_nonzero(recording.restarts) - 1) / motion.n_half
+        if per_half < limits.FEW_UNSEEN and _unseen(motion, push) > limits.FEW_AGAINST:
+            few = f"{per_half:.3g} points in a half-cycle, and the force turns round where no reversal is found"
+        elif per_half < limits.FEW_UNEVEN and spread > 1.0:
+            few = f"{per_half:.3g} points in a half-cycle, at times whose steps vary by {spread:.0%}"
+        elif per_half < limits.FEW_GAPS and gaps > 0.5:
+            few = f"{per_half:.3g} points in a half-cycle, with {gaps:.2g} gaps in time"
+    if few is None:
+        return []
+    message = (
+        f"{few}: too few to tell K and beta; give the rows as they were recorded, or of a figure at least "
+        f"{limits.FEW_UNEVEN} points in each half-cycle, at even steps of time"
+    )
+    return [Finding("few-points", "unusable", message, n)]
+
+
+def _unseen(motion: Motion, push: FloatArray) -> float:
+    """Share of the samples at which the force, over its plateau, is against the motion after it was with it."""
+    along = motion.direction[motion.half_cycle] * push
+    with_it = np.concatenate([np.maximum.accumulate(part) for part in np.split(along, motion.start[1:-1])])
+    return float(np.mean((along < -0.5) & (with_it > 0.5)))
 
 
 def _offsets(recording: Recording, motion: Motion) -> list[Finding]:

@@ -3,14 +3,15 @@
 import numpy as np
 
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording import limits
 from shj_bayes.recording.cells import clipped, complete_rows, fill, runs
 from shj_bayes.recording.clock import clock_findings, orderly_rows
-from shj_bayes.recording.excursions import not_readings
+from shj_bayes.recording.excursions import NoReadings, not_readings
 from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.held import held
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.limits import BAD_CELL_SHARE
-from shj_bayes.recording.loops import cycle_findings, magnitude_findings, sign_findings
+from shj_bayes.recording.loops import cycle_findings, exchanged, few_points, magnitude_findings, sign_findings
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray, Recording
 
 
@@ -32,6 +33,9 @@ def repair(
     t, x, f, repeats, more = _at_own_rates(t, x, f)
     findings += more
     wrong = not_readings(t, x, f)
+    if wrong.jumps and exchanged(np.where(np.isfinite(x), x, 0.0), np.where(np.isfinite(f), f, 0.0)) > limits.SWAPPED_PRODUCT:
+        # A force that is taken for the displacement jumps because it is one.
+        wrong = NoReadings(np.zeros(t.size, dtype=np.bool_), np.zeros(t.size, dtype=np.bool_))
     for label, values, bad in (("displacement", x, wrong.displacement), ("force", f, wrong.force)):
         findings += _spike_findings(label, t, values, bad)
     findings += _jump_findings(t, x, wrong.jumps)
@@ -60,7 +64,7 @@ def inspect(recording: Recording) -> tuple[Finding, ...]:
     try:
         motion = motion_of(recording)
     except RecordingError as error:
-        return (Finding("no-motion", "unusable", str(error)),)
+        return tuple(few_points(recording, None)) or (Finding("no-motion", "unusable", str(error)),)
     return tuple(cycle_findings(recording, motion))
 
 
