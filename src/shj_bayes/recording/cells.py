@@ -26,9 +26,7 @@ def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, l
     if ends:
         findings.append(Finding("empty-ends", "repaired", f"{ends} rows without numbers at the ends left out", ends))
     if holes:
-        message = (
-            f"{holes} rows in holes of more than {limits.FILL_RUN} rows without a reading left out; each is now a gap in time"
-        )
+        message = f"{holes} rows left out, in holes of more than {limits.FILL_RUN} rows; each hole is now a gap in time"
         findings.append(Finding("holes", "warning", message, holes))
     return keep, findings
 
@@ -49,11 +47,13 @@ def fill(
     share = count / values.size
     if share > limits.BAD_CELL_SHARE:
         message = (
-            f"{name}: {count} cells are empty or no readings ({share:.2%}); allowed are {limits.BAD_CELL_SHARE:.0%}; export "
-            "the test anew, or take these rows out of the file (steps of time may differ)"
+            f"{name}: {count} cells are empty or no readings ({share:.2%}); allowed are {limits.BAD_CELL_SHARE:.0%}; "
+            "export the test anew, or take these rows out of the file (steps of time may differ)"
         )
         return bridged, filled, [Finding("empty-cells", "unusable", message, count)]
-    message = f"{name}: {empty} empty cells ({empty / values.size:.2%}) bridged by straight lines and not used as evidence"
+    message = (
+        f"{name}: {empty} empty cells ({empty / values.size:.2%}) bridged by straight lines and not used as evidence"
+    )
     return bridged, filled, [Finding("empty-cells", "repaired", message, empty)] if empty else []
 
 

@@ -87,7 +87,7 @@ def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
         "duration_s": recording.duration_s,
         "displacement_mm": [float(recording.displacement_mm.min()), float(recording.displacement_mm.max())],
         "force_kN": [float(recording.force_kN.min()), float(recording.force_kN.max())],
-        "force_noise_kN": noise_of(recording.force_kN),
+        "force_noise_kN": noise_of(recording.force_kN[recording.used]),
         "findings": [asdict(finding) for finding in recording.findings],
     }
     if motion is not None:

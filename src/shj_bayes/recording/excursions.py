@@ -27,11 +27,11 @@ class NoReadings:
 def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> NoReadings:
     """Find what is no reading in two channels, shape (n_rows,), NaN where empty; times increase strictly."""
     channels, shares = (displacement_mm, force_kN), (limits.SPIKE_RANGE, limits.SPIKE_FORCE)
-    bad_x, bad_f = bad = [_sentinels(values, share) for values, share in zip(channels, shares, strict=True)]
+    bad = np.array([_sentinels(values, share) for values, share in zip(channels, shares, strict=True)])
     jumps: list[int] = []
-    if step_spread(time_s) > 1.0:  # points picked off a figure: the next may be anywhere
-        return NoReadings(bad_x, bad_f)
-    for _ in range(limits.SPIKE_ROUNDS):  # what was found no longer hides the rest
+    # Of points picked off a figure the next may be anywhere.
+    rounds = 0 if time_s.size < limits.MIN_SAMPLES or step_spread(time_s) > 1.0 else limits.SPIKE_ROUNDS
+    for _ in range(rounds):  # what was found no longer hides the rest
         known = [np.isfinite(values) & ~wrong for values, wrong in zip(channels, bad, strict=True)]
         if min(map(np.count_nonzero, known)) < limits.MIN_SAMPLES:
             break
@@ -39,52 +39,46 @@ def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: Floa
         course, pull = _Course(time_s, x, limits.SPIKE_RANGE), _Course(time_s, f, limits.SPIKE_FORCE, still=True)
         if not course.is_motion:
             break
-        goes_on = np.abs(pull.excess) <= pull.limit
-        leaves = np.zeros(goes_on.size, dtype=np.bool_)
-        leaves[pull.big] = True
-        off_x, alone = course.excursions(goes_on, leaves)
-        alone = [k for k in alone if goes_on[k]]
-        ends = [k for k in alone if min(k + 1, x.size - 1 - k) <= limits.FILL_RUN]
-        for k in ends:
-            off_x[: k + 1] |= k < x.size // 2
-            off_x[k + 1 :] |= k >= x.size // 2
-        off_f, _ = pull.excursions(~_turning(x, off_x, course.limit))
-        jumps = [k for k in alone if k not in ends and course.is_lone(k)]
         before = np.count_nonzero(bad)
-        for values, wrong, off in zip(channels, bad, (off_x, off_f), strict=True):
-            wrong |= off
-            _same_value(values, wrong)
+        off_x, jumps = _off_course(course, pull)
+        off_f, _ = pull.excursions(~_turning(x, off_x, course.limit))
+        bad |= [off_x, off_f]
+        for k, values in enumerate(channels):
+            bad[k] |= _same_value(values, bad[k])
         if np.count_nonzero(bad) == before:
             break
-    return NoReadings(bad_x, bad_f, tuple(jumps))
+    return NoReadings(bad[0], bad[1], tuple(jumps))
 
 
 class _Course:
     """Changes of a channel from row to row, apart from its own course."""
 
     def __init__(self, time_s: FloatArray, values: FloatArray, share: float, *, still: bool = False) -> None:
+        """Look at a channel, shape (n_rows,), of which less than a share of the range is let pass.
+
+        The displacement moves on while it is not read; a force, which is `still`, has to come back for itself.
+        """
         from scipy.ndimage import median_filter  # noqa: PLC0415  takes long to import
 
-        self.values, step = values, np.diff(values)
+        self.values, self.still, step = values, still, np.diff(values)
         lasted = np.diff(time_s) / np.median(np.diff(time_s))
-        apart = lasted > limits.GAP_STEPS
-        step[apart] = 0.0
-        # The displacement moves on meanwhile; a force has to come back for itself.
+        self.apart = lasted > limits.GAP_STEPS
+        step[self.apart] = 0.0
         self.trend = np.zeros(step.size) if still else np.asarray(median_filter(step, 7, mode="nearest"))
+        self.base = values - np.concatenate([[0.0], np.cumsum(self.trend)])  # the course taken off
         # Clocks that are printed with few digits misplace samples: of changes by row and by time the less unusual one.
         by_row, by_time = _outside(step), _outside(step / np.maximum(lasted, 0.5))
         self.excess = np.where(np.abs(by_row) < np.abs(by_time), by_row, by_time)
-        self.excess[apart] = 0.0
+        self.excess[self.apart] = 0.0
         self.core = float(np.diff(np.percentile(values, [2, 98]))[0])
         # The median of the changes alone: what is no reading must not count as noise, nor does it in a rounded channel.
-        noise = max(noise_of(values, 0.0), resolution_of(values) / float(np.sqrt(12.0)))
-        self.limit = max(limits.SPIKE_NOISE * noise, share * self.core)
+        self.noise = max(noise_of(values, 0.0), resolution_of(values) / float(np.sqrt(12.0)))
+        self.limit = max(limits.SPIKE_NOISE * self.noise, share * self.core)
         bend = np.abs(np.diff(step, prepend=step[0]))
         # A low quantile over more rows where much is wrong: each row that is no reading bends the channel three times.
         usual = np.minimum(_near(bend, 50, 7), 2.5 * _near(bend, 35, 15))
         self.least = np.maximum(limits.SPIKE_USUAL * usual, self.limit)
         self.big = np.flatnonzero(np.abs(self.excess) > self.least)
-        self.still, self.base = still, values - np.concatenate([[0.0], np.cumsum(self.trend)])  # the course taken off
 
     @property
     def is_motion(self) -> bool:
@@ -93,17 +87,19 @@ class _Course:
         step[self.big] = self.trend[self.big]
         return float(np.ptp(np.cumsum(step))) > 0.5 * self.core > 0.0
 
+    def excluded(self) -> list[int]:
+        """Find the changes that are many times as large as nearly all others where the channel moves."""
+        size = np.abs(np.diff(self.values))
+        moving = size[size > max(3.0 * self.noise, 1e-3 * self.core)]
+        if moving.size < limits.MIN_SAMPLES:
+            return []
+        least = max(limits.JUMP_SPEED * float(np.percentile(moving, 95)), limits.JUMP_RANGE * self.core)
+        return [int(k) for k in np.flatnonzero((size > least) & ~self.apart)]
+
     def is_lone(self, k: int) -> bool:
         """Whether a change is a jump beyond doubt, with an ordinary course before and after it."""
-        beside = np.abs(self.excess[[k - 2, k - 1, min(k + 1, self.excess.size - 1), min(k + 2, self.excess.size - 1)]])
-        return bool(abs(self.excess[k]) > limits.JUMP * self.least[k] and beside.max() <= self.least[k])
-
-    def _away(self, first: int, last: int) -> bool:
-        """Whether all rows between two changes are off the course: a force, which may ring, in full."""
-        between = self.base[first + 1 : last + 1]
-        if not self.still:
-            return bool(np.all(np.abs(between - self.base[first]) > 0.5 * self.limit))
-        return bool(np.min(np.abs(between - self.base[[first, last + 1]][:, None])) > self.limit)
+        beside = self.excess[[max(k - 2, 0), k - 1, *np.minimum([k + 1, k + 2], self.excess.size - 1)]]
+        return bool(abs(self.excess[k]) > limits.JUMP * self.least[k] and np.abs(beside).max() <= self.least[k])
 
     def excursions(self, plain: BoolArray, leaves: BoolArray | None = None) -> tuple[BoolArray, list[int]]:
         """Find the rows between a jump away and one back, and the jumps that belong to none.
@@ -131,6 +127,30 @@ class _Course:
             off[rows] = (plain[first : last + 1].all() or dead) and (calm[first] or calm[last + 2])
         return off, sorted(left)
 
+    def _away(self, first: int, last: int) -> bool:
+        """Whether all rows between two changes are off the course: those of a force, which may ring, in full."""
+        between = self.base[first + 1 : last + 1]
+        if not self.still:
+            return bool(np.all(np.abs(between - self.base[first]) > 0.5 * self.limit))
+        return bool(np.min(np.abs(between - self.base[[first, last + 1]][:, None])) > self.limit)
+
+
+def _off_course(course: _Course, pull: _Course) -> tuple[BoolArray, list[int]]:
+    """Rows at which the displacement is no reading, and changes from which it does not come back."""
+    goes_on = np.abs(pull.excess) <= pull.limit
+    leaves = np.zeros(goes_on.size, dtype=np.bool_)
+    leaves[pull.big] = True
+    off, alone = course.excursions(goes_on, leaves)
+    n, lone = off.size, []
+    for k in (k for k in alone if goes_on[k]):
+        if k < limits.FILL_RUN:  # what is before the first jump, or behind the last, has one jump only
+            off[: k + 1] = True
+        elif n - 1 - k <= limits.FILL_RUN:
+            off[k + 1 :] = True
+        elif course.is_lone(k):
+            lone.append(k)
+    return off, sorted({*lone, *(k for k in course.excluded() if goes_on[k])})
+
 
 def _outside(step: FloatArray) -> FloatArray:
     """By how much a change is larger, or smaller, than both of its neighbours: 0 in what speeds up or slows down.
@@ -150,52 +170,64 @@ def _near(sizes: FloatArray, percent: float, reach: int) -> FloatArray:
 
 
 def _turning(x: FloatArray, off: BoolArray, limit: float) -> BoolArray:
-    """Changes beside which the displacement, without what is no reading, turns: a force may go and come back there."""
-    index = np.arange(x.size)
-    way = np.interp(index, index[~off], x[~off])
-    reach = 3
-    ahead, behind = (np.concatenate([way[reach:], np.full(reach, way[-1])]) - way), way - np.concatenate([np.full(reach, way[0]), way[:-reach]])
+    """Mark the changes beside which the displacement, where it was read, turns: a force may go and come back there."""
+    index, reach = np.arange(x.size), 3
+    way = np.pad(np.interp(index, index[~off], x[~off]), reach, mode="edge")
+    behind, ahead = way[reach:-reach] - way[: -2 * reach], way[2 * reach :] - way[reach:-reach]
     least = 0.3 * limit
-    turns = (ahead * behind < 0) & (np.abs(ahead) > least) & (np.abs(behind) > least)
-    return turns[1:] | turns[:-1]
+    turns = (ahead * behind < 0) & (np.minimum(np.abs(ahead), np.abs(behind)) > least)
+    return np.asarray(turns[1:] | turns[:-1])
 
 
 def _sentinels(values: FloatArray, share: float) -> BoolArray:
-    """Cells of a value that stands far outside all others, in runs of any length, or is exactly 0 where that is a jump.
+    """Mark a value far outside all others, in runs of any length, and exactly 0, where it is left by a jump back.
+
+    `share` of the range is the least jump.
     """
     bad = np.zeros(values.size, dtype=np.bool_)
     known = np.isfinite(values)
     if np.count_nonzero(known) < limits.MIN_SAMPLES:
         return bad
-    away = np.abs(values - np.median(values[known]))
-    far = known & (away > limits.FAR * 2 * np.median(away[known]))
+    low, middle, high = np.percentile(values[known], [35, 50, 65])
+    away = np.abs(values - middle)
+    far = known & (away > limits.FAR * max(2.0 * float(np.median(away[known])), high - low))
     common, count = np.unique(values[far], return_counts=True)
-    for level in [*common[np.argsort(-count)][:8].tolist(), 0.0]:
+    for level in [*common[np.argsort(-count)][: limits.SENTINELS].tolist(), 0.0]:
         at = np.flatnonzero(known & ~bad)
         here = values[at] == level
         if not 0 < np.count_nonzero(here) <= 0.5 * at.size:
             continue
-        step = np.abs(np.diff(values[at]))
-        touched = here[1:] | here[:-1]
-        usual = 1.5 * float(np.percentile(step[~touched], 99)) if not touched.all() else 0.0
-        core = float(np.diff(np.percentile(values[at[~here]], [2, 98]))[0])
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(np.int8)))
-        first, last = edges[::2], edges[1::2]
-        before, after = values[at[np.maximum(first - 1, 0)]], values[at[np.minimum(last, at.size - 1)]]
-        if level != 0.0:  # at an end of the record there is one jump only; a force may well begin and end at 0
-            before, after = np.where(first == 0, after, before), np.where(last == at.size, before, after)
-        jump = np.minimum(np.abs(before - level), np.abs(after - level))
-        back = np.abs(after - before) <= 0.5 * jump + usual * (last - first)
-        gone = (jump > max(usual, share * core)) & back
-        for a, b in zip(first[gone].tolist(), last[gone].tolist(), strict=True):
+        for a, b in _left_by_jumps(values[at], here, share, ends=level != 0.0):
             bad[at[a:b]] = True
     return bad
 
 
-def _same_value(values: FloatArray, bad: BoolArray) -> None:
-    """Take out the few other cells of a value that most often is no reading: a dropout to 0 as 0 was passed."""
+def _left_by_jumps(values: FloatArray, here: BoolArray, share: float, *, ends: bool) -> list[tuple[int, int]]:
+    """Find the runs of rows that hold a value (`here`) to which the channel jumps, and from which it returns.
+
+    At an end of the record there is one jump only; a force may well begin and end at 0.
+    """
+    touched = here[1:] | here[:-1]
+    usual = 0.0 if touched.all() else 1.5 * float(np.percentile(np.abs(np.diff(values))[~touched], 99))
+    core = float(np.diff(np.percentile(values[~here], [2, 98]))[0])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(np.int8)))
+    first, last = edges[::2], edges[1::2]
+    level = values[first[0]]
+    before, after = values[np.maximum(first - 1, 0)], values[np.minimum(last, values.size - 1)]
+    if ends:
+        before, after = np.where(first == 0, after, before), np.where(last == values.size, before, after)
+    jump = np.minimum(np.abs(before - level), np.abs(after - level))
+    back = np.abs(after - before) <= 0.5 * jump + usual * (last - first)
+    gone = (jump > max(usual, share * core)) & back
+    return list(zip(first[gone].tolist(), last[gone].tolist(), strict=True))
+
+
+def _same_value(values: FloatArray, bad: BoolArray) -> BoolArray:
+    """Mark the few other cells of a value that most often is no reading: a dropout to 0 as 0 was passed."""
+    same = np.zeros(values.size, dtype=np.bool_)
     common, count = np.unique(values[bad], return_counts=True)
     for level in common[count > 1].tolist():
-        same = values == level
-        if np.count_nonzero(same & ~bad) <= np.count_nonzero(same & bad):
-            bad |= same
+        cells = values == level
+        if np.count_nonzero(cells & ~bad) <= np.count_nonzero(cells & bad):
+            same |= cells
+    return same

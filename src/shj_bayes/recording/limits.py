@@ -36,12 +36,17 @@ BAD_CELL_SHARE = 0.05  # above this share of filled cells the recording is not u
 # --- rows that are no readings: a jump away from the course of a channel and one back within FILL_RUN rows ---
 SPIKE_NOISE = 12.0  # standard deviations; the noise of a step is 1.4 of them
 SPIKE_RANGE = 0.003  # of the range of the displacement; smaller ones harm neither reversals nor speed
-SPIKE_FORCE = 0.2  # of the range of the force: 40 % of the sliding force; peaks of a breakaway and stick-slip stay below
+SPIKE_FORCE = (
+    0.2  # of the range of the force: 40 % of the sliding force; peaks of a breakaway and stick-slip stay below
+)
 SPIKE_USUAL = 4.0  # times the usual bend of the channel there, so that coarse sampling makes none
 SPIKE_RETURN = 0.25  # of the jump: the device has moved on meanwhile
 SPIKE_ROUNDS = 5  # searches; each finds what those before had hidden
 JUMP = 3.0  # times the limit: a jump without return this large leaves no doubt
-FAR = 3.0  # times twice the median distance from the median: six sliding forces, or several strokes
+JUMP_SPEED = 10.0  # times what 95 % of the changes are below where it moves; 8 at most in public recordings
+JUMP_RANGE = 0.05  # of the range of the displacement
+SENTINELS = 8  # different ones in a channel
+FAR = 2.5  # times the middle third of the values, or twice their median distance: five sliding forces, two strokes
 
 # --- clipping: a run of exactly equal values AT the extreme, longer than chance and far longer than elsewhere ---
 CLIP_RUN = 5

@@ -1,4 +1,4 @@
-"""Checks and safe repairs in order: the clock, the rate of each channel, the cells, the magnitudes, the sign, the loop."""
+"""Checks and safe repairs in order: the clock, the rates, the cells, the magnitudes, the sign, the loop."""
 
 import numpy as np
 
@@ -20,8 +20,8 @@ def repair(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, tuple[Finding, ...]]:
     """Make three raw channels, NaN where the file has no number, into channels that can be used, and say what was done.
 
-    Times (strictly increasing), displacement and force, finite; which samples are evidence, those filled in, repeated or
-    clipped being none; findings. `RecordingError` if too little is left to be a recording, or the clock is broken.
+    Times (strictly increasing), displacement and force, finite; which samples are evidence, those filled in, repeated
+    or clipped being none; findings. `RecordingError` if too little is left to be a recording, or the clock is broken.
     """
     keep, findings = orderly_rows(time_s, name)
     t, x, f = time_s[keep], displacement_mm[keep], force_kN[keep]
@@ -33,7 +33,8 @@ def repair(
     t, x, f, repeats, more = _at_own_rates(t, x, f)
     findings += more
     wrong = not_readings(t, x, f)
-    if wrong.jumps and exchanged(np.where(np.isfinite(x), x, 0.0), np.where(np.isfinite(f), f, 0.0)) > limits.SWAPPED_PRODUCT:
+    both = np.isfinite(x) & np.isfinite(f)
+    if wrong.jumps and exchanged(x[both], f[both]) > limits.SWAPPED_PRODUCT:
         # A force that is taken for the displacement jumps because it is one.
         wrong = NoReadings(np.zeros(t.size, dtype=np.bool_), np.zeros(t.size, dtype=np.bool_))
     for label, values, bad in (("displacement", x, wrong.displacement), ("force", f, wrong.force)):
@@ -95,8 +96,8 @@ def _held_finding(label: str, period: float, t: FloatArray, then: str) -> Findin
     rate = 1.0 / float(np.median(np.diff(t)))
     ordinal = {2.0: "2nd", 3.0: "3rd"}.get(round(period, 1), f"{round(period, 1):g}th")
     message = (
-        f"{label} changes in every {ordinal} row only, at {rate / period:.4g} Hz of {rate:.4g} Hz: its channel is slower "
-        f"than the table; it is used at its own rate, and {then}"
+        f"{label} changes in every {ordinal} row only, at {rate / period:.4g} Hz of {rate:.4g} Hz: its channel is "
+        f"slower than the table; it is used at its own rate, and {then}"
     )
     return Finding("held", "repaired", message)
 
@@ -110,8 +111,8 @@ def _spike_findings(label: str, t: FloatArray, values: FloatArray, bad: BoolArra
     times, first = len(runs(bad)), int(np.argmax(bad))
     message = (
         f"{label} jumps away and back {times} time{'s' if times > 1 else ''} ({count} rows), first to "
-        f"{values[first] * factor:.4g} {unit} at {t[first]:.6g} s, as no device does; taken for no readings: bridged or "
-        "left out, and not used as evidence"
+        f"{values[first] * factor:.4g} {unit} at {t[first]:.6g} s, as no device does; taken for no readings: bridged "
+        "or left out, and not used as evidence"
     )
     return [Finding("spikes", "repaired", message, count)]
 
@@ -121,11 +122,12 @@ def _jump_findings(t: FloatArray, x: FloatArray, jumps: tuple[int, ...]) -> list
     if not jumps:
         return []
     sizes = np.abs(np.diff(x))[list(jumps)]
-    worst = jumps[int(np.argmax(sizes))]
+    worst = jumps[int(np.nanargmax(sizes))]
     message = (
-        f"displacement jumps {len(jumps)} time{'s' if len(jumps) > 1 else ''} and does not come back while the force goes "
-        f"on, by up to {np.max(sizes):.3g} mm, at {t[worst]:.6g} s: no device does that; a sensor slipped, or rows are no "
-        "readings; correct the displacement behind each jump, or give the parts between them as files of their own"
+        f"displacement jumps {len(jumps)} time{'s' if len(jumps) > 1 else ''} from one row to the next, by up to "
+        f"{np.nanmax(sizes):.3g} mm, at {t[worst]:.6g} s, which the rest of the record excludes, while the force goes "
+        "on: a sensor slipped, or rows are no readings; correct the displacement behind each jump, take such rows out "
+        "of the file, or give the parts between them as files of their own"
     )
     return [Finding("jumps", "unusable", message, len(jumps))]
 

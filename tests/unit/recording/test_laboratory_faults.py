@@ -1,7 +1,8 @@
-"""Faults in the values of a recording, made from one device: repaired, and the rest as it was, or refused for the cause."""
+"""Faults in the values of a recording of one device: repaired, and the rest as it was, or refused for the cause."""
 
 import re
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import FloatArray, Recording
+from shj_bayes.recording.reversals import hysteresis
 
 P = plain()
 N = P.time_s.size
@@ -52,6 +54,7 @@ def message(recording: Recording, code: str) -> str:
 
 
 # --- rows that are no readings ---
+
 
 @pytest.mark.parametrize("value", [0.0, -9999.0, 32767.0, 1e29, -999.0])
 @pytest.mark.parametrize(
@@ -206,28 +209,32 @@ def test_stick_slip_is_neither_held_nor_no_reading():
         saw = 1.0 - 0.33 * (1.0 - t / every % 1.0) * (np.abs(P.force_kN) > 70) * (t < part * t[-1])
         assert codes(repaired(f=P.force_kN * saw)) == set()
     slip = np.round(P.displacement_mm / 2.0) * 2.0
-    smooth = np.convolve(slip, np.full(3, 1 / 3), mode="same")
+    smooth = np.convolve(np.pad(slip, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
     assert not {"held", "spikes", "jumps"} & codes(repaired(x=smooth))
 
 
-@pytest.mark.parametrize(
-    "healthy",
-    [
-        lambda x, f, r: (x, f * (1 + 0.5 * np.exp(-np.abs(x - np.roll(x, 12)))), "peaks of a breakaway"),
-        lambda x, f, r: (x, f + 1.5 * r.standard_t(3, N), "heavy tails"),
-        lambda x, f, r: (x, 80 * np.sign(np.gradient(np.convolve(x, np.ones(9) / 9, mode="same"))) + r.standard_normal(N), "rigid"),
-        lambda x, f, r: (np.round(x, 1), np.round(f), "rounded"),
-        lambda x, f, r: (48 * (4 * np.abs(P.time_s / 9 % 1 - 0.5) - 1), f, "triangle"),
-        lambda x, f, r: (x + 0.3 * r.standard_normal(N), f + 5 * r.standard_normal(N), "noisy"),
-        lambda x, f, r: (np.where(np.abs(x) < 0.4, 0.0, x - 0.4 * np.sign(x)), f, "slack at 0"),
-    ],
-)
-def test_healthy_look_alikes_lose_no_row(healthy):
-    x, f, _ = healthy(P.displacement_mm, P.force_kN, np.random.default_rng(4))
-    if np.ptp(x) and not np.array_equal(x, P.displacement_mm) and _ == "triangle":
-        f = np.sign(np.gradient(x)) * 80.0
+def sliding(x: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Force of a rigid device that slides along."""
+    way = np.convolve(x, np.ones(9) / 9, mode="same")
+    return 80.0 * np.sign(np.gradient(way)) + rng.standard_normal(x.size)
+
+
+HEALTHY_LOOPS = {
+    "peaks of a breakaway": lambda x, f, rng: (x, f * (1 + 0.5 * np.exp(-np.abs(x - np.roll(x, 12))))),
+    "heavy tails": lambda x, f, rng: (x, f + 1.5 * rng.standard_t(3, N)),
+    "rigid": lambda x, f, rng: (x, sliding(x, rng)),
+    "triangle": lambda x, f, rng: ((t := 48 * (4 * np.abs(P.time_s / 9 % 1 - 0.5) - 1)), sliding(t, rng)),
+    "rounded": lambda x, f, rng: (np.round(x, 1), np.round(f)),
+    "noisy": lambda x, f, rng: (x + 0.3 * rng.standard_normal(N), f + 5 * rng.standard_normal(N)),
+    "backlash": lambda x, f, rng: (np.where(np.abs(x) < 0.4, 0.0, x - 0.4 * np.sign(x)), f),
+}
+
+
+@pytest.mark.parametrize("name", HEALTHY_LOOPS)
+def test_healthy_look_alikes_lose_no_row(name):
+    x, f = HEALTHY_LOOPS[name](P.displacement_mm, P.force_kN, np.random.default_rng(4))
     recording = repaired(x=x, f=f)
-    assert not {"held", "spikes", "jumps"} & codes(recording)
+    assert not {"held", "spikes", "jumps", "few-points"} & codes(recording)
     assert recording.n_samples == N
 
 
@@ -236,10 +243,70 @@ def test_an_earthquake_loses_no_row(rate):
     t = np.arange(0.0, 60.0, 1 / rate)
     rng = np.random.default_rng(6)
     strong = np.exp(-(((t - 20) / 6) ** 2))
-    x = 40 * strong * sum(rng.normal() * np.sin(2 * np.pi * w * t + rng.uniform(0, 6)) for w in np.arange(0.1, 0.6, 0.05))
+    waves = [rng.normal() * np.sin(2 * np.pi * w * t + rng.uniform(0, 6)) for w in np.arange(0.1, 0.6, 0.05)]
+    x = 40 * strong * np.sum(waves, axis=0)
     f = 80 * np.tanh(8 * np.gradient(x, t)) + rng.standard_normal(t.size)
     recording = repaired(t, x, f)
     assert not {"held", "spikes", "jumps"} & codes(recording)
+
+
+# --- too few points ---
+
+TURNS = hysteresis(P.displacement_mm, 2.0)
+
+
+def picked(per_half: int, *, along_force: bool = False) -> FloatArray:
+    """Rows of so many points in each half-cycle, even in time, or along the loop as one digitises it."""
+    rows = []
+    for a, b in pairwise([0, *TURNS, N - 1]):
+        force = np.convolve(np.pad(P.force_kN[a : b + 1], 2, mode="edge"), np.ones(5) / 5, mode="valid")
+        way = np.arange(b - a + 1.0)
+        if along_force:
+            x = P.displacement_mm[a : b + 1]
+            way = np.append(0.0, np.cumsum(np.hypot(np.diff(x) / np.ptp(x), np.diff(force) / 160.0)))
+        rows.append(a + np.searchsorted(way, np.linspace(0.0, way[-1], per_half + 1)[:-1]))
+    return np.unique(np.concatenate(rows))
+
+
+@pytest.mark.parametrize(
+    ("per_half", "along"), [(1, False), (2, False), (3, False), (6, False), (12, False), (20, True)]
+)
+def test_points_of_a_figure_that_do_not_show_the_reversals_are_refused(per_half, along):
+    rows = picked(per_half, along_force=along)
+    recording = repaired(P.time_s[rows], P.displacement_mm[rows], P.force_kN[rows])
+    unusable = {finding.code for finding in recording.findings if finding.severity == "unusable"}
+    assert "few-points" in unusable
+    assert unusable <= {"few-points", "few-samples"}
+    assert "at least 16 points in each half-cycle, at even steps of time" in message(recording, "few-points")
+
+
+@pytest.mark.parametrize("stride", [1, 4, 10, 20])
+def test_short_and_slowly_sampled_tests_pass(stride):
+    rows = np.arange(0, N, stride)
+    assert codes(repaired(P.time_s[rows], P.displacement_mm[rows], P.force_kN[rows])) <= {"coarse-sampling"}
+    rows = np.arange(0, TURNS[4] + 15, 1 + stride // 8)
+    assert codes(repaired(P.time_s[rows], P.displacement_mm[rows], P.force_kN[rows])) == set()
+    rows = picked(16)  # what is advised
+    assert "few-points" not in codes(repaired(P.time_s[rows], P.displacement_mm[rows], P.force_kN[rows]))
+
+
+def test_noise_alone_is_no_motion_and_not_few_points():
+    assert "no-motion" in codes(repaired(x=0.02 * np.random.default_rng(1).standard_normal(N)))
+
+
+# --- advice: what is left of a channel says nothing of units and order ---
+
+
+def test_half_a_channel_of_text_is_no_exchange_of_columns(tmp_path):
+    rng, path = np.random.default_rng(3), tmp_path / "run.csv"
+    cells = [[f"{value:.4f}" for value in row] for row in zip(P.time_s, P.displacement_mm, P.force_kN, strict=True)]
+    for column in (1, 2):
+        rows = [list(row) for row in cells]
+        for row in rng.choice(N, N // 2, replace=False):
+            rows[row][column] = "OVER"
+        path.write_text("time;displacement;force\n" + "\n".join(";".join(row) for row in rows))
+        found = {finding.code for finding in read(path).findings if finding.severity == "unusable"}
+        assert found <= {"text-cells", "empty-cells"}
 
 
 # --- a load cell at its limit ---

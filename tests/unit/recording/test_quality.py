@@ -164,7 +164,8 @@ def test_corners_and_coarse_sampling_are_no_dropouts(clean, rate):
     cases = [(triangle + noise, np.sign(np.gradient(triangle))), *((x[::k], f[::k]) for k in (2, 10, 60, 100))]
     for place, force in cases:
         found = not_readings(np.arange(place.size) / rate, place, force)
-        assert not (found.displacement.any() or found.force.any() or found.jumps)
+        assert not np.any([found.displacement, found.force])
+        assert found.jumps == ()
 
 
 @pytest.mark.parametrize("limit", [75.0, 60.0])
@@ -388,7 +389,7 @@ def test_too_few_cycles_and_samples(clean):
     quarter = run(t[:15], x[:15], f[:15])[0]
     assert quarter["few-cycles"].severity == "unusable"
     assert quarter["few-samples"].severity == "unusable"
-    assert set(run(t[::100], x[::100], f[::100])[0]) == {"coarse-sampling"}
+    assert set(run(t[::60], x[::60], f[::60])[0]) == {"coarse-sampling"}
     found, recording = run(t, 0.02 * np.random.default_rng(1).standard_normal(t.size), f)
     assert found["no-motion"].severity == "unusable"
     assert not recording.usable
