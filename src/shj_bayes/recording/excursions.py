@@ -26,8 +26,13 @@ class NoReadings:
 
 def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> NoReadings:
     """Find what is no reading in two channels, shape (n_rows,), NaN where empty; times increase strictly."""
-    channels, shares = (displacement_mm, force_kN), (limits.SPIKE_RANGE, limits.SPIKE_FORCE)
-    bad = np.array([_sentinels(values, share) for values, share in zip(channels, shares, strict=True)])
+    channels = displacement_mm, force_kN
+    # A force may well begin and end at 0 with a jump; a displacement does not.
+    zero_x, zero_f = (
+        _sentinels(displacement_mm, limits.SPIKE_RANGE, True),
+        _sentinels(force_kN, limits.SPIKE_FORCE, False),
+    )
+    bad = np.array([zero_x, zero_f])
     jumps: list[int] = []
     # Of points picked off a figure the next may be anywhere.
     rounds = 0 if time_s.size < limits.MIN_SAMPLES or step_spread(time_s) > 1.0 else limits.SPIKE_ROUNDS
@@ -179,10 +184,10 @@ def _turning(x: FloatArray, off: BoolArray, limit: float) -> BoolArray:
     return np.asarray(turns[1:] | turns[:-1])
 
 
-def _sentinels(values: FloatArray, share: float) -> BoolArray:
+def _sentinels(values: FloatArray, share: float, ends: bool) -> BoolArray:
     """Mark a value far outside all others, in runs of any length, and exactly 0, where it is left by a jump back.
 
-    `share` of the range is the least jump.
+    `share` of the range is the least jump; `ends` says whether zeros at an end of the record are left by one jump.
     """
     bad = np.zeros(values.size, dtype=np.bool_)
     known = np.isfinite(values)
@@ -197,7 +202,7 @@ def _sentinels(values: FloatArray, share: float) -> BoolArray:
         here = values[at] == level
         if not 0 < np.count_nonzero(here) <= 0.5 * at.size:
             continue
-        for a, b in _left_by_jumps(values[at], here, share, ends=level != 0.0):
+        for a, b in _left_by_jumps(values[at], here, share, ends=ends or level != 0.0):
             bad[at[a:b]] = True
     return bad
 
@@ -205,7 +210,7 @@ def _sentinels(values: FloatArray, share: float) -> BoolArray:
 def _left_by_jumps(values: FloatArray, here: BoolArray, share: float, *, ends: bool) -> list[tuple[int, int]]:
     """Find the runs of rows that hold a value (`here`) to which the channel jumps, and from which it returns.
 
-    At an end of the record there is one jump only; a force may well begin and end at 0.
+    At an end of the record there is one jump only, which counts with `ends`.
     """
     touched = here[1:] | here[:-1]
     usual = 0.0 if touched.all() else 1.5 * float(np.percentile(np.abs(np.diff(values))[~touched], 99))

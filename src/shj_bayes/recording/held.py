@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.recording import limits
+from shj_bayes.recording.motion import IntArray
 from shj_bayes.recording.noise import resolution_of
 from shj_bayes.recording.recording import BoolArray, FloatArray
 
@@ -37,18 +38,32 @@ def held(values: FloatArray) -> Held | None:
         return None
     step = np.append(0.0, np.abs(np.diff(values[known])))
     rows = np.append(0, np.flatnonzero(step))  # the first row is new
-    moves = step[rows] > limits.HELD_COUNTS * resolution_of(values[known])
+    new = values[known[rows]]
+    rows = rows[np.append([True, True], new[2:] != new[:-2])[: rows.size]]  # after a dropout the old reading comes back
+    count = resolution_of(values[known])
+    period = next((p for kind in limits.HELD if (p := _period(rows, step[rows], count, *kind))), None)
+    if period is None:
+        return None
+    fresh = np.zeros(values.size, dtype=np.bool_)
+    fresh[known[rows]] = True
+    return Held(period, fresh, _ages(rows.astype(np.float64), period))
+
+
+def _period(
+    rows: IntArray, steps: FloatArray, count: float, least: float, share: float, shortest: float
+) -> float | None:
+    """Rows from one reading to the next, where both differ by so many counts from those before; None if unlike.
+
+    In at least a `share` of all rows, and at least the `shortest`.
+    """
+    moves = steps > least * count
     gaps = np.diff(rows)[moves[1:] & moves[:-1]]
     if gaps.size < limits.BENDS:
         return None
     even = gaps <= 2 * np.median(gaps) + 1
     period = float(np.mean(gaps[even]))
-    alike = np.mean(even) >= limits.BENDS_AGREE and np.sum(gaps[even]) > limits.HELD_SHARE * known.size
-    if not alike or not limits.HELD_LEAST <= period <= limits.HELD_MOST:
-        return None
-    fresh = np.zeros(values.size, dtype=np.bool_)
-    fresh[known[rows]] = True
-    return Held(period, fresh, _ages(rows.astype(np.float64), period))
+    alike = np.mean(even) >= limits.BENDS_AGREE and np.sum(gaps[even]) > share * rows[-1]
+    return period if alike and shortest <= period <= limits.HELD_MOST else None
 
 
 def _ages(rows: FloatArray, period: float) -> FloatArray:

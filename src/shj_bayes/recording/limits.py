@@ -101,10 +101,10 @@ BEND_PERIOD = 3.0  # samples; twice the rate cannot be told from noise that was 
 BENDS_PER_HALF_CYCLE = 4  # a drive without noise bends where it turns, and once more where the force does
 
 # --- a channel slower than the table ---
-HELD_LEAST = 1.18  # rows from one reading to the next; 100 Hz in a table of 120 Hz
-HELD_MOST = 32  # more is a test in steps
-HELD_COUNTS = 10.0  # counts from one reading to the next: noise of so many stands still in 3 % of the rows
-HELD_SHARE = 0.2  # of the rows at least: in the others the device may rest
+# Counts from one reading to the next, share of the rows, and rows from one to the next, at least. Rounded noise of 10
+# counts stands still in 3 % of the rows; of 3, in every tenth, but not in every third.
+HELD = ((3.0, 0.05, 1.5), (10.0, 0.2, 1.19))
+HELD_MOST = 32  # rows; more is a test in steps
 
 # --- kinematics ---
 REVERSAL_NOISE = 10.0  # white noise of a million samples spans 10 standard deviations peak to peak

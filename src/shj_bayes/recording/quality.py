@@ -33,9 +33,9 @@ def repair(
     t, x, f, repeats, more = _at_own_rates(t, x, f)
     findings += more
     wrong = not_readings(t, x, f)
-    both = np.isfinite(x) & np.isfinite(f)
-    if wrong.jumps and exchanged(x[both], f[both]) > limits.SWAPPED_PRODUCT:
-        # A force that is taken for the displacement jumps because it is one.
+    if wrong.jumps and exchanged(_without(x, wrong.jumps), np.interp(t, t[np.isfinite(f)], f[np.isfinite(f)])) > (
+        limits.SWAPPED_PRODUCT
+    ):  # a force that is taken for the displacement jumps because it is one
         wrong = NoReadings(np.zeros(t.size, dtype=np.bool_), np.zeros(t.size, dtype=np.bool_))
     for label, values, bad in (("displacement", x, wrong.displacement), ("force", f, wrong.force)):
         findings += _spike_findings(label, t, values, bad)
@@ -115,6 +115,13 @@ def _spike_findings(label: str, t: FloatArray, values: FloatArray, bad: BoolArra
         "or left out, and not used as evidence"
     )
     return [Finding("spikes", "repaired", message, count)]
+
+
+def _without(x: FloatArray, jumps: tuple[int, ...]) -> FloatArray:
+    """Give a channel, shape (n,), without some of its changes."""
+    step = np.diff(x)
+    step[list(jumps)] = 0.0
+    return np.append(0.0, np.cumsum(np.nan_to_num(step)))
 
 
 def _jump_findings(t: FloatArray, x: FloatArray, jumps: tuple[int, ...]) -> list[Finding]:
