@@ -11,8 +11,9 @@ from shj_bayes.mismatch.alias import Alias
 from shj_bayes.mismatch.chatter import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, rivals_of
-from shj_bayes.mismatch.heldout import HeldOut, cycles_of
+from shj_bayes.mismatch.heldout import PARTS, HeldOut, cycles_of
 from shj_bayes.mismatch.hypothesis import TEETH
+from shj_bayes.mismatch.proven import Proven
 from shj_bayes.mismatch.regions import Region, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.schema import SCHEMA, Verdict
@@ -360,15 +361,24 @@ def energy(scene: Scene, base: State, shown: State) -> dict[str, list[float]]:
     }
 
 
-def heldout(before: HeldOut, after: HeldOut) -> dict[str, Any]:
-    """Gain of the shown model over the base law on cycles that were left out."""
-    gain = after.log_density - before.log_density
-    n = gain.size
+def heldout(shown: Proven) -> dict[str, Any]:
+    """Gain of the shown model over the base law on cycles that were left out, and what was dropped for want of one."""
+    gain, n = shown.gain, shown.held[0].count.size
     return {
-        "scheme": "leave one cycle out",
-        "elpd_gain": float(gain.sum()),
-        "se": float(np.sqrt(n) * gain.std(ddof=1)) if n > 1 else 0.0,
+        "scheme": f"every {min(PARTS, n)}th cycle left out, {min(PARTS, n)} fits",
+        "elpd_gain": gain.elpd,
+        "se": gain.elpd_se,
+        "rmse_se_kN": gain.rmse_se_kN,
         "n_blocks": n,
+        "dropped": [
+            {
+                "class": one.of,
+                "elpd_gain": _number(one.gain.elpd),
+                "without_kN": _number(one.gain.before_kN),
+                "with_kN": _number(one.gain.after_kN),
+            }
+            for one in shown.dropped
+        ],
     }
 
 
@@ -384,11 +394,18 @@ def alias_rows(aliases: list[Alias]) -> list[dict[str, Any]]:
     return [{"pair": list(a.pair), "correlation": a.correlation} for a in aliases]
 
 
-def next_test(out: Search, answer: Answer, *, quick: bool) -> str | None:
-    """Give the cheapest change of the test that would tell the leading rivals apart, and the command that plans one."""
+def next_test(shown: Proven, *, quick: bool) -> str | None:
+    """Give the cheapest change of the test that would tell the leading rivals apart, and the command that plans one.
+
+    Where nothing that was found improves what was left out, that which would show whether the first of it is there.
+    """
+    out, answer = shown.out, shown.answer
+    known = {c.of.coordinate: c.variant.effect for c in out.looked} | catalogue()
+    if answer.reason is Reason.NOT_BORNE_OUT:
+        names = mechanisms(out, answer, shown.dropped[-1].of)
+        return known[names[0]].next_test if names and names[0] in known else None
     if answer.verdict is not Verdict.FAMILY:
         return None
-    known = {c.of.coordinate: c.variant.effect for c in out.looked} | catalogue()
     members = [member["id"] for member in family(out, answer)]
     said = list(dict.fromkeys(known[name].next_test for name in members[:2]))
     if answer.reason is Reason.SEVERAL:  # a plan weighs sets of coordinates, not formulas over one
@@ -397,8 +414,9 @@ def next_test(out: Search, answer: Answer, *, quick: bool) -> str | None:
     return " ".join(said)
 
 
-def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
+def candidates(shown: Proven) -> list[dict[str, Any]]:
     """Every effect of the catalogue, with what its class gains on the base law alone and in the answer."""
+    out, answer, dropped = shown.out, shown.answer, {one.of for one in shown.dropped}
     base = out.found[frozenset()]
     gains: dict[str, float] = {}
     sizes: dict[str, float] = {}
@@ -427,7 +445,9 @@ def candidates(out: Search, answer: Answer) -> list[dict[str, Any]]:
                 "probability": float(answer.inclusion.get(name, 0.0)),
                 "size_kN": kept[effect.id] * out.scene.scale_kN if effect.id in kept else sizes.get(name, 0.0),
                 "kept": effect.id in kept,
-                "reason": _why(effect, name, kept, answer, gains[name]),
+                "reason": "does not improve cycles that were left out"
+                if name in dropped
+                else _why(effect, name, kept, answer, gains[name]),
             }
         )
     return sorted(rows, key=lambda row: (not row["kept"], -row["score"]))

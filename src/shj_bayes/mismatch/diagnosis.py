@@ -19,14 +19,13 @@ from shj_bayes.mismatch import content
 from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.evidence import evidence_of
-from shj_bayes.mismatch.findings import Answer, answer_of
-from shj_bayes.mismatch.heldout import held_out
 from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.missed import beside_missed
+from shj_bayes.mismatch.proven import Proven, proven
 from shj_bayes.mismatch.regions import regions_of
-from shj_bayes.mismatch.scene import Metric, Scene, scene_of
+from shj_bayes.mismatch.scene import Metric, scene_of
 from shj_bayes.mismatch.schema import SCHEMA
-from shj_bayes.mismatch.search import Search, search
+from shj_bayes.mismatch.search import search
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
@@ -86,8 +85,9 @@ def diagnose(
     scene = scene_of(runs, device)
     out = search(scene, classes(hidden, scene.measured), hidden, tell)
     tell("weighing what was found")
-    answer = answer_of(out)
-    models = _models(out, answer, seed)
+    shown = proven(out, tell)
+    out, answer = shown.out, shown.answer
+    models = _models(shown, seed)
     if sample is None or look.quick:
         draws: content.Draws = models.draws_after
         how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": Trust.TENTATIVE}
@@ -97,9 +97,9 @@ def diagnose(
     record: dict[str, Any] = {
         "schema": SCHEMA,
         "device": look.name,
-        **_said(out, answer, models, draws),
+        **_said(shown, models, draws),
         "channels": content.further(runs),
-        "next_test": content.next_test(out, answer, quick=look.quick),
+        "next_test": content.next_test(shown, quick=look.quick),
         "seed": seed,
         "quick": look.quick,
         "sampling": how,
@@ -114,45 +114,39 @@ def diagnose(
         "versions": versions(),
     }
     record["seconds"] = time.perf_counter() - begin
-    return Diagnosis(record, content.channels(models.fine, models.before, models.after))
+    return Diagnosis(record, content.channels(shown.fine, shown.before, shown.after))
 
 
 @dataclass(frozen=True, eq=False)
 class _Models:
-    """The base law and the model that was found."""
+    """The base law under noise of its own, and what is known of the parameters."""
 
     law: State  # the base law under noise of its own, all that it leaves, in the blocks of the search
-    fine: Scene  # the recordings in blocks as fine as those of a fit of the model that was found
-    before: State  # the base law in them, under the noise that was found
-    after: State  # the model that was found, likewise; the base law where nothing was
     draws_before: content.Draws  # of the base law under noise of its own
     draws_after: content.Draws  # of the model that was found, beside what it leaves out: `missed`
 
 
-def _models(out: Search, answer: Answer, seed: int) -> _Models:
-    """Fit what a diagnosis shows before and after."""
-    base, shown, setting = out.found[frozenset()].state, answer.shown.state, out.metric.setting
+def _models(shown: Proven, seed: int) -> _Models:
+    """Fit the base law alone, and count what an answer leaves out."""
+    out, answer, fine = shown.out, shown.answer, shown.fine
+    base, setting = out.found[frozenset()].state, out.metric.setting
     alone = find_noise(out.scene, base, np.zeros((base.residual.size, 0)), setting)
     law = settle(out.scene, Metric(out.scene, alone, base.slope), base.model, base.z)
-    fine = out.scene.finer_at(shown.model, shown.z)
-    before = settle_under(fine, setting, law.model, law.z)[1]
     under, first = settle_under(fine, alone, law.model, law.z)
     draws = content.draws_of(first, seed)
     if not answer.findings:
         wide = beside_missed(fine, under, first, (), tuple(out.classes.values()))
-        return _Models(law, fine, before, before, draws, content.draws_of(wide, seed))
-    metric, after = settle_under(fine, setting, shown.model, shown.z)
+        return _Models(law, draws, content.draws_of(wide, seed))
     others = tuple(one for name, one in out.classes.items() if name not in answer.shown.key)
-    wide = beside_missed(fine, metric, after, [(f.member, f.size) for f in answer.findings], others)
-    return _Models(law, fine, before, after, draws, content.draws_of(wide, seed))
+    sizes = [(f.member, f.size) for f in answer.findings]
+    wide = beside_missed(fine, Metric(fine, setting, shown.after.slope), shown.after, sizes, others)
+    return _Models(law, draws, content.draws_of(wide, seed))
 
 
-def _said(out: Search, answer: Answer, models: _Models, draws: content.Draws) -> dict[str, Any]:
+def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any]:
     """Give the findings of a search as they stand in ``diagnosis.json``."""
-    fine, both = models.fine, (models.before, models.after)
-    metric = Metric(fine, out.metric.setting, models.after.slope)
-    held = [held_out(fine, metric, state) for state in both]
-    noise = float(np.sqrt(np.mean(models.after.residual[fine.used > 0] ** 2)))
+    out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
+    noise = float(np.sqrt(np.mean(shown.after.residual[fine.used > 0] ** 2)))
     regions = regions_of(out.scene, Metric(out.scene, out.metric.setting, models.law.slope), models.law)
     return {
         "verdict": answer.verdict.value,
@@ -167,12 +161,12 @@ def _said(out: Search, answer: Answer, models: _Models, draws: content.Draws) ->
         "location": content.locations(regions),
         "unknown": content.unknown(out, answer),
         "left_over_percent": 100 * answer.left_over,
-        "before": content.quality(fine, models.before, noise, held[0]),
-        "after": content.quality(fine, models.after, noise, held[1]),
-        "heldout": content.heldout(*held),
+        "before": content.quality(fine, shown.before, noise, shown.held[0]),
+        "after": content.quality(fine, shown.after, noise, shown.held[1]),
+        "heldout": content.heldout(shown),
         "shift": content.shift(models.draws_before, draws),
         "aliases": content.alias_rows(aliases_of(out.scene)),
-        "candidates": content.candidates(out, answer),
+        "candidates": content.candidates(shown),
         "energy": content.energy(fine, *both),
         "fy_kN": out.scene.scale_kN,
     }

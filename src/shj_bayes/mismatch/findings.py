@@ -34,6 +34,7 @@ class Reason(StrEnum):
     LEFT_OVER = "beside what was found more is left than a model may miss"
     CHATTER = "the force scatters while the connection slides, by more than noise can"
     FLUCTUATES = "the force fluctuates within a stroke by more than noise can"
+    NOT_BORNE_OUT = "what was found does not improve cycles that were left out"
     SLOW_NOISE = "what is left changes slowly and is larger than noise can be"
 
 

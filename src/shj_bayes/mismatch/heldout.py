@@ -1,31 +1,74 @@
 """What a model predicts for cycles that it was not fitted to."""
 
+import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.inference.floor import cycles_through
 from shj_bayes.mismatch.scene import Metric, Scene
-from shj_bayes.mismatch.state import State
+from shj_bayes.mismatch.state import State, settle
 from shj_bayes.model.parameters import FloatArray
 
 FEW_CYCLES = 12  # with fewer cycles than this, half-cycles are left out
+PARTS = 8  # the model is fitted anew so many times, each time without every eighth cycle
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Prediction of each cycle from the others."""
+    """Prediction of each cycle by a fit that did not see it.
 
-    residual: FloatArray  # shape (n,): of each block under the parameters without its cycle, kN
-    # shape (n_cycles,): log predictive density of each cycle, but for a constant that is the same for all models, nats
+    The first cycle of a run is never left out: only it tells of the state in which the run began.
+    """
+
+    residual: FloatArray  # shape (n,): measured less predicted force of each block, kN; 0 where nothing was left out
+    # squares, count, log_density: shape (n_cycles,), of each cycle that was left out: sum of the squares of its
+    # residual (kN2), its blocks, its log predictive density but for a constant that is the same for all models (nats)
+    squares: FloatArray
+    count: FloatArray
     log_density: FloatArray
 
     @property
     def rmse_kN(self) -> float:
-        """Root mean square of the held-out residual, kN."""
-        return float(np.sqrt(np.mean(self.residual[self.residual != 0.0] ** 2)))
+        """Root mean square of the residual of what was left out, kN."""
+        return math.sqrt(float(self.squares.sum() / max(self.count.sum(), 1.0)))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a model predicts better than another one: of cycles that neither saw."""
+
+    # elpd, elpd_se: log predictive density over that of the other model, and its standard error, nats
+    elpd: float
+    elpd_se: float
+    # before_kN, after_kN, rmse_se_kN: error of the other model and of this one; standard error of their difference
+    before_kN: float
+    after_kN: float
+    rmse_se_kN: float
+
+    @classmethod
+    def of(cls, before: HeldOut, after: HeldOut) -> "Gain":
+        """Compare two models on the same cycles, the standard errors being those over cycles."""
+        n, gain = before.count.size, after.log_density - before.log_density
+        errors = [one.rmse_kN for one in (before, after)]
+        # Influence of each cycle on the difference of the two errors.
+        moved = np.zeros(n)
+        for sign, one, error in zip((-1.0, 1.0), (before, after), errors, strict=True):
+            moved += sign * (one.squares - one.count * error**2) / max(2.0 * error * one.count.sum(), 1e-300)
+        scale = math.sqrt(n / (n - 1)) if n > 1 else 0.0
+        spread = float(np.linalg.norm(gain - gain.mean())) if n > 1 else 0.0
+        return cls(float(gain.sum()), scale * spread, errors[0], errors[1], scale * float(np.linalg.norm(moved)))
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the error has grown by more than its own standard error, or is no number."""
+        return not self.after_kN <= self.before_kN + self.rmse_se_kN
+
+    @property
+    def improves(self) -> bool:
+        """Whether what was left out is predicted better."""
+        return self.elpd > 0.0 and not self.is_worse
 
 
 def cycles_of(scene: Scene) -> NDArray[np.int64]:
@@ -37,25 +80,33 @@ def cycles_of(scene: Scene) -> NDArray[np.int64]:
 
 
 def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:
-    """Predict each cycle with the parameters fitted without it, to first order.
+    """Predict cycles with a model that is fitted without them, from where it is with them, until it stands.
 
-    The state in which a test began stays as it is: only its first cycle tells of it. Of the metric the discrepancy is
-    left out, as it is no prediction.
+    Every eighth cycle is left out at a time, so that each is told from neighbours as in a test of other cycles. A
+    prediction holds the error of the zero and what else is integrated out at its mean, but for the generic
+    discrepancy, which is no prediction.
     """
-    cycles = cycles_of(scene)
-    order = scene.used > 0
-    white = metric.whitened(np.column_stack([state.residual, state.jacobian]))
-    cycle = cycles[order]
-    told = state.model.predicted[: state.z.size]
-    slopes = white[:, 1:][:, told]
-    gram = slopes.T @ slopes + np.eye(slopes.shape[1])
-    residual = state.residual.copy()
-    edges = [*np.flatnonzero(np.diff(cycle, prepend=-1)).tolist(), cycle.size]
-    density = np.empty(len(edges) - 1)
-    raw = np.flatnonzero(order)
-    for i, (a, b) in enumerate(pairwise(edges)):
-        own = slopes[a:b]
-        step = np.linalg.lstsq(gram - own.T @ own, own.T @ white[a:b, 0], rcond=1e-10)[0]
-        density[i] = -0.5 * float(np.sum((white[a:b, 0] + own @ step) ** 2))
-        residual[raw[a:b]] += state.jacobian[raw[a:b]][:, told] @ step
-    return HeldOut(residual * scene.used, density)
+    cycle, evidence = cycles_of(scene), scene.used > 0
+    sizes = [part.n for part in scene.posterior.averages]
+    first = np.isin(cycle, cycle[np.cumsum([0, *sizes[:-1]])])
+    numbers, place = np.unique(np.where(first | ~evidence, -1, cycle), return_inverse=True)
+    n_left = int(np.count_nonzero(numbers >= 0))
+    place = place - (numbers.size - n_left)  # below 0: not left out
+    residual, density = np.zeros(evidence.size), np.zeros(n_left, dtype=np.float64)
+    n_parts = min(PARTS, n_left)
+    for part in range(n_parts):
+        left = (place >= 0) & (place % n_parts == part)
+        rest = metric.without(left[evidence])
+        try:
+            refit = settle(scene, rest, state.model, state.z)
+            predicted = refit.residual - rest.integrated_out(refit.residual)
+        except np.linalg.LinAlgError:  # no prediction without these cycles
+            predicted = np.full(evidence.size, np.inf)
+        residual[left] = predicted[left]
+        news = metric.setting.whitened(scene, np.nan_to_num(predicted[:, None], posinf=1e30), metric.slope)[0][:, 0]
+        own = left[evidence]
+        density += np.bincount(place[evidence][own], weights=-0.5 * news[own] ** 2, minlength=n_left)
+    counted = place >= 0
+    count = np.bincount(place[counted], minlength=n_left).astype(np.float64)
+    squares = np.bincount(place[counted], weights=residual[counted] ** 2, minlength=n_left)
+    return HeldOut(residual, np.asarray(squares, dtype=np.float64), count, density)

@@ -28,6 +28,7 @@ from shj_bayes.model.measured import Measured
 from shj_bayes.model.noise.filter import LOG_2PI, whiten
 from shj_bayes.model.noise.low_speed import ROUGHER, rougher, slowness
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.recording import BoolArray
 
 COARSER = 2.5  # blocks than those of a fit: many models are compared
 STEP = 1e-4  # of the standardised parameters, for derivatives
@@ -280,6 +281,8 @@ class Metric:
         Noise and discrepancy.
     slope : array, shape (n,)
         Slope of the modelled force in each block, through which the error of the displacement acts, kN/mm.
+    counts : array, shape (n_evidence,), optional
+        Which of the evidence a fit sees; all by default.
 
     Attributes
     ----------
@@ -288,17 +291,24 @@ class Metric:
         before the test.
     """
 
-    def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray) -> None:
-        self.scene, self.setting, self.slope = scene, setting, slope
+    def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray, counts: BoolArray | None = None) -> None:
+        self.scene, self.setting, self.slope, self.counts = scene, setting, slope, counts
         white, constant = setting.whitened(scene, scene.missed, slope)
-        self.other = white * setting.sizes(scene)
+        self.other = self._counted(white) * setting.sizes(scene)
         inner = np.eye(white.shape[1]) + self.other.T @ self.other
         self._root = cho_factor(inner, lower=True)
         self.log_constant = constant - float(np.log(np.diag(self._root[0])).sum())
 
+    def without(self, rows: BoolArray) -> Metric:
+        """Give the same metric for a fit that does not see some of the evidence, `rows` of shape (n_evidence,)."""
+        return Metric(self.scene, self.setting, self.slope, ~rows)
+
+    def _counted(self, white: FloatArray) -> FloatArray:
+        return white if self.counts is None else white * self.counts[:, None]
+
     def whitened(self, columns: FloatArray) -> FloatArray:
         """Columns in units of what is new in the noise of each block, shapes (n, p) to (n_evidence, p)."""
-        return self.setting.whitened(self.scene, columns, self.slope)[0]
+        return self._counted(self.setting.whitened(self.scene, columns, self.slope)[0])
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
@@ -331,9 +341,18 @@ class Metric:
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""
-        white = self.whitened(residual[:, None])
-        mean = cho_solve(self._root, self.other.T @ white[:, 0])[: self.scene.discrepancy.shape[1]]
-        return np.asarray(self.scene.discrepancy @ mean * self.setting.model_error_kN)
+        return self._parts_of(residual)[0]
+
+    def integrated_out(self, residual: FloatArray) -> FloatArray:
+        """Give what all that is integrated out but the discrepancy takes up of a residual, at its mean, (n,), kN."""
+        return self._parts_of(residual)[1]
+
+    def _parts_of(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Give what the discrepancy takes up of a residual, and what the others do that are integrated out, kN."""
+        mean = cho_solve(self._root, self.other.T @ self.whitened(residual[:, None])[:, 0])
+        mean *= self.setting.sizes(self.scene)
+        n = self.scene.discrepancy.shape[1]
+        return self.scene.discrepancy @ mean[:n], self.scene.missed[:, n:] @ mean[n:]
 
 
 def log_evidence(constant: float, products: FloatArray, variances: FloatArray | None = None) -> float:

@@ -511,7 +511,7 @@ class Search:
 
     def _is_no_better_than_noise(self, h: Hypothesis, less: Hypothesis) -> bool:
         """Whether a hypothesis has no more evidence than one with less, each under its most probable noise."""
-        weights = [one.log_weight for x in (h, less) if (one := self._with_own_noise(x, self.metric.setting))]
+        weights = [one.log_weight for x in (h, less) if (one := self.with_own_noise(x, self.metric.setting))]
         return len(weights) > 1 and weights[1] >= weights[0]
 
     def ranked(self, n: int) -> list[Hypothesis]:
@@ -557,7 +557,7 @@ class Search:
         search_metric = self.metric
         found: dict[frozenset[str], Hypothesis] = {}
         for h in (*ranked, *self._with_forms(ranked[0])):
-            new = self._with_own_noise(h, search_metric.setting)
+            new = self.with_own_noise(h, search_metric.setting)
             if new is not None and (h.key not in found or found[h.key].log_weight < new.log_weight):
                 found[h.key] = new
         self.found = found
@@ -577,7 +577,7 @@ class Search:
         assert best.metric is not None
         for key, h in list(self.found.items()):
             rival = h is not best and h.log_weight > best.log_weight - RIVAL
-            new = self._with_own_noise(h, best.metric.setting) if rival else None
+            new = self.with_own_noise(h, best.metric.setting) if rival else None
             if new is not None and new.log_weight > h.log_weight:
                 self.found[key] = new
 
@@ -597,7 +597,7 @@ class Search:
         self.shrink(best)
         for key, h in list(self.found.items()):
             if h.metric is None:
-                new = self._with_own_noise(h, best.metric.setting)
+                new = self.with_own_noise(h, best.metric.setting)
                 if new is None:
                     del self.found[key]
                 else:
@@ -630,7 +630,7 @@ class Search:
         less = replace(h, log_weight=h.log_weight + math.log(max(1.0 - off, 1e-300)))
         return {h.key: less, new.key: replace(new, log_weight=weight, metric=new.metric or h.metric)}
 
-    def _with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
+    def with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
         """Fit a hypothesis under the noise that is most probable beside it."""
         none = np.zeros((h.state.residual.size, 0))
         metric = Metric(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ModelError
+from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
@@ -152,6 +153,7 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
     for c in record.get("coordinates") or ():
         if not c.get("matches") and number(c.get("probability")) >= LIKELY:
             out.append(f"{curve_words(c)} No known mechanism has this curve.")
+    out += dropped_words(record)
     out += fluctuation_words(record)
     out += channel_words(record)
     if verdict == Verdict.UNKNOWN:
@@ -214,6 +216,21 @@ def curve_words(c: Mapping[str, Any]) -> str:
     over = f"every {period:.3g} {c.get('unit')}, again and again" if math.isfinite(period) else "over what was tested"
     much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if math.isfinite(size) else ""
     return f"{what}{way_words(c)} depends on {over_words(c.get('coordinate'))}{much}."
+
+
+def dropped_words(record: Mapping[str, Any]) -> list[str]:
+    """Say what was found and left out again, as it does not improve cycles that were not fitted."""
+    out = []
+    for one in (record["heldout"] or {}).get("dropped") or ():
+        of = ClassId.read(str(one["class"]))
+        errors = [number(one.get(key)) for key in ("without_kN", "with_kN")]
+        told = f" ({' to '.join(map(words.short, errors))} kN)" if all(map(math.isfinite, errors)) else ""
+        what = {"capacity": "sliding force", "added": "added force"}.get(of.action, "motion")
+        out.append(
+            f"Excluded: a dependence of the {what} on {over_words(of.coordinate)} fits these recordings, but does not "
+            f"improve cycles that were left out{told}."
+        )
+    return out
 
 
 def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
@@ -342,7 +359,7 @@ def heldout_words(data: DiagnosisData) -> str:
     h = data.record["heldout"] or {}
     gain, error, blocks = number(h.get("elpd_gain")), number(h.get("se")), number(h.get("n_blocks"))
     scheme = str(h.get("scheme", "not stated")).replace("_", " ")
-    many = f", {blocks:.0f} times" if math.isfinite(blocks) else ""
+    many = f"; {blocks:.0f} cycles" if math.isfinite(blocks) else ""
     text = f"Held out ({scheme}{many}): a cycle is predicted by a law that was fitted without it."
     if not math.isfinite(gain):
         return text

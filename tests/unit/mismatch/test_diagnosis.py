@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import shj_bayes.mismatch.proven as proven_module
 from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes as all_classes
+from shj_bayes.mismatch.content import heldout as heldout_row
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.findings import answer_of
+from shj_bayes.mismatch.findings import Reason, answer_of
+from shj_bayes.mismatch.heldout import held_out
 from shj_bayes.mismatch.look import Look
+from shj_bayes.mismatch.proven import proven
 from shj_bayes.mismatch.scene import NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import NOISE_MOST, Search, noise_beside, search
 from shj_bayes.mismatch.state import find_noise, settle_under
@@ -279,7 +283,7 @@ def test_the_record_keeps_the_contract(prying, tmp_path):
         for row in again[key]:
             assert set(row) >= fields, key
     assert {"rmse_kN", "noise_kN", "heldout_rmse_kN", "energy_error_percent"} <= set(again["before"])
-    assert {"scheme", "elpd_gain", "se", "n_blocks"} == set(again["heldout"])
+    assert {"scheme", "elpd_gain", "se", "rmse_se_kN", "n_blocks", "dropped"} == set(again["heldout"])
     assert all(0.0 <= row["probability"] <= 1.0 + 1e-9 for key in ("coordinates", "candidates") for row in again[key])
     assert sum(row["probability"] for row in again["sets"]) >= 0.95
     for effect in again["effects"]:
@@ -323,6 +327,43 @@ def test_same_seed_same_record(prying, look):
 )
 def test_effects_are_named(name, trials, look):
     assert is_right(look(trials.simulate({name: trials.EFFECTS[name]}, 4)).record, {name})
+
+
+@pytest.fixture(scope="module")
+def lost_clamping(trials):
+    """A device that suddenly loses a tenth of its clamping, and the finished search on it."""
+    recordings = trials.simulate({}, 6, clamping=lambda h: 1.0 - 0.1 * (h.travel_m > 2.5))
+    runs = runs_of(recordings)
+    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    return search(scene, all_classes())
+
+
+def test_a_sudden_change_predicts_cycles_that_were_left_out(lost_clamping):
+    """The moment of a step is no straight line: one linear step sends it anywhere."""
+    found = proven(lost_clamping)
+    assert found.answer.verdict == "named"
+    assert [f.names[0][0] for f in found.answer.findings] == ["tension_step"]
+    before, after = (one.rmse_kN for one in found.held)
+    # Noise of 1 kN, and in the cycle of the step its moment is not known: 5 kN for a half of one cycle in 38.
+    assert 0.9 < after < 1.5 < before
+    assert found.gain.elpd > 2 * found.gain.elpd_se > 0.0
+
+
+def test_what_does_not_improve_cycles_that_were_left_out_is_not_named(lost_clamping, monkeypatch):
+    def worse(scene, metric, state):
+        held, more = held_out(scene, metric, state), 3.0 if state.model.effects else 1.0
+        return replace(held, squares=held.squares * more**2, log_density=held.log_density * more)
+
+    monkeypatch.setattr(proven_module, "held_out", worse)
+    found = proven(lost_clamping)
+    assert (found.answer.verdict, found.answer.reason) == ("unknown", Reason.NOT_BORNE_OUT)
+    assert not found.answer.findings
+    assert found.dropped[-1].of == "capacity over time"
+    assert found.after is found.before
+    row = heldout_row(found)
+    assert row["dropped"][-1]["with_kN"] > row["dropped"][-1]["without_kN"]
+    told = {"heldout": row, "effects": [], "verdict": "adequate", "shift": {}}
+    assert any("does not improve cycles that were left out" in line for line in sentences(told))
 
 
 @pytest.mark.slow
