@@ -26,6 +26,7 @@ class Run:
 
     recording: Recording  # the measured channels
     motion: Motion  # half-cycles, turning points and speed of its displacement
+    begins_kN: float | None = None  # force with which the law starts, where a fit has found it; else it is read
 
     def __post_init__(self) -> None:
         """Refuse a motion that belongs to another recording."""
@@ -49,8 +50,10 @@ class Run:
 
         A device at rest counts as unloaded when that is below 10 % of the largest force or within the noise: taking a
         noisy reading as the state would shift every loop that does not slide fully. A recording that begins in motion
-        has the force of its first displacement, on a straight line through its first loading.
+        has the force of its first displacement, on a straight line through its first loading, until a fit has found it.
         """
+        if self.begins_kN is not None:
+            return self.begins_kN
         force, x = self.recording.force_kN, self.motion.displacement_mm
         if self._in_motion and self._n_loading > 2:
             some = slice(self._n_loading)
@@ -65,13 +68,21 @@ class Run:
         """Standard deviation of the displacement at which the first half-cycle begins, mm.
 
         For a device that rests unloaded that of a single reading. Of a recording that begins loaded or in motion the
-        force without the part that comes from the speed is not known: by as much as would make a device count as
-        loaded, at the stiffness of its first loading.
+        force without the part that comes from the speed is not known: by `start_noise_kN`, at the stiffness of its
+        first loading.
         """
         force, x, i = self.recording.force_kN, self.motion.displacement_mm, self._n_loading
-        if (not self._in_motion and not self.start_force_kN) or i == force.size:
+        if not self.start_noise_kN or i == force.size:
             return self.motion.noise_mm
-        return UNLOADED * self._largest_kN * abs(float(x[i] - x[0])) / abs(float(force[i] - force[0]))
+        return self.start_noise_kN * abs(float(x[i] - x[0])) / abs(float(force[i] - force[0]))
+
+    @cached_property
+    def start_noise_kN(self) -> float:
+        """Standard deviation of the force with which the law starts: as much as would make a device count as loaded.
+
+        0 for a device that rests unloaded.
+        """
+        return UNLOADED * self._largest_kN if self._in_motion or self.start_force_kN else 0.0
 
     @cached_property
     def _largest_kN(self) -> float:

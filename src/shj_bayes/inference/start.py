@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.reduction import Averages
+from shj_bayes.inference.run import Run
 from shj_bayes.inference.shared import Density, Shared, n_threads
 from shj_bayes.inference.squares import (
     LawOnly,
@@ -21,6 +23,7 @@ from shj_bayes.inference.squares import (
     reach_after,
     step_within,
 )
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.noise.filter import log_density
 from shj_bayes.model.noise.low_speed import ROUGHER
 from shj_bayes.model.parameters import FloatArray, base_and_run
@@ -29,6 +32,7 @@ FAR = 1e12  # in the place of a negative log density that is none
 NOISE_STEP = 0.01  # of the unbounded parameters of the noise, for differences: their standard deviations are as large
 NOISE_CLOSE = 0.01  # nats below the top at which a search for the noise ends
 ROUNDS = 60  # of such a search at most
+FARTHEST = 3.0  # standard deviations of the force with which a run begins, from what is read
 N_DESCENTS = 3  # laws of the grid that are improved
 QUARTILES = np.array([0.25, 0.5, 0.75])
 CHUNK = 16  # parameter sets evaluated in one call
@@ -53,13 +57,47 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
     model, law = posterior.model, LawOnly(posterior)
     candidates = [*tops, *law_starts(posterior)]
     sizes = [float(np.std(law.residual(z))) for z in candidates]
-    refined = posterior.refined(model.natural_of_law(candidates[int(np.argmin(sizes))][None])[0])
+    theta = model.natural_of_law(candidates[int(np.argmin(sizes))][None])[0]
+    refined = started(posterior, theta).refined(theta)
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
         even = polish(Shared(refined, pool, n), full)
         refined, z = _roughened(refined, even.free)
         return refined, polish(Shared(refined, pool, n), [z])
+
+
+def started(posterior: Posterior, theta: FloatArray) -> Posterior:
+    """Begin each run that does not rest unloaded with the force that is most probable at parameters of the law, (d,).
+
+    What is read there has noise, and the part of the speed in it. What is left of its error is small, so that it acts
+    like one of the first turning point.
+    """
+    pairs = list(zip(posterior.runs, posterior.averages, strict=True))
+    runs = [
+        replace(run, begins_kN=_begins_kN(posterior.model, theta, run, part)) if run.start_noise_kN else run
+        for run, part in pairs
+    ]
+    parts = (replace(part, start_force_kN=run.start_force_kN) for run, (_, part) in zip(runs, pairs, strict=True))
+    return replace(posterior, runs=tuple(runs), averages=tuple(parts))
+
+
+def _begins_kN(model: DeviceModel, theta: FloatArray, run: Run, part: Averages) -> float:
+    """Find the force with which a run begins: that which its first half-cycle makes most probable, kN."""
+    read, known = run.start_force_kN, run.start_noise_kN
+    first = np.arange(part.n) < part.timing.half[1]
+
+    def squares(begins_kN: float) -> FloatArray:
+        force = model.force(theta[None], part.history, begins_kN)
+        return np.asarray(part.count * part.residual_and_slope(force)[0][0] ** 2)
+
+    noise = max(float(squares(read)[~first].sum() / max(part.count[~first].sum(), 1.0)), 1e-12 * known**2)
+
+    def height(begins_kN: float) -> float:
+        return float(squares(begins_kN)[first].sum()) / noise + ((begins_kN - read) / known) ** 2
+
+    bounds = (read - FARTHEST * known, read + FARTHEST * known)
+    return float(minimize_scalar(height, bounds=bounds, method="bounded").x)
 
 
 def law_starts(posterior: Posterior) -> list[FloatArray]:

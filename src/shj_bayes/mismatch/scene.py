@@ -1,9 +1,10 @@
 """The recordings of a device as all models of a search see them: blocks, their noise, and what any model may miss.
 
-Everything is held against one metric: white and slow noise, the error of the load cell's zero in each run, Masing's
-rule in the place of the base law's in cycles that turn before the device slides, and a generic discrepancy, smooth
-functions of position, slip and speed in each direction and of time whose size is inferred (Kennedy and O'Hagan 2001,
-J. R. Statist. Soc. B 63, 425). All are linear, so they are integrated out in closed form.
+Everything is held against one metric: white and slow noise, in each run the error of the load cell's zero and of where
+the device stands at the start, Masing's rule in the place of the base law's in cycles that turn before the device
+slides, and a generic discrepancy, smooth functions of position, slip and speed in each direction and of time whose size
+is inferred (Kennedy and O'Hagan 2001, J. R. Statist. Soc. B 63, 425). All are linear, so they are integrated out in
+closed form.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.start import law_starts
+from shj_bayes.inference.start import law_starts, started
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.masing import masing_force
 from shj_bayes.model.measured import Measured
-from shj_bayes.model.noise.filter import LOG_2PI, whiten
+from shj_bayes.model.noise.filter import LOG_2PI, Timing, whiten
 from shj_bayes.model.noise.low_speed import ROUGHER, rougher, slowness
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import BoolArray
@@ -37,6 +38,7 @@ AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the 
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
 N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `Metric.other`: the same in every run
+N_OF_RUN = 2  # its columns that belong to a run: where it starts, and the zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,10 +189,31 @@ class Scene:
             columns.append((masing_force(motion, laws[0], start) - own)[:, None])
         return self.blocks(columns)
 
+    def missed(self, slope: FloatArray) -> FloatArray:
+        """Give what any model may miss: `discrepancy`, `memory`, `starts` and `zeros` side by side.
+
+        `slope`, shape (n,), is that of the modelled force in each block, kN/mm.
+        """
+        return np.column_stack([self.discrepancy, self.memory, self.starts(slope), self.zeros])
+
+    def starts(self, slope: FloatArray) -> FloatArray:
+        """Error of where each run starts, kN for one of 1 mm, shape (n, n_runs).
+
+        It moves the whole first half-cycle along the displacement, and stands for an error of the force there too.
+        """
+        first = [np.arange(part.n) < part.timing.half[1] for part in self.posterior.averages]
+        return np.asarray(self.zeros * (slope * np.concatenate(first))[:, None])
+
     @cached_property
-    def missed(self) -> FloatArray:
-        """What any model may miss: `discrepancy`, `memory` and `zeros` side by side."""
-        return np.column_stack([self.discrepancy, self.memory, self.zeros])
+    def start_mm(self) -> FloatArray:
+        """Standard deviation of where each run starts before the test, shape (n_runs,), mm."""
+        return np.array([part.timing.turning_noise_mm[0] for part in self.posterior.averages])
+
+    @cached_property
+    def timings(self) -> tuple[Timing, ...]:
+        """When the blocks of each run were taken, its start being known: `starts` holds its error."""
+        whole = [part.timing for part in self.posterior.averages]
+        return tuple(replace(t, turning_noise_mm=np.append(0.0, t.turning_noise_mm[1:])) for t in whole)
 
     @cached_property
     def zero_kN(self) -> FloatArray:
@@ -238,8 +261,9 @@ class NoiseSetting:
         return math.log(relative) - 0.5 * (float(np.dot(self.z, self.z)) + relative**2 + (self.at_rest / ROUGHER) ** 2)
 
     def sizes(self, scene: Scene) -> FloatArray:
-        """Size before the test of each column of `Scene.missed`, shape (p + 1 + n_runs,)."""
-        return np.concatenate([np.full(scene.discrepancy.shape[1], self.model_error_kN), [1.0], scene.zero_kN])
+        """Size before the test of each column of `Scene.missed`, shape (p + 1 + 2 n_runs,)."""
+        discrepancy = np.full(scene.discrepancy.shape[1], self.model_error_kN)
+        return np.concatenate([discrepancy, [1.0], scene.start_mm, scene.zero_kN])
 
     def whitened(self, scene: Scene, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
         """Columns in units of what is new in the noise of each block, and the log density of data that are all 0.
@@ -249,9 +273,9 @@ class NoiseSetting:
         """
         values, more = self.values(scene), rougher(self.at_rest, scene.slow)
         out, total, first = [], 0.0, 0
-        for part in scene.posterior.averages:
+        for part, timing in zip(scene.posterior.averages, scene.timings, strict=True):
             own = slice(first, first + part.n)
-            white, log_det = whiten(scene.device.noise, values, columns[own], slope[own], part.timing, more[own])
+            white, log_det = whiten(scene.device.noise, values, columns[own], slope[own], timing, more[own])
             out.append(white)
             total, first = total + log_det, first + part.n
         white = np.concatenate(out)
@@ -286,14 +310,16 @@ class Metric:
 
     Attributes
     ----------
-    other : array, shape (n_evidence, p + 1 + n_runs)
-        Whitened functions of the discrepancy, then Masing's rule, then the zeros of the load cell, each at its size
-        before the test.
+    missed : array, shape (n, p + 1 + 2 n_runs)
+        Functions of the discrepancy, Masing's rule, where each run starts, the zeros of the load cell: `Scene.missed`.
+    other : array, shape (n_evidence, p + 1 + 2 n_runs)
+        The same whitened, each at its size before the test.
     """
 
     def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray, counts: BoolArray | None = None) -> None:
         self.scene, self.setting, self.slope, self.counts = scene, setting, slope, counts
-        white, constant = setting.whitened(scene, scene.missed, slope)
+        self.missed = scene.missed(slope)
+        white, constant = setting.whitened(scene, self.missed, slope)
         self.other = self._counted(white) * setting.sizes(scene)
         inner = np.eye(white.shape[1]) + self.other.T @ self.other
         self._root = cho_factor(inner, lower=True)
@@ -334,7 +360,7 @@ class Metric:
     def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Give whitened columns and what the discrepancy takes up of each: products are those of the former less these.
 
-        Shapes (n_evidence, p) and (p + 1 + n_runs, p), the rows of the latter being those of `other` made orthogonal.
+        Shapes (n_evidence, p) and (p + 1 + 2 n_runs, p), the rows of the latter being those of `other` made orthogonal.
         """
         white = self.whitened(columns)
         return white, np.asarray(solve_triangular(self._root[0], self.other.T @ white, lower=True))
@@ -352,7 +378,7 @@ class Metric:
         mean = cho_solve(self._root, self.other.T @ self.whitened(residual[:, None])[:, 0])
         mean *= self.setting.sizes(self.scene)
         n = self.scene.discrepancy.shape[1]
-        return self.scene.discrepancy @ mean[:n], self.scene.missed[:, n:] @ mean[n:]
+        return self.scene.discrepancy @ mean[:n], self.missed[:, n:] @ mean[n:]
 
 
 def log_evidence(constant: float, products: FloatArray, variances: FloatArray | None = None) -> float:
@@ -390,6 +416,7 @@ def beside(products: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
 def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:
     """Average consecutive runs of a device in blocks that follow the bends of its base model."""
     posterior = make_posterior(runs, device)
+    posterior = started(posterior, device.natural_of_law(law_starts(posterior)[0][None])[0])
     z = law_starts(posterior)[0]
     theta = device.natural_of_law(z[None])[0]
     return Scene(posterior.refined(theta, coarser=COARSER), z)

@@ -150,8 +150,9 @@ def find_noise(
     Begins at the best of a grid by default; `most_kN` is the largest standard deviation, as of `NoiseSetting.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
-    beside = np.column_stack([state.beside(columns), scene.missed])
-    known = np.ones(beside.shape[1] - 1 - scene.missed.shape[1])
+    missed = scene.missed(state.slope)
+    beside = np.column_stack([state.beside(columns), missed])
+    known = np.ones(beside.shape[1] - 1 - missed.shape[1])
     unit = MODEL_ERROR * scene.scale_kN
     lasts_s = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
     laws = scene.device.laws_of_parameters[scene.device.n_law :]

@@ -167,8 +167,8 @@ def _lines(
     wrong, other, *own_columns = _reduced(columns)
     lines = []
     for b, white in zip(known.beliefs, own_columns, strict=True):
-        old_zeros = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
-        design = np.concatenate([white[:, 1:], other, old_zeros], axis=1)
+        of_old_runs = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
+        design = np.concatenate([white[:, 1:], other, of_old_runs], axis=1)
         lines.append((white[:, 0] + design @ b.mean, design))
     return lines, wrong, max(forces)
 

@@ -25,7 +25,7 @@ from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
-from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, Metric, NoiseSetting, Scene, scene_of
+from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, N_OF_RUN, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import ODDS, Search, noise_beside, noise_of_size
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
@@ -270,7 +270,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> Known:
     total = sum(p for _, p, _ in rows)
     beliefs = []
     for key, p, model in rows:
-        n = model.n_law + N_OF_DEVICE + 1
+        n = model.n_law + N_OF_DEVICE + N_OF_RUN
         mean = np.zeros(n)
         beliefs.append(Belief(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
     return Known("a new device", (), device, z, (), scales, setting, tuple(beliefs), 0.0)
@@ -358,9 +358,9 @@ def _belief(metric: Metric, key: Key, share: float, h: Hypothesis) -> Belief:
     z, places = _joint(h.state.model, further, h.state.z)
     columns = np.column_stack([h.state.residual + h.state.jacobian @ h.state.z, h.state.jacobian])
     white = metric.whitened(columns)
-    disturbed, zeros = np.split(metric.other, [N_OF_DEVICE], axis=1)
-    unknown = np.zeros((white.shape[0], 1))  # the zero of the run to come
-    design = np.concatenate([np.zeros((white.shape[0], z.size)), disturbed, unknown, zeros], axis=1)
+    disturbed, of_runs = np.split(metric.other, [N_OF_DEVICE], axis=1)
+    unknown = np.zeros((white.shape[0], N_OF_RUN))  # start and zero of the run to come
+    design = np.concatenate([np.zeros((white.shape[0], z.size)), disturbed, unknown, of_runs], axis=1)
     design[:, places] = white[:, 1:]
     prior = np.zeros(design.shape[1])
     new = np.setdiff1d(np.arange(z.size), places)

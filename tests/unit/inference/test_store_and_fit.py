@@ -155,8 +155,8 @@ def test_one_observable_in_all_groups(fitted: Fitted) -> None:
 def test_half_cycles_without_evidence_are_left_out(make_small: Callable[..., Posterior]) -> None:
     small = make_small(n_runs=1)
     run = small.runs[0]
-    run.__dict__["used"] = run.used & (run.motion.half_cycle != 2)
-    result = fit(small.runs, small.model, plan=Plan(seed=1, round_steps=60, max_steps=60))
+    some = replace(run.recording, used=run.used & (run.motion.half_cycle != 2))
+    result = fit([replace(run, recording=some)], small.model, plan=Plan(seed=1, round_steps=60, max_steps=60))
     number = result.data["observed_data"]["number"].to_numpy().tolist()
     assert number == [k for k in range(run.motion.n_half) if k != 2]
     for group in ("observed_data", "posterior_predictive", "log_likelihood"):

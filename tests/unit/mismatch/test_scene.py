@@ -37,7 +37,7 @@ def metric(scene: Scene) -> Metric:
 
 @pytest.fixture(scope="module")
 def covariance(scene: Scene, metric: Metric) -> np.ndarray:
-    """Of noise, zeros, Masing's rule and discrepancy, of the blocks that are evidence; `whiten` has its own tests."""
+    """Of all that is no parameter, of the blocks that are evidence; `whiten` has its own tests."""
     root = metric.whitened(np.eye(scene.used.size))
     used = scene.used > 0
     noise = np.linalg.inv(root[:, used].T @ root[:, used])
@@ -47,7 +47,9 @@ def covariance(scene: Scene, metric: Metric) -> np.ndarray:
     zeros = np.where(run[:, None] == run, zero_kN[run] ** 2, 0.0)
     memory = scene.memory[used]
     assert np.abs(memory).max() > 1.0
-    return np.asarray(noise + functions @ functions.T + memory @ memory.T + zeros)
+    starts = (scene.starts(metric.slope) * scene.start_mm)[used]
+    assert np.abs(starts).max() > 0.1
+    return np.asarray(noise + functions @ functions.T + memory @ memory.T + starts @ starts.T + zeros)
 
 
 @pytest.fixture(scope="module")
@@ -334,7 +336,7 @@ def test_held_out_cycles_are_those_of_a_refit(
     left_out = [one for one in np.unique(cycle[used]) if one not in first]
     assert got.log_density.size == len(left_out) > 2
     assert got.rmse_kN == pytest.approx(np.sqrt(np.mean(got.residual[np.isin(cycle, left_out) & used] ** 2)))
-    white = metric.whitened(np.column_stack([y, columns, scene.missed * metric.setting.sizes(scene)]))
+    white = metric.whitened(np.column_stack([y, columns, metric.missed * metric.setting.sizes(scene)]))
     n, told = columns.shape[1], scene.discrepancy.shape[1]
     parts = min(PARTS, len(left_out))
     for i, one in enumerate(left_out):
@@ -344,8 +346,32 @@ def test_held_out_cycles_are_those_of_a_refit(
         mean = np.linalg.solve(gram, rest[:, 1:].T @ rest[:, 0])
         mean[n : n + told] = 0.0  # the discrepancy is no prediction
         raw = np.flatnonzero(used & (cycle == one))
-        everything = np.column_stack([columns, scene.missed * metric.setting.sizes(scene)])
+        everything = np.column_stack([columns, metric.missed * metric.setting.sizes(scene)])
         np.testing.assert_allclose(got.residual[raw], y[raw] - everything[raw] @ mean, rtol=1e-3, atol=2e-2)
+
+
+def test_an_error_of_the_start_moves_the_first_half_cycle(scene: Scene, metric: Metric) -> None:
+    """Against the law itself along a motion whose first turning point lies elsewhere, and with another first force."""
+    theta = scene.device.natural_of_law(scene.z[None])
+    column = scene.starts(metric.slope)
+    stiffness = scene.device.law_values(scene.z)["K"]
+    for run, part in enumerate(scene.posterior.averages):
+        motion, step = part.history.motion, 1e-4
+        away = np.append(motion.turning_mm[0] + step, motion.turning_mm[1:])
+        moved = replace(part.history, motion=replace(motion, turning_mm=away))
+        force = [part.residual_and_slope(scene.device.force(theta, h, 0.0))[0][0] for h in (moved, part.history)]
+        loaded = part.residual_and_slope(scene.device.force(theta, part.history, step * stiffness))[0][0]
+        place = sum(one.n for one in scene.posterior.averages[:run])
+        own = column[place : place + part.n, run]
+        first = slice(0, int(part.timing.half[1]))
+        assert np.abs(own[first]).max() > 0.5 * stiffness
+        # The slope of a block also holds the change of the speed within it, which is small.
+        np.testing.assert_allclose((force[0] - force[1])[first] / step, own[first], atol=0.3 * stiffness)
+        np.testing.assert_array_equal(own[first.stop :], 0.0)
+        # Before it slides; in the knee the two part.
+        steep = np.abs(own[first]) > 0.9 * stiffness
+        got = (force[1] - loaded)[first][steep] / step
+        np.testing.assert_allclose(got, np.abs(own[first][steep]), rtol=0.15)
 
 
 def test_a_gain_has_the_error_of_its_cycles() -> None:

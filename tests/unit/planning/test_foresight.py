@@ -8,7 +8,7 @@ import pytest
 
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.scene import Metric
+from shj_bayes.mismatch.scene import N_OF_RUN, Metric
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.candidates import Candidates, proposals
@@ -127,8 +127,8 @@ def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Known
     residual, slope = scene.residual_and_slope(first.model, first.z[None])
     metric = Metric(scene, alone.setting, slope[0])
     jacobian = scene.jacobian(first.model, first.z, residual[0])
-    old_zero = np.zeros((metric.other.shape[0], 1))
-    white = np.column_stack([metric.whitened(jacobian), metric.other, old_zero])
+    of_old_run = np.zeros((metric.other.shape[0], N_OF_RUN))
+    white = np.column_stack([metric.whitened(jacobian), metric.other, of_old_run])
     expected = np.linalg.inv(first.precision + white.T @ white)[3, 3]
     assert seen.sd is not None
     assert seen.sd == pytest.approx(0.02 * np.sqrt(expected), rel=1e-3)  # gamma has a normal prior of 0.02 s/mm
