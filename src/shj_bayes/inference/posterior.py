@@ -158,5 +158,9 @@ class Posterior:
 
 
 def make_posterior(runs: Sequence[Run], model: DeviceModel) -> Posterior:
-    """Hold a model against the runs of a device, in blocks for a first look; `start.find_start` refines them."""
-    return Posterior(tuple(runs), model, reduce_runs(runs))
+    """Hold a model against the runs of a device, in blocks for a first look; `start.find_start` refines them.
+
+    Each run begins with the force that is read.
+    """
+    runs = tuple(replace(run, begins_kN=None) if run.begins_kN is not None else run for run in runs)
+    return Posterior(runs, model, reduce_runs(runs))

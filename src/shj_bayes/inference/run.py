@@ -48,8 +48,7 @@ class Run:
     def start_force_kN(self) -> float:
         """Force with which the law starts: 0 for an unloaded device, else what was measured before it moves.
 
-        A device at rest counts as unloaded when that is below 10 % of the largest force or within the noise: taking a
-        noisy reading as the state would shift every loop that does not slide fully. A recording that begins in motion
+        A device at rest counts as unloaded when that is within the noise. A recording that begins in motion
         has the force of its first displacement, on a straight line through its first loading, until a fit has found it.
         """
         if self.begins_kN is not None:
@@ -61,7 +60,7 @@ class Run:
             return float(line(self.motion.turning_mm[0]))
         first = float(np.median(force[: self._n_rest]))
         noise = 1.4826 * float(np.median(np.abs(np.diff(force))))
-        return first if abs(first) > max(UNLOADED * self._largest_kN, 6 * noise) else 0.0
+        return first if abs(first) > 6 * noise else 0.0
 
     @cached_property
     def start_noise_mm(self) -> float:
@@ -78,9 +77,9 @@ class Run:
 
     @cached_property
     def start_noise_kN(self) -> float:
-        """Standard deviation of the force with which the law starts: as much as would make a device count as loaded.
+        """Standard deviation of the force with which the law starts, where it does not rest unloaded; else 0.
 
-        0 for a device that rests unloaded.
+        The force that is read holds that of the speed, and a constant that is none of the device.
         """
         return UNLOADED * self._largest_kN if self._in_motion or self.start_force_kN else 0.0
 
