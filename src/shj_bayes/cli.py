@@ -17,7 +17,7 @@ from shj_bayes._util.child_processes import quiet_libraries
 from shj_bayes._util.files import make_writable, need_files, need_population
 from shj_bayes._util.interrupts import no_interrupt_lost
 from shj_bayes.commands.examples import EXAMPLES
-from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, system_words
+from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, plain_lines, system_words
 
 Command = Callable[..., Any]
 PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
@@ -44,14 +44,19 @@ class Output:
     def tell(self, line: str) -> None:
         """Say on standard error what is being done."""
         if self.speaks:
-            click.echo(f"  {line}", err=True)
+            _say(f"  {line}", err=True)
 
     def show(self, record: Any, text: str) -> None:
         """Print a result."""
         if self.as_json:
-            click.echo(json.dumps(record, indent=1))
+            _say(json.dumps(record, indent=1))
         elif not self.quiet:
-            click.echo(text)
+            _say(text)
+
+
+def _say(text: object, *, err: bool = False) -> None:
+    """Print: every line that a command writes goes through here, so that nothing that is stored steers the terminal."""
+    click.echo(plain_lines(str(text)), err=err)
 
 
 class _Command(click.Command):
@@ -73,12 +78,12 @@ class _Group(click.Group):
             with no_interrupt_lost():
                 return super().invoke(ctx)
         except ShjError as error:
-            click.echo(f"shj-bayes: {error}", err=True)
+            _say(f"shj-bayes: {error}", err=True)
         except OSError as error:
-            click.echo(f"shj-bayes: {system_words(error)}", err=True)
+            _say(f"shj-bayes: {system_words(error)}", err=True)
         except KeyboardInterrupt:
             again = "goes on from the last checkpoint" if ctx.invoked_subcommand in RESUMING else "begins anew"
-            click.echo(f"shj-bayes: stopped; the same command again {again}", err=True)
+            _say(f"shj-bayes: stopped; the same command again {again}", err=True)
         ctx.exit(1)
 
 
@@ -351,7 +356,7 @@ def _run_campaign(manifest: Path, out: Path, *, seed: int, output: Output, **how
     if failed := [f"{o.device.set_name}, {o.device.name} ({'; '.join(o.failures)})" for o in outcomes if o.failures]:
         more = f"; and {len(failed) - NAMED} more, in campaign.json" if len(failed) > NAMED else ""
         done = f"done, but {len(failed)} of {len(outcomes)} devices failed: {'; '.join(failed[:NAMED])}{more}"
-        click.echo(f"shj-bayes: {done}", err=True)
+        _say(f"shj-bayes: {done}", err=True)
         raise SystemExit(SOME_FAILED)
 
 
@@ -503,7 +508,7 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
     how = {key: options.pop(key) for key in ("seed", "rate_Hz", "last_cycles", "model")}
     for path in write_simulated(stem, Truth(gamma=gamma_of(dep), **options), **how):
         if not quiet:
-            click.echo(path)
+            _say(path)
 
 
 @main.command()
@@ -583,11 +588,11 @@ def open_(folder: Path, page: str | None, pdf: bool) -> None:
 
     found = page_of(folder, page)
     if pdf:
-        click.echo(write_pdf(found))
+        _say(write_pdf(found))
     elif open_page(found):
-        click.echo(found)
+        _say(found)
     else:
-        click.echo(f"no browser could be started; open this file yourself: {found.resolve()}")
+        _say(f"no browser could be started; open this file yourself: {found.resolve()}")
 
 
 @main.command()

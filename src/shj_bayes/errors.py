@@ -30,6 +30,11 @@ def plain_text(text: str) -> str:
     return "".join(" " if unicodedata.category(c) in _STEERING else c for c in text)
 
 
+def plain_lines(text: str) -> str:
+    """Text of several lines, each as `plain_text`."""
+    return "\n".join(map(plain_text, text.split("\n")))
+
+
 def shown(value: object, length: int = 80) -> str:
     """Give a value from a file as short text, also a whole number of more digits than Python writes out."""
     try:

@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 import shj_bayes
-from shj_bayes._util.files import folder_name, plain_name, sealed
+from shj_bayes._util.files import check_seal, folder_name, plain_name, read_json, sealed
+from shj_bayes.cli import Output
 from shj_bayes.commands.campaign import Device, read_manifest
 from shj_bayes.commands.margin_sheet import design_margins
 from shj_bayes.commands.options import Options
-from shj_bayes.errors import InferenceError, ReportError
+from shj_bayes.errors import InferenceError, ReportError, ShjError
 from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
 from shj_bayes.mismatch.schema import SCHEMA
@@ -185,6 +186,47 @@ def test_names_in_manifests_are_cleaned(tmp_path):
     device = read_manifest(path).devices[0]
     assert device.set_name.isprintable()
     assert device.name == "device"
+
+
+@pytest.mark.parametrize("content", [[1, 2], {"name": "x", "sets": 5}, {"name": "x", "sets": [{"name": "a"}]}])
+@pytest.mark.parametrize("more", [{}, {"together": 5}, {"together": [5]}, {"warnings": 5}])
+def test_a_campaign_that_holds_something_else_is_one_line(tmp_path, content, more):
+    content = content | more if isinstance(content, dict) else content
+    if more:
+        content = {"name": "x", "sets": [], **more}
+    (tmp_path / "campaign.json").write_text(json.dumps(content), encoding="utf-8")
+    for reader in (render_campaign, shj_bayes.load):
+        with pytest.raises(ReportError, match=r"holds no readable campaign\.json"):
+            reader(tmp_path)
+
+
+STEERING = "Zinc\x1b]0;owned\x07\x1b[2J \u202e70\x7f\x9b31m"
+
+
+def test_stored_texts_do_not_steer_the_terminal_and_stay_sealed(tmp_path):
+    record = {"schema": "shj-bayes/made/1", "stages": {STEERING: [STEERING, {"said": f"a\nb{STEERING}"}]}}
+    for ascii_only in (True, False):
+        (tmp_path / "x.json").write_text(json.dumps(sealed(record), ensure_ascii=ascii_only), encoding="utf-8")
+        read = read_json(tmp_path / "x.json", ShjError)
+        check_seal(read, tmp_path / "x.json", ShjError)
+        ((name, (first, said)),) = read["stages"].items()
+        assert name.isprintable()
+        assert first.isprintable()
+        assert all(line.isprintable() for line in said["said"].split("\n"))
+        assert said["said"].count("\n") == 1
+        (tmp_path / "x.json").write_text(
+            json.dumps(sealed(record) | {"more": 1}, ensure_ascii=ascii_only), encoding="utf-8"
+        )
+        with pytest.raises(ShjError, match="altered"):
+            check_seal(read_json(tmp_path / "x.json", ShjError), tmp_path / "x.json", ShjError)
+
+
+def test_nothing_that_is_printed_steers_the_terminal(capsys):
+    Output().show({}, f"a\n{STEERING}")
+    Output().tell(STEERING)
+    said = capsys.readouterr()
+    assert said.out.count("\n") == 2
+    assert all(line.isprintable() for line in (said.out + said.err).split("\n"))
 
 
 # ---- altered results ----

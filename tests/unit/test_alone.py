@@ -9,6 +9,7 @@ import sys
 import pytest
 from click.testing import CliRunner
 
+from shj_bayes._util.files import write_text
 from shj_bayes._util.lock import LOCK, alone
 from shj_bayes.cli import main
 from shj_bayes.errors import ShjError
@@ -95,3 +96,27 @@ def test_a_link_in_a_results_folder_is_not_written_through(tmp_path):
     with pytest.raises(OSError, match="symbolic"), alone(tmp_path / "out"):
         pass
     assert (tmp_path / "mine").read_text(encoding="utf-8") == "kept"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in the file system")
+@pytest.mark.parametrize("kind", ["hard link", "pipe"])
+def test_what_is_no_file_of_its_own_is_not_written_into(tmp_path, kind):
+    (tmp_path / "mine").write_text("kept", encoding="utf-8")
+    (tmp_path / "out").mkdir()
+    if kind == "pipe":
+        os.mkfifo(tmp_path / "out" / LOCK)
+    else:
+        (tmp_path / "out" / LOCK).hardlink_to(tmp_path / "mine")
+    with pytest.raises(ShjError, match=r"shj-bayes\.lock in out is no file of its own"), alone(tmp_path / "out"):
+        pass
+    assert (tmp_path / "mine").read_text(encoding="utf-8") == "kept"
+
+
+@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
+def test_what_is_written_beside_a_result_goes_through_no_link(tmp_path, link):
+    (tmp_path / "mine").write_text("kept", encoding="utf-8")
+    getattr(tmp_path / f"fit.json.{os.getpid()}.part", link)(tmp_path / "mine")
+    write_text(tmp_path / "fit.json", "new")
+    assert (tmp_path / "mine").read_text(encoding="utf-8") == "kept"
+    assert (tmp_path / "fit.json").read_text(encoding="utf-8") == "new"
+    assert {path.name for path in tmp_path.iterdir()} == {"mine", "fit.json"}

@@ -1,14 +1,19 @@
 """Yesterday's posterior as today's prior, with a warning where a recording would count twice."""
 
+import json
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from shj_bayes._util.files import sealed
 from shj_bayes.commands.earlier import Earlier, earlier
-from shj_bayes.errors import PriorError
+from shj_bayes.errors import PopulationError, PriorError
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.population.posterior import ANY_SET, SCHEMA
 from shj_bayes.recording.recording import Recording, Source
 
 BANDS = {
@@ -51,19 +56,48 @@ def test_a_recording_that_the_prior_rests_on_is_told():
     assert silent.findings == ()
 
 
+def population_of(folder: Path, bands: Mapping[str, Sequence[float]]) -> None:
+    """Write a sealed population of two sets."""
+    ends = {q: dict(zip(("q05", "q50", "q95"), band, strict=True)) for q, band in bands.items()}
+    sets = [{"name": name, "new_device": ends} for name in ("Bare", "Zinc 70", ANY_SET)]
+    (folder / "population.json").write_text(json.dumps(sealed({"schema": SCHEMA, "sets": sets})), encoding="utf-8")
+
+
+def test_bands_come_from_what_is_sealed(tmp_path: Path):
+    population_of(tmp_path, BANDS)
+    (tmp_path / "population.csv").write_text(
+        "set,n_devices,quantity,unit,q05,q50,q95\nBare,3,Fy,kN,70,80,90\n", encoding="utf-8"
+    )
+    assert earlier(f"{tmp_path}#Bare").bands == BANDS
+    path = tmp_path / "population.json"
+    path.write_text(path.read_text(encoding="utf-8").replace("78.0", "70.0"), encoding="utf-8")
+    with pytest.raises(PopulationError, match="was altered after it was written"):
+        earlier(f"{tmp_path}#Bare")
+
+
+@pytest.mark.parametrize(
+    "band", [(82.0, 80.0, 78.0), (80.0, 80.0, 82.0), (0.0, 80.0, 82.0), (-5.0, 80.0, 82.0), (78.0, 80.0, math.inf)]
+)
+def test_bands_that_are_none_are_refused(tmp_path: Path, band: tuple[float, ...]):
+    population_of(tmp_path, BANDS | {"Fy": band})
+    with pytest.raises(PriorError, match=r"Fy of a new device of set Bare has 5, 50 and 95 % at .*; they must be"):
+        earlier(f"{tmp_path}#Bare")
+
+
+@pytest.mark.parametrize("sets", [5, [5], [{}], [{"name": "Bare"}], [{"name": "Bare", "new_device": {"Fy": "x"}}]])
+def test_a_population_that_holds_something_else_is_one_line(tmp_path: Path, sets: object):
+    (tmp_path / "population.json").write_text(json.dumps(sealed({"schema": SCHEMA, "sets": sets})), encoding="utf-8")
+    with pytest.raises(PriorError, match=r"population\.json in .* lacks something"):
+        earlier(f"{tmp_path}#Bare")
+
+
 def test_a_set_of_a_campaign_is_chosen_by_name(tmp_path: Path):
-    rows = ["set,n_devices,quantity,unit,q05,q50,q95"]
-    rows += [f"{name},3,{q},1,{','.join(map(str, BANDS[q]))}" for name in ("Bare", "Zinc 70") for q in BANDS]
-    rows += ["(any set),0,Fy,kN,1,2,3"]
-    (tmp_path / "population.csv").write_text("\n".join(rows), encoding="utf-8")
+    population_of(tmp_path, BANDS)
     assert earlier(f"{tmp_path}#zinc 70").bands == BANDS
     with pytest.raises(PriorError, match="holds several sets; there are Bare, Zinc 70"):
         earlier(str(tmp_path))
     with pytest.raises(PriorError, match="no set 'Zink 70'; there are Bare, Zinc 70; did you mean 'Zinc 70'"):
         earlier(f"{tmp_path}#Zink 70")
-    (tmp_path / "population.csv").write_text("nothing", encoding="utf-8")
-    with pytest.raises(PriorError, match=r"several sets|no set|damaged"):
-        earlier(str(tmp_path))
     with pytest.raises(PriorError, match="there is no fit and no campaign in it"):
         earlier(str(tmp_path / "none"))
     (tmp_path / "fit.json").write_text("{}", encoding="utf-8")

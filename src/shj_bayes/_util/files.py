@@ -13,12 +13,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import Any, BinaryIO
 
-from shj_bayes.errors import PopulationError, ShjError, plain_text
+from shj_bayes.errors import PopulationError, ShjError, plain_lines, plain_text
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
+_MAY_STEER = re.compile(rb"\\[bfru]|[\x7f-\xff]")  # in JSON; without these, no text in it holds what steers a terminal
 MAX_SEARCHED = 100_000  # characters of TOML in which the line of a value is looked for
 MAX_SEARCHES = 60  # a file that a text of many lines makes hard to search is left; each costs some 50 ms at most
 
@@ -33,6 +34,8 @@ def replacing(path: Path) -> Iterator[Path]:
     # The process number keeps a worker that outlived its killed parent from writing into the file of its successor.
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
+        part.unlink(missing_ok=True)  # of a killed process of the same number, or a link that was laid there
+        os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666))
         yield part
         with part.open("rb+") as stream:  # so that a power cut cannot leave the new name with nothing behind it
             os.fsync(stream.fileno())
@@ -127,29 +130,56 @@ def _digest_of(record: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
+def open_ordinary(path: Path) -> BinaryIO:
+    """Open a file for reading; `OSError` where it is a device or a pipe, which have no size and may never end."""
+    stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise OSError(errno.EINVAL, "it is not an ordinary file; it must be a file on the disk", str(path))
+    return stream
+
+
 def read_bytes(path: Path, max_bytes: int, error: type[ShjError]) -> bytes:
     """Read an ordinary file of at most so many bytes; what cannot be read, or is larger, raises `error`."""
     try:
-        status = path.stat()
-        if stat.S_ISDIR(status.st_mode):
+        if path.is_dir():
             raise error(f"{path.name or path} is a folder; name the file in it")
-        if not stat.S_ISREG(status.st_mode):  # a device or a pipe has no size and may never end
-            raise error(f"{path.name} is not an ordinary file; it must be a file on the disk")
-        if status.st_size > max_bytes:
-            raise error(f"{path.name} has {status.st_size} bytes; at most {max_bytes} are read; is it the right file?")
-        return path.read_bytes()
+        with open_ordinary(path) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            raw = stream.read(max_bytes + 1) if size <= max_bytes else b""  # it may grow meanwhile
+        if max(size, len(raw)) > max_bytes:
+            size = max(size, len(raw))
+            raise error(f"{path.name} has {size} bytes; at most {max_bytes} are read; is it the right file?")
+        return raw
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise error(f"cannot read {path.name}: {reason}; check the name and the folder") from problem
 
 
 def read_json(path: Path, error: type[ShjError]) -> Any:
-    """Read a JSON file of our own; what cannot be read raises `error` with the file and the place in it."""
+    """Read a JSON file of our own; what cannot be read raises `error` with the file and the place in it.
+
+    No text in it can steer a terminal or spoil a table. A record that was sealed is so still.
+    """
     raw = read_bytes(path, MAX_JSON, error)
     try:
-        return json.loads(raw.decode("utf-8"))
+        content = json.loads(raw.decode("utf-8"))
+        if not _MAY_STEER.search(raw):
+            return content
+        plain = _plain(content)
+        whole = isinstance(content, dict) and "digest" in content and content["digest"] == _digest_of(content)
+        return sealed(plain) if whole else plain
     except (ValueError, RecursionError) as problem:
         raise error(f"{path.name} is damaged: {problem}; write it again") from problem
+
+
+def _plain(value: Any) -> Any:
+    """Value from JSON whose texts are plain, those of keys, too."""
+    if isinstance(value, str):
+        return plain_lines(value)
+    if isinstance(value, dict):
+        return {plain_text(key): _plain(part) for key, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list) else value
 
 
 def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) -> tuple[dict[str, Any], str]:
@@ -201,8 +231,8 @@ def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file, read in pieces."""
-    with path.open("rb") as stream:
+    """SHA-256 of an ordinary file, read in pieces."""
+    with open_ordinary(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

@@ -10,6 +10,7 @@ import inspect
 import json
 import os
 import socket
+import stat
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -75,19 +76,28 @@ def alone(folder: Path, kept: str = "") -> Iterator[None]:
 
 def _locked(path: Path) -> int | None:
     """Descriptor of the locked file, with who holds it written into it; None where there are no locks."""
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     while True:
-        stream = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        stream = os.open(path, flags, 0o666)
+        status = os.fstat(stream)
+        if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:  # what is written here would be another file's
+            os.close(stream)
+            raise ShjError(
+                f"{path.name} in {path.parent.name} is no file of its own but a pipe, a device or a further name of "
+                "another file; take it away, or choose another folder with -o"
+            )
         try:
             _lock(stream)
             there = os.fstat(stream).st_ino == path.stat().st_ino  # else its holder took it away meanwhile
         except FileNotFoundError:
             there = False
         except OSError as error:
-            os.close(stream)
             if error.errno not in _BUSY:
+                os.close(stream)
                 path.unlink(missing_ok=True)
                 return None
-            words = f"{path.parent.name} {_holder(path)}; wait for it, or choose another folder with -o"
+            words = f"{path.parent.name} {_holder(stream)}; wait for it, or choose another folder with -o"
+            os.close(stream)
             raise ShjError(words) from None
         if there:
             who = {"process": os.getpid(), "host": socket.gethostname()}
@@ -98,10 +108,11 @@ def _locked(path: Path) -> int | None:
         os.close(stream)
 
 
-def _holder(path: Path) -> str:
+def _holder(stream: int) -> str:
     """Say who writes into a folder, as far as that stands in its file."""
     try:
-        who = json.loads(path.read_bytes()[:_WRITTEN])
+        os.lseek(stream, 0, os.SEEK_SET)
+        who = json.loads(os.read(stream, _WRITTEN))
         process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
         return f"is being written into by process {process} on {host}, since {since}"
     except (OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet

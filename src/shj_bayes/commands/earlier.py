@@ -4,7 +4,6 @@ The noise keeps the priors of its family: it belongs to the laboratory, not to t
 ends: an earlier interval as a law with ends would forbid what lies beyond it.
 """
 
-import csv
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
@@ -12,17 +11,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes._util.files import read_bytes, read_json
+from shj_bayes._util.files import damage_told, file_digest
 from shj_bayes.errors import PriorError
 from shj_bayes.inference.record import Trust, read_group, read_record
 from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.quantities import band_of
 from shj_bayes.recording.recording import Finding, Recording
+from shj_bayes.report.campaign_file import read_campaign
 
 LAW = ("K", "Fy", "gamma", "ratio")
 NINETY = 3.289707  # standard deviations from 5 to 95 % of a normal law
 LEAST_SPREAD = 0.01  # of a factor: no two tests of one device agree better
-MAX_TABLE = 50_000_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,17 @@ class Earlier:
     bands: Mapping[str, Sequence[float]]  # 5, 50 and 95 % by parameter of the law
     sha256: str  # digest of the files it comes from
     recordings: frozenset[str]  # digests of the recordings that it rests on
+
+    def __post_init__(self) -> None:
+        """Refuse bands that are none."""
+        for name, band in self.bands.items():
+            low, middle, high = band
+            if not (-math.inf < low < middle < high < math.inf and (low > 0 or name == "gamma")):
+                shown = ", ".join(f"{value:g}" for value in band)
+                raise PriorError(
+                    f"{name} of {self.statement} has 5, 50 and 95 % at {shown}; they must be finite, grow and, but "
+                    "for gamma, be above zero; run the command again that made it"
+                )
 
     def on(self, family: Priors) -> Priors:
         """Priors of a family with the laws of these parameters in place of its own."""
@@ -74,7 +85,7 @@ def earlier(where: str) -> Earlier:
                 f"--priors-from {where}: {name} is the fit of one device and has no sets; leave #{chosen} out"
             )
         return _of_device(folder)
-    if (folder / "population.csv").is_file():
+    if (folder / "population.json").is_file():
         return _of_set(folder, chosen)
     raise PriorError(f"--priors-from {name}: there is no fit and no campaign in it; name the folder given to -o")
 
@@ -90,33 +101,31 @@ def _of_device(folder: Path) -> Earlier:
 
 
 def _of_set(folder: Path, chosen: str) -> Earlier:
-    raw = read_bytes(folder / "population.csv", MAX_TABLE, PriorError)
-    try:
-        rows = [row for row in csv.DictReader(raw.decode("utf-8-sig").splitlines()) if int(row["n_devices"]) > 0]
-        sets = {row["set"].casefold(): row["set"] for row in rows}
-        if not chosen and len(sets) == 1:
-            chosen = next(iter(sets))
+    from shj_bayes.population.results import population_record  # noqa: PLC0415  (needs half of scipy)
+
+    document = population_record(folder)
+    with damage_told(f"population.json in {folder.name}", PriorError):
+        sets = {str(one["name"]).casefold(): one for one in document["sets"] if one["name"] != ANY_SET}
+        names = [str(one["name"]) for one in sets.values()]
+        if not chosen and len(names) == 1:
+            chosen = names[0]
         if chosen.casefold() not in sets:
             said = f"has no set '{chosen}'" if chosen else "holds several sets"
-            hint = did_you_mean(chosen, sets.values()) if chosen else f"; write {folder}#SET"
-            raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(sets.values())}{hint}")
-        name = sets[chosen.casefold()]
-        mine = {row["quantity"]: row for row in rows if row["set"] == name}
-        keys = ("q05", "q50", "q95")
-        bands = {q: tuple(float(mine[q][key]) for key in keys) for q in LAW if q in mine}
-    except (KeyError, ValueError, TypeError) as error:
-        raise PriorError(f"population.csv in {folder.name} is damaged ({error}); run the campaign again") from error
-    return Earlier(f"a new device of set {name}", bands, hashlib.sha256(raw).hexdigest(), _recordings(folder, name))
+            hint = did_you_mean(chosen, names) if chosen else f"; write {folder}#SET"
+            raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(names)}{hint}")
+        found = sets[chosen.casefold()]
+        name, bands = str(found["name"]), found["new_device"]
+        known = {q: tuple(float(bands[q][key]) for key in ("q05", "q50", "q95")) for q in LAW if q in bands}
+        digest = file_digest(folder / "population.json")
+        return Earlier(f"a new device of set {name}", known, digest, _recordings(folder, name))
 
 
 def _recordings(folder: Path, name: str) -> frozenset[str]:
     """Digests of the recordings of a set; none where the population rests on published tables."""
-    path = folder / "campaign.json"
-    if not path.is_file():
+    if not (folder / "campaign.json").is_file():
         return frozenset()
-    record = read_json(path, PriorError)
-    groups = [group for group in record.get("sets", ()) if group.get("name") == name]
-    fits = [folder / "devices" / Path(str(d["folder"])).name for group in groups for d in group["devices"]]
+    groups = [group for group in read_campaign(folder)["sets"] if group["name"] == name]
+    fits = [folder / d["folder"] for group in groups for d in group["devices"]]
     records = [read_record(fit) for fit in fits if (fit / "fit.json").is_file()]
     return frozenset(str(entry["sha256"]) for one in records for entry in one["inputs"])
 

@@ -12,7 +12,7 @@ from shj_bayes.commands.earlier import earlier
 from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device, stale
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.commands.options import Options
-from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_text
+from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_lines, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.record import Trust, read_group
 from shj_bayes.inference.run import Run, runs_of
@@ -40,7 +40,7 @@ def diagnosis_text(record: dict[str, Any], page: Path) -> str:
 def step_told(line: str) -> None:
     """Say on standard error, where it is a terminal, what is being done: a long recording takes seconds to read."""
     if sys.stderr.isatty():
-        print(f"  {line}", file=sys.stderr)
+        print(plain_lines(f"  {line}"), file=sys.stderr)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,11 @@ def read_campaign(folder: Path) -> dict[str, Any]:
             for device in group["devices"]
         ]
         _text(record["name"])
+        for key in ("together", "warnings"):
+            if not isinstance(record.get(key, []), list):
+                raise TypeError(f"{key} is {shown(record[key])}, no list")
+        for group in record.get("together", ()):
+            _text(group["set"])
     except (KeyError, TypeError, AttributeError) as error:
         raise ReportError(f"{folder.name} holds no readable campaign.json ({error}); {advice}") from error
     inside = os.path.realpath(folder) + os.sep  # of links, too
