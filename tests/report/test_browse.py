@@ -1,6 +1,8 @@
 """Finding, opening and printing a finished page."""
 
+import os
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,16 @@ from click.testing import CliRunner
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.cli import main
 from shj_bayes.errors import ReportError
-from shj_bayes.report import browse
+from shj_bayes.report import browse, page
+from shj_bayes.report.campaign import render_campaign
+from shj_bayes.report.page import is_ours
+
+
+@pytest.fixture
+def campaign_page(tmp_path: Path) -> Path:
+    """A page that was written by this tool."""
+    (tmp_path / "campaign.json").write_text('{"name": "x", "sets": []}', encoding="utf-8")
+    return render_campaign(tmp_path)
 
 
 def folder_with(root: Path, *names: str) -> Path:
@@ -53,23 +64,56 @@ def test_pdf_without_a_browser_says_what_to_do(tmp_path: Path, monkeypatch: pyte
         browse.write_pdf(folder_with(tmp_path / "a", "report.html") / "report.html")
 
 
-def test_a_browser_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_browser_that_fails_leaves_nothing(
+    tmp_path: Path, campaign_page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(*_: object, **__: object) -> None:
         raise subprocess.CalledProcessError(1, "chromium")
 
     monkeypatch.setattr(browse, "find_browser", lambda: "chromium")
     monkeypatch.setattr(subprocess, "run", fail)
-    folder = folder_with(tmp_path / "a", "report.html")
     with pytest.raises(ReportError, match="could not print"):
-        browse.write_pdf(folder / "report.html")
-    assert [p.name for p in folder.iterdir()] == ["report.html"]
+        browse.write_pdf(campaign_page)
+    assert {p.name for p in tmp_path.iterdir()} == {"report.html", "campaign.json"}
+
+
+FOREIGN: dict[str, Callable[[str], str]] = {
+    "hand-made": lambda _: "<!DOCTYPE html><script>alert(1)</script>",
+    "changed": lambda text: text.replace("<body", "<!-- --><body"),
+    "without our policy": lambda text: text.replace("default-src 'none'", "default-src *"),
+    "longer": lambda text: text + "<script>alert(1)</script>",
+    "script before the policy": lambda text: text.replace("<head>", "<head><script>alert(1)</script>"),
+}
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+@pytest.mark.parametrize("again", [False, True])
+def test_root_prints_no_page_of_others(
+    campaign_page: Path, monkeypatch: pytest.MonkeyPatch, kind: str, again: bool
+) -> None:
+    """Also one whose digest was computed again, if scripts of others could run in it."""
+    started: list[list[str]] = []
+    monkeypatch.setattr(browse, "find_browser", lambda: "chromium")
+    monkeypatch.setattr(os, "geteuid", lambda: 0, raising=False)
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: started.append(command))
+    assert is_ours(campaign_page)
+    text = FOREIGN[kind](campaign_page.read_text(encoding="utf-8"))
+    if again:
+        body = text.rpartition(page._SEAL)[0] or text
+        text = body + page._seal(body)
+    campaign_page.write_text(text, encoding="utf-8")
+    if again and kind in ("changed", "longer"):
+        assert is_ours(campaign_page)  # the policy lets no script of others run
+        return
+    with pytest.raises(ReportError, match="not as this version wrote it"):
+        browse.write_pdf(campaign_page)
+    assert started == []
 
 
 @pytest.mark.skipif(browse.find_browser() is None, reason="no Chromium on this machine")
-def test_pdf_lies_beside_the_page(tmp_path: Path) -> None:
-    page = folder_with(tmp_path / "a b", "report.html") / "report.html"
-    pdf = browse.write_pdf(page)
-    assert pdf == page.with_suffix(".pdf")
+def test_pdf_lies_beside_the_page(campaign_page: Path) -> None:
+    pdf = browse.write_pdf(campaign_page)
+    assert pdf == campaign_page.with_suffix(".pdf")
     assert pdf.read_bytes().startswith(b"%PDF")
 
 

@@ -1,26 +1,29 @@
 """What goes out is text, whatever came in: pages, tables, folders; and results that were altered are said to be."""
 
 import csv
+import io
 import json
 import re
 import shutil
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import shj_bayes
-from shj_bayes._util.files import check_seal, folder_name, plain_name, read_json, sealed
+from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, sealed
 from shj_bayes.cli import Output
 from shj_bayes.commands.campaign import Device, read_manifest
 from shj_bayes.commands.margin_sheet import design_margins
 from shj_bayes.commands.options import Options
-from shj_bayes.errors import InferenceError, ReportError, ShjError
+from shj_bayes.errors import InferenceError, PopulationError, ReportError, ShjError
 from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
 from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
-from shj_bayes.population.results import safe_cell, write_population
+from shj_bayes.population.results import load_population, safe_cell, write_population
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.device import render_device
@@ -227,6 +230,34 @@ def test_nothing_that_is_printed_steers_the_terminal(capsys):
     said = capsys.readouterr()
     assert said.out.count("\n") == 2
     assert all(line.isprintable() for line in (said.out + said.err).split("\n"))
+
+
+def archive(path, kind):
+    """A foreign archive of draws; all but one as `np.savez` would not write it."""
+    if kind == "packed":
+        np.savez_compressed(path, **{"default/Fy/mu": np.zeros(2_000_000)})
+        return
+    head = io.BytesIO()
+    shape = (10**9, 10**3) if kind == "claims" else (10,)
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    with zipfile.ZipFile(path, "w") as out:
+        for number in range(2):
+            out.writestr(f"default/Fy/{number}.npy", head.getvalue() + bytes(80))
+    if kind == "directory":
+        raw = path.read_bytes()
+        at = raw.index(b"PK\x01\x02")
+        path.write_bytes(raw[: at + 24] + (2**31).to_bytes(4, "little") + raw[at + 28 :])
+
+
+@pytest.mark.parametrize("kind", ["packed", "claims", "directory"])
+def test_draws_that_unpack_to_more_than_they_hold_are_refused(pooled, tmp_path, kind):
+    folder = Path(shutil.copytree(pooled, tmp_path / "spring"))
+    archive(folder / "population.npz", kind)
+    record = json.loads((folder / "population.json").read_text(encoding="utf-8"))
+    record["draws_sha256"] = file_digest(folder / "population.npz")
+    (folder / "population.json").write_text(json.dumps(sealed(record)), encoding="utf-8")
+    with pytest.raises(PopulationError, match=r"population\.npz in spring would unpack to more than it holds"):
+        load_population(folder)
 
 
 # ---- altered results ----

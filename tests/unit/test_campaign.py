@@ -333,10 +333,31 @@ def test_a_key_below_a_device_is_refused_with_the_table_where_it_belongs(tmp_pat
         read_manifest(path)
 
 
+ODD = ["zinc 70|A", "zinc|70 A", "CON|NUL", "con|nul.", "a|b.", "a|b...", "a|" + "x" * 79 + "y", "\u00e5|A", "\u212b|B"]
+
+
+def test_names_that_look_alike_are_other_devices_unless_they_are_the_same(tmp_path):
+    path = tmp_path / "campaign.toml"
+
+    def manifest(pairs):
+        parts = (f"[[set]]\nname = {json.dumps(s)}\n[[set.device]]\nname = {json.dumps(d)}\n" for s, d in pairs)
+        path.write_text(HEAD + "".join(f'{part}recordings = ["x.csv"]\n' for part in parts), encoding="utf-8")
+        return read_manifest(path).devices
+
+    pairs = [one.split("|") for one in ODD]
+    pairs += [("letters", chr(0x4E00 + i)) for i in range(6000)]
+    assert len({device.folder for device in manifest(pairs)}) == len(pairs)
+    for same in ("e\u0301", "\u00e9 ", "\u00e9\u200b"):
+        with pytest.raises(CampaignError, match="stands twice in set 'a'"):
+            manifest([("a", "\u00e9"), ("a", same)])
+    with pytest.raises(CampaignError, match="stands twice"):  # 80 letters are kept
+        manifest([("a", "x" * 5000), ("a", "x" * 4999)])
+
+
 def test_folder_names_stay_inside_and_differ():
     names = ["../../x", "..", "CON", "a/b", "a\\b", "ü" * 300, "x\x00y", "a b", "a-b"]
-    folders = [folder_name(name) for name in names]
-    assert len(set(folders)) == len(names)
+    folders = [*map(folder_name, names), folder_name("zinc 70", "A"), folder_name("zinc", "70 A")]
+    assert len(set(folders)) == len(names) + 2
     for folder in folders:
         assert folder
         assert not set(folder) & set('/\\:*?"<>|\x00')

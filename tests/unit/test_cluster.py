@@ -1,6 +1,8 @@
 """Campaigns on a real dask cluster of separate processes, one of them killed midway: the same numbers as alone."""
 
 import json
+import os
+import socket
 import subprocess
 import sys
 import threading
@@ -139,6 +141,23 @@ def test_an_address_that_does_not_answer_is_said(address, manifest, tmp_path, mo
         run_campaign(manifest, tmp_path / "out", cluster=address)
     assert address in str(error.value)
     assert "dask scheduler" in str(error.value)
+
+
+@pytest.mark.parametrize("kind", ["silent", "pipe", "no address"])
+def test_what_never_answers_is_left_after_the_deadline(kind, manifest, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_cluster, "PATIENCE_S", 1)
+    path = tmp_path / "s.json"
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        if kind == "pipe":
+            os.mkfifo(path)
+        path.write_text("[]", encoding="utf-8") if kind == "no address" else None
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}" if kind == "silent" else str(path)
+        words = {"silent": "no dask scheduler answers there within 1 s", "pipe": "not an ordinary file"}
+        begin = time.monotonic()
+        with pytest.raises(CampaignError, match=words.get(kind, "names no address")):
+            run_campaign(manifest, tmp_path / "out", cluster=address)
+    assert time.monotonic() - begin < 5
+    assert not [thread for thread in threading.enumerate() if "IO loop" in thread.name]
 
 
 def test_without_the_extra_it_says_what_to_install(manifest, tmp_path, monkeypatch):

@@ -56,6 +56,12 @@ def fitted(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> 
     return shj_bayes.fit(recordings, tmp_path_factory.mktemp("fitted"), effects=("slack",), **CHOSEN)
 
 
+@pytest.mark.parametrize("words", [("slack", "slack"), ("slack", "wear", "slack")])
+def test_an_effect_that_stands_twice_is_refused(words: tuple[str, ...]) -> None:
+    with pytest.raises(ModelError, match="the effect 'slack' stands twice"):
+        Options(effects=words)
+
+
 def test_the_slack_is_named(found: shj_bayes.Diagnosis) -> None:
     assert found.verdict in ("named", "family")
     assert found.effects == ("slack",)

@@ -4,6 +4,7 @@ The cluster's scheduler hands a task to a worker that is free, and hands it to a
 can reach a dask scheduler can run code on its workers: the address is trusted as the command line is.
 """
 
+import asyncio
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -13,8 +14,10 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 import shj_bayes
-from shj_bayes.errors import CampaignError, plain_text
+from shj_bayes._util.files import read_json
+from shj_bayes.errors import CampaignError, plain_text, shown
 
+SCHEMES = ("tcp", "tls", "ws", "wss")
 PATIENCE_S = 10  # for the scheduler to answer
 IN_FLIGHT = 10_000  # tasks that the scheduler holds at a time: more than any cluster has processors
 _ONE = threading.Lock()  # a worker may have many threads; fits and pictures are made one at a time in a process
@@ -77,17 +80,50 @@ def _library() -> Any:
 
 
 def _connect(library: Any, address: str) -> Any:
-    """Connect to the scheduler; `CampaignError` where that fails."""
-    where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
-    try:
-        if "scheduler_file" in where:
-            Path(address).stat()  # dask itself waits for it without end
-        return library.Client(**where, timeout=PATIENCE_S, set_as_default=False, name="shj-bayes")
-    except (OSError, ValueError, TypeError, ImportError, RuntimeError) as error:
+    """Connect to the scheduler; `CampaignError` where that fails, before there is a client that must be ended."""
+    advice = (
+        "it needs the address that `dask scheduler` prints, such as tcp://10.0.0.5:8786, or its --scheduler-file; "
+        "tls:// needs the certificates in dask's own settings"
+    )
+    where = _address_in(Path(address), advice) if address.endswith(".json") else address
+    scheme = where.partition("://")[0] if "://" in where else SCHEMES[0]
+    if scheme not in SCHEMES:
+        raise CampaignError(f"--dask {address}: {shown(scheme)} is none of {', '.join(SCHEMES)}; {advice}")
+    said: list[BaseException] = []  # what goes wrong; empty where the scheduler answered
+    asking = threading.Thread(target=_ask, args=(library, where, said), daemon=True)
+    asking.start()
+    asking.join(PATIENCE_S + 1)
+    if asking.is_alive() or said:
+        why = f"{type(said[0]).__name__}: {str(said[0])[:200]}" if said and str(said[0]) else "it is silent"
         raise CampaignError(
-            f"--dask {address}: no dask scheduler answers there within {PATIENCE_S} s ({error}); it needs the address "
-            "that `dask scheduler` prints, such as tcp://10.0.0.5:8786, or its --scheduler-file"
-        ) from error
+            f"--dask {address}: no dask scheduler answers there within {PATIENCE_S} s ({why}); {advice}"
+        )
+    return library.Client(where, timeout=PATIENCE_S, set_as_default=False, name="shj-bayes")
+
+
+def _address_in(path: Path, advice: str) -> str:
+    """Address of the scheduler that wrote a file."""
+    try:
+        content = read_json(path, CampaignError)
+    except CampaignError as error:
+        raise CampaignError(f"--dask {path.name}: no dask scheduler is told by it ({error}); {advice}") from error
+    found = content.get("address") if isinstance(content, dict) else None
+    if not isinstance(found, str):
+        raise CampaignError(f"--dask {path.name}: it names no address of a scheduler; {advice}")
+    return found
+
+
+def _ask(library: Any, address: str, said: list[BaseException]) -> None:
+    """Shake hands with a scheduler and hang up. The deadline is ours: the library reads the answer without one."""
+
+    async def handshake() -> None:
+        how = library.Security().get_connection_args("client")
+        (await asyncio.wait_for(library.comm.connect(address, timeout=PATIENCE_S, **how), PATIENCE_S)).abort()
+
+    try:
+        asyncio.run(handshake())
+    except Exception as error:  # the library, its transports and ssl raise dozens of kinds
+        said.append(error)
 
 
 def _check_workers(client: Any, address: str, folder: Path) -> None:

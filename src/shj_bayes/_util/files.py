@@ -4,22 +4,28 @@ import errno
 import glob
 import hashlib
 import json
+import math
 import os
 import re
 import stat
 import tomllib
+import unicodedata
+import zipfile
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO
+from typing import Any
 
 from shj_bayes.errors import PopulationError, ShjError, plain_lines, plain_text
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
 _MAY_STEER = re.compile(rb"\\[bfru]|[\x7f-\xff]")  # in JSON; without these, no text in it holds what steers a terminal
+FOLDER_DIGITS = 12  # of a digest: a hundred thousand names of one slug share one with a chance of 2e-5
+MAX_ARRAYS = 2 * 1024**3  # draws of a hundred thousand sets
 MAX_SEARCHED = 100_000  # characters of TOML in which the line of a value is looked for
 MAX_SEARCHES = 60  # a file that a text of many lines makes hard to search is left; each costs some 50 ms at most
 
@@ -130,7 +136,7 @@ def _digest_of(record: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def open_ordinary(path: Path) -> BinaryIO:
+def open_ordinary(path: Path) -> BufferedReader:
     """Open a file for reading; `OSError` where it is a device or a pipe, which have no size and may never end."""
     stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
@@ -154,6 +160,30 @@ def read_bytes(path: Path, max_bytes: int, error: type[ShjError]) -> bytes:
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise error(f"cannot read {path.name}: {reason}; check the name and the folder") from problem
+
+
+def refuse_packed(path: Path, error: type[ShjError]) -> None:
+    """Refuse an archive of arrays (``.npz``) that would take more memory than it takes on the disk, before it is read.
+
+    Ours are not compressed. What its directory and the heads of the arrays claim is compared with what is there.
+    """
+    import numpy as np  # noqa: PLC0415
+
+    with open_ordinary(path) as stream, zipfile.ZipFile(stream) as archive:
+        there = os.fstat(stream.fileno()).st_size
+        parts = archive.infolist()
+        whole = sum(part.file_size for part in parts) <= there <= MAX_ARRAYS
+        for part in parts if whole else ():
+            with archive.open(part) as content:
+                version = np.lib.format.read_magic(content)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, kind = read(content)
+                whole &= math.prod(shape) * kind.itemsize <= part.file_size
+    if not whole:
+        raise error(
+            f"{path.name} in {path.parent.name} would unpack to more than it holds, or than {MAX_ARRAYS // 2**20} MiB; "
+            "run the command again that wrote it"
+        )
 
 
 def read_json(path: Path, error: type[ShjError]) -> Any:
@@ -237,11 +267,15 @@ def file_digest(path: Path) -> str:
 
 
 def plain_name(name: str) -> str:
-    """Name without control characters, at most 80 characters long."""
-    return re.sub(r"\s+", " ", plain_text(name[:400])).strip()[:80].strip() or "device"
+    """Name without control characters, at most 80 characters long; letters that look the same are the same."""
+    return re.sub(r"\s+", " ", plain_text(unicodedata.normalize("NFC", name[:400]))).strip()[:80].strip() or "device"
 
 
-def folder_name(name: str) -> str:
-    """Name of a folder made from any text: letters, digits, dot, dash; never empty, hidden or a device of Windows."""
-    slug = re.sub(r"[^A-Za-z0-9.-]+", "-", name).strip("-.").lower()[:60]
-    return f"{slug}-{hashlib.sha256(name.encode('utf-8', 'replace')).hexdigest()[:6]}".strip("-")
+def folder_name(*names: str) -> str:
+    """Name of a folder made from any texts: letters, digits, dot, dash; never empty, hidden or a device of Windows.
+
+    Other texts, or the same words parted elsewhere, give another one.
+    """
+    slug = re.sub(r"[^A-Za-z0-9.-]+", "-", " ".join(names)).strip("-.").lower()[:60]
+    digest = hashlib.sha256("\0".join(names).encode("utf-8", "replace")).hexdigest()
+    return f"{slug}-{digest[:FOLDER_DIGITS]}".strip("-")

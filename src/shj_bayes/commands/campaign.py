@@ -97,7 +97,7 @@ class Device:
     @property
     def folder(self) -> str:
         """Results folder below the campaign's, safe on every system."""
-        return f"devices/{folder_name(f'{self.set_name} {self.name}')}{self.below}"
+        return f"devices/{folder_name(self.set_name, self.name)}{self.below}"
 
 
 @dataclass(frozen=True)

@@ -105,16 +105,17 @@ def _of_set(folder: Path, chosen: str) -> Earlier:
 
     document = population_record(folder)
     with damage_told(f"population.json in {folder.name}", PriorError):
-        sets = {str(one["name"]).casefold(): one for one in document["sets"] if one["name"] != ANY_SET}
-        names = [str(one["name"]) for one in sets.values()]
+        sets = {str(one["name"]): one for one in document["sets"] if one["name"] != ANY_SET}
+        names = list(sets)
         if not chosen and len(names) == 1:
             chosen = names[0]
-        if chosen.casefold() not in sets:
+        alike = [name for name in names if name.casefold() == chosen.casefold()]
+        if chosen not in sets and len(alike) != 1:
             said = f"has no set '{chosen}'" if chosen else "holds several sets"
             hint = did_you_mean(chosen, names) if chosen else f"; write {folder}#SET"
             raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(names)}{hint}")
-        found = sets[chosen.casefold()]
-        name, bands = str(found["name"]), found["new_device"]
+        name = chosen if chosen in sets else alike[0]
+        bands = sets[name]["new_device"]
         known = {q: tuple(float(bands[q][key]) for key in ("q05", "q50", "q95")) for q in LAW if q in bands}
         digest = file_digest(folder / "population.json")
         return Earlier(f"a new device of set {name}", known, digest, _recordings(folder, name))

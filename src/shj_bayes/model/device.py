@@ -214,5 +214,7 @@ def effect_named(word: str) -> Effect:
 def effects_named(words: Sequence[str]) -> tuple[Effect, ...]:
     """Effects by their ids, in the order of the catalogue; errors as for `effect_named`."""
     order = list(catalogue())
+    if twice := next((word for i, word in enumerate(words) if word in words[:i]), None):
+        raise ModelError(f"the effect '{twice}' stands twice; name each effect once")
     found = {word: effect_named(word) for word in words}
     return tuple(found[w] for w in sorted(found, key=lambda w: order.index(w) if w in order else len(order)))

@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 import shj_bayes
-from shj_bayes._util.files import check_seal, damage_told, file_digest, read_json, replacing, sealed, write_text
+from shj_bayes._util.files import (
+    check_seal,
+    damage_told,
+    file_digest,
+    read_json,
+    refuse_packed,
+    replacing,
+    sealed,
+    write_text,
+)
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.correlation import correlation_table
 from shj_bayes.population.device import NO_TAGS, Tags
@@ -136,6 +145,7 @@ def load_population(folder: Path) -> PopulationResult:
             "population.json); restore it or run the command again"
         )
     with damage_told(f"population.json or {_DRAWS} in {folder.name}", PopulationError):
+        refuse_packed(folder / _DRAWS, PopulationError)
         with np.load(folder / _DRAWS, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
         return _from_document(document, arrays)

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 from shj_bayes._util.child_processes import program
 from shj_bayes.errors import ReportError
+from shj_bayes.report.page import is_ours
 
 PAGES = ("report", "diagnosis", "margins", "plan")  # in the order in which they are looked for
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
@@ -53,6 +54,11 @@ def write_pdf(page: Path) -> Path:
         command = [browser, "--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
         command += ["--disable-sync", "--disable-component-update", "--disable-quic", f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
+            if not is_ours(page):
+                raise ReportError(
+                    f"{page.name} is not as this version wrote it, and Chromium prints for root only without its "
+                    "sandbox; run the command again that made the page, or print it as another user"
+                )
             command.append("--no-sandbox")  # Chromium does not start for root otherwise; only our script runs
         command += ["--no-pdf-header-footer", f"--print-to-pdf={made.resolve()}", page.resolve().as_uri()]
         try:

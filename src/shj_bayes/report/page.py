@@ -12,10 +12,17 @@ import jinja2
 from markupsafe import Markup
 
 import shj_bayes
-from shj_bayes._util.files import write_text
+from shj_bayes._util.files import read_bytes, write_text
+from shj_bayes.errors import ReportError
 from shj_bayes.report import words
 
 PAGE = "report.html"
+MAX_PAGE = 64 * 1024**2  # bytes; pages have a few MB
+_SEAL = "\n<!-- SHA-256 of what stands above: "
+_HEAD = (
+    '<!DOCTYPE html>\n<html lang="en-GB">\n<head>\n<meta charset="utf-8">\n'
+    '<meta http-equiv="Content-Security-Policy" content="{}">\n'
+)
 TABLES, LOOPS = ("sheet", "tables"), ("sheet", "tables", "loops")  # scripts of a page, in the order they run
 
 
@@ -92,5 +99,24 @@ def write_page(
     """
     text = environment_of("shj_bayes.report").get_template(template).render(**head(scripts), **content)
     path = folder / (name or template)
-    write_text(path, text)
+    write_text(path, text + _seal(text))
     return path
+
+
+def is_ours(page: Path) -> bool:
+    """Whether a page is as `write_page` of this version left it, so that no script but ours runs in it.
+
+    Its last line is the digest of the rest, and its policy, before which nothing stands but the kind of the document,
+    is that of our scripts.
+    """
+    try:
+        text = read_bytes(page, MAX_PAGE, ReportError).decode("utf-8")
+    except (ReportError, ValueError):
+        return False
+    body, mark, _ = text.rpartition(_SEAL)
+    heads = [_HEAD.format(policy(script(names))) for names in (TABLES, LOOPS)]
+    return bool(mark) and text == body + _seal(body) and body.startswith(tuple(heads))
+
+
+def _seal(text: str) -> str:
+    return f"{_SEAL}{hashlib.sha256(text.encode('utf-8', 'replace')).hexdigest()} -->\n"
