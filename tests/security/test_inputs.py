@@ -5,6 +5,7 @@ import gzip
 import io
 import os
 import socket
+import stat
 import struct
 import subprocess
 import sys
@@ -22,11 +23,14 @@ import pytest
 import scipy.io
 from click.testing import CliRunner
 
+from shj_bayes._util.files import file_digest, read_bytes
 from shj_bayes.cli import main
 from shj_bayes.commands.campaign import read_manifest
-from shj_bayes.errors import CampaignError, PriorError, RecordingError, ShjError
+from shj_bayes.errors import CampaignError, PlanError, PopulationError, PriorError, RecordingError, ShjError
 from shj_bayes.inference import record as record_file
+from shj_bayes.margins.asked import from_file
 from shj_bayes.model.priors import read_priors
+from shj_bayes.planning.rig import stated_limits
 from shj_bayes.recording import numerals, tables
 from shj_bayes.recording.formats import hdf5, text
 from shj_bayes.recording.formats.catalogue import read_table
@@ -130,7 +134,10 @@ def test_a_file_that_kills_or_stops_the_hdf5_library_is_one_line(tmp_path, monke
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes or devices in the file system")
-@pytest.mark.parametrize("name", ["run.csv", "run.xlsx", "run.mat", "run.h5", "run.tdms", "campaign.toml", "own.toml"])
+@pytest.mark.parametrize(
+    "name",
+    ["run.csv", "run.xlsx", "run.mat", "run.h5", "run.tdms", "campaign.toml", "own.toml", "rig.toml", "drift.csv"],
+)
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
 def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
     path = tmp_path / name
@@ -141,6 +148,7 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
     else:
         path.mkdir()
     readers = {"campaign.toml": (read_manifest, CampaignError), "own.toml": (read_priors, PriorError)}
+    readers |= {"rig.toml": (lambda rig: stated_limits(rig, {}), PlanError), "drift.csv": (from_file, RecordingError)}
     reader, error = readers.get(name, (read, RecordingError))
     with pytest.raises(error, match=r"not an ordinary file|is a folder"):
         reader(path)
@@ -148,6 +156,51 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
         (tmp_path / "fit.json").symlink_to("/dev/zero")
         with pytest.raises(ShjError, match="not an ordinary file"):
             record_file.read_record(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in the file system")
+def test_a_pipe_in_the_place_of_a_recording_does_not_hang_what_only_compares_it(tmp_path):
+    os.mkfifo(tmp_path / "run.csv")
+    with pytest.raises(OSError, match="not an ordinary file"):
+        file_digest(tmp_path / "run.csv")
+
+
+def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path, monkeypatch):
+    (tmp_path / "x.json").write_bytes(b"1" * 100)
+    monkeypatch.setattr(os, "fstat", lambda _: os.stat_result((stat.S_IFREG, 0, 0, 1, 0, 0, 10, 0, 0, 0)))
+    with pytest.raises(ShjError, match="at most 50 are read"):
+        read_bytes(tmp_path / "x.json", 50, ShjError)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("time_s,x_mm\n" + "1,inf\n" * 20, "no rows of two or more numbers"),
+        ("time_s,x_mm\n" + "".join(f"{i},{i % 5}\n" for i in range(134)) + "ok,no\n" * 266 + "1,2\n", "266 of 401"),
+        ("0,1\n1,2\n", "8 to 200000 rows"),
+        ("time_s,x_mm\n" + "".join(f"{i},{i % 5}\n" for i in range(200_001)), "8 to 200000 rows"),
+        ("time_s,x_mm\n" + "1,2\n" * 20, "time .s. that grows"),
+        ("time_s\n" + "1\n2\n" * 20, "two or more"),
+        ("time_s,x_kN\n" + "".join(f"{i},{i % 5}\n" for i in range(20)), "kN"),
+    ],
+)
+def test_a_history_is_read_as_a_recording_is(tmp_path, text, words):
+    (tmp_path / "drift.csv").write_text(text, encoding="utf-8")
+    with pytest.raises((RecordingError, PopulationError), match=rf"drift\.csv.*{words}"):
+        from_file(tmp_path / "drift.csv")
+
+
+@pytest.mark.parametrize(("head", "factor"), [("", 1.0), ("t,drift\n", 1.0), ("time (ms),drift (m)\n", 1000.0)])
+def test_a_history_has_units(tmp_path, head, factor):
+    (tmp_path / "drift.csv").write_text(head + "".join(f"{i},{i % 5}\n" for i in range(40)), encoding="utf-8")
+    asked = from_file(tmp_path / "drift.csv")
+    assert asked.motion.displacement_mm.max() == pytest.approx(4.0 * factor)
+    assert asked.time_s[-1] == pytest.approx(39.0 / factor)
+    assert asked.found == ()
+    with (tmp_path / "drift.csv").open("a", encoding="utf-8") as stream:
+        stream.write("ok,no\n" * 266)
+    assert "266 lines below the numbers left out" in from_file(tmp_path / "drift.csv").found[0]
 
 
 # ---- bombs ----

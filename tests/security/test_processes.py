@@ -156,7 +156,8 @@ def alive(pid: int) -> bool:
 def test_children_end_with_their_parent(tmp_path, script, end):
     path = tmp_path / "parent.py"
     path.write_text(script, encoding="utf-8")
-    with subprocess.Popen([sys.executable, str(path)], stdout=subprocess.PIPE, text=True) as parent:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, str(path)], **pipes, text=True) as parent:
         children = [int(word) for word in parent.stdout.readline().split()]
         assert children
         assert all(map(alive, children))
@@ -167,7 +168,9 @@ def test_children_end_with_their_parent(tmp_path, script, end):
         left = [pid for pid in children if alive(pid)]
         for pid in left:
             os.kill(pid, signal.SIGKILL)
+        said = parent.stderr.read()
     assert left == []
+    assert said == ""  # no library tells what it cleaned up
 
 
 def test_the_worker_of_the_proof_ends_with_its_input_in_the_midst_of_a_trial(tmp_path):

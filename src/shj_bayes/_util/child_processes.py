@@ -17,7 +17,8 @@ from multiprocessing import get_context, parent_process
 from typing import Any, ParamSpec, TypeVar
 
 PYTHON = (sys.executable, "-P")  # the beginning of a command that starts this Python again
-_SAFE = "PYTHONSAFEPATH"
+_SAFE, _WARNINGS = "PYTHONSAFEPATH", "PYTHONWARNINGS"
+_NO_LEAKS = "ignore::UserWarning:multiprocessing.resource_tracker"
 _KILLED = 1  # exit status of a process whose parent is gone; nobody reads it
 
 P = ParamSpec("P")
@@ -115,14 +116,17 @@ def _deaf() -> Iterator[None]:
 def _safe_path() -> Iterator[None]:
     """Let processes that are started meanwhile leave the current folder out of their path.
 
-    Only meanwhile: what a user's script starts by itself may need the folder.
+    The one that tracks semaphores keeps to itself that it takes away those of a process that was stopped. Only
+    meanwhile: what a user's script starts by itself may need the folder.
     """
-    before = os.environ.get(_SAFE)
+    before = {name: os.environ.get(name) for name in (_SAFE, _WARNINGS)}
     os.environ[_SAFE] = "1"
+    os.environ[_WARNINGS] = ",".join(filter(None, (before[_WARNINGS], _NO_LEAKS)))
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[_SAFE]
-        else:
-            os.environ[_SAFE] = before
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -48,7 +48,7 @@ def plan_next(
     tested = [s.tested for s in stored]
     base = DeviceModel(1, read_priors(asked.priors))
     rig = _rig(tested, base, asked.limits)
-    candidates = proposals(rig, asked.seed, tuple(_protocol(Path(path)) for path in asked.histories))
+    candidates = proposals(rig, asked.seed, tuple(_protocol(Path(path), tell) for path in asked.histories))
     known = _known(tested, base, candidates, asked.among, tell)
     undecided = any(len(k.keys) > 1 for k in known)
     word = asked.question or (WHICH if undecided else DEFAULT_QUESTION)
@@ -114,6 +114,8 @@ def _rig(tested: Sequence[Subject], base: DeviceModel, limits: Mapping[str, floa
     return Rig(**{**rounded, **limits})
 
 
-def _protocol(path: Path) -> Protocol:
+def _protocol(path: Path, tell: Callable[[str], None]) -> Protocol:
     asked = from_file(path)
+    for line in asked.found:
+        tell(line)
     return replace(Protocol(path.stem), samples=(asked.time_s, asked.motion))

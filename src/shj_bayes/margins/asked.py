@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
-from shj_bayes.errors import PopulationError
+from shj_bayes.errors import PopulationError, plain_text
 from shj_bayes.margins.following import values_to_try
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.specimen import Belief, Specimen, largest_ranges
@@ -25,6 +24,7 @@ from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.reader import read_history
 from shj_bayes.recording.reversals import hysteresis
 
 PUBLISHED_DEP = (30.0, -30.0)
@@ -51,6 +51,7 @@ class Asked:
     time_s: FloatArray  # shape (n_samples,): sampling times
     motion: Motion  # displacement from the middle of the stroke, speed and half-cycles
     words: str  # what it is
+    found: tuple[str, ...] = ()  # what was found or assumed in reading it
 
 
 @dataclass(frozen=True)
@@ -86,20 +87,15 @@ def sine(amplitude_mm: float, speed_mm_s: float, cycles: int) -> Asked:
 
 
 def from_file(path: Path) -> Asked:
-    """Read a displacement (mm) over time (s): two columns, with or without a head; further columns are not read.
+    """Read a displacement (mm) over time (s) as recordings are read; further columns are not.
 
-    `PopulationError` where the file cannot be read as such.
+    `RecordingError` where the file cannot be read as such, `PopulationError` where nothing moves or time does not grow.
     """
-    try:
-        table = pd.read_csv(path, sep=None, engine="python", comment="#", header=None).iloc[:, :2]
-        table = table.apply(pd.to_numeric, errors="coerce").dropna()
-        time, x = (table.iloc[:, i].to_numpy(dtype=np.float64) for i in (0, 1))
-    except (OSError, ValueError, IndexError, pd.errors.ParserError) as error:
-        raise PopulationError(f"{path.name} cannot be read as time (s) and displacement (mm): {error}") from error
-    if time.size < 8 or np.any(np.diff(time) <= 0) or not np.ptp(x) > 0:
+    time, x, findings = read_history(path)
+    if np.any(np.diff(time) <= 0) or not np.ptp(x) > 0:
         raise PopulationError(
-            f"{path.name}: a history needs two columns, time (s) that grows and displacement (mm) that changes, in 8 "
-            f"lines or more; read were {time.size} lines"
+            f"{path.name}: a history needs time (s) that grows from row to row and displacement (mm) that changes; "
+            f"read were {time.size} rows"
         )
     curve = PchipInterpolator(time, x)
     n = int(min(max(np.abs(np.diff(x)).sum() / STEP_MM, 2000, time.size), 200_000))
@@ -109,7 +105,8 @@ def from_file(path: Path) -> Asked:
     start = np.array([0, *(t for t in turns if 0 < t < fine.size - 1), fine.size])
     direction = alternating(start.size - 1, 1 if moved[start[1] - 1] > moved[0] else -1)
     motion = Motion(moved, speed, start, moved[start[:-1]], direction)
-    return Asked(fine - fine[0], motion, f"the history of {path.name}")
+    found = tuple(f"{path.name}: {finding.message}" for finding in findings)
+    return Asked(fine - fine[0], motion, f"the history of {plain_text(path.name)}", found)
 
 
 def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> dict[Course, tuple[History, ...]]:

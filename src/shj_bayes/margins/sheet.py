@@ -113,7 +113,14 @@ def margins(
     compared = agreement([row for row in rows if row.set_name in spoken])
     laws = next((trial.laws for trial in own if len(trial.laws) > 1), ())
     followed = following.words_of([trial.following for trial in own], own_test=asked is None)
-    warnings = (*compared.contradictions, *_warnings(design, request, spoken, asked, laws), *followed, compared.words)
+    read = () if asked is None else asked.found
+    warnings = (
+        *read,
+        *compared.contradictions,
+        *_warnings(design, request, spoken, asked, laws),
+        *followed,
+        compared.words,
+    )
     history = OWN_TEST if asked is None else asked.words
     return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
 

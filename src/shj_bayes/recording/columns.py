@@ -9,7 +9,15 @@ import numpy as np
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.formula import Value, evaluate
-from shj_bayes.recording.limits import BAD_CELL_SHARE, MAX_EXTRA_NAME, MAX_EXTRAS, MIN_SAMPLES, RATE_AGREES
+from shj_bayes.recording.limits import (
+    BAD_CELL_SHARE,
+    MAX_EXTRA_NAME,
+    MAX_EXTRAS,
+    MAX_HISTORY,
+    MIN_HISTORY,
+    MIN_SAMPLES,
+    RATE_AGREES,
+)
 from shj_bayes.recording.recording import Extra, Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
 from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units, role_of
@@ -102,6 +110,36 @@ def choose(
         run_rows,
         extras,
     )
+
+
+def choose_history(table: Table) -> tuple[FloatArray, FloatArray, tuple[Finding, ...]]:
+    """Pick time (s) and displacement (mm) of a table without a force: by header, else the first two columns.
+
+    Rows without a number are left out and told; `RecordingError` where they are many, or there are no two columns.
+    """
+    roles: tuple[Role, Role] = ("time", "displacement")
+    findings = list(table.findings)
+    named = [by_header(table, role, []) if _named(table, role) else None for role in roles]
+    columns = [column for column in named if column is not None]
+    if len(columns) < len(roles):
+        columns = list(table.columns[: len(roles)])
+    if len(columns) < len(roles) or columns[0].values.size != columns[1].values.size:
+        raise RecordingError(f"{table.name}: a history needs two columns of equal length, time and displacement")
+    time, moved = (
+        column.values * _factor(column.unit or TARGET[role], role, column.header or column.name, table)
+        for role, column in zip(roles, columns, strict=True)
+    )
+    known = np.isfinite(time) & np.isfinite(moved)
+    n_left = int(known.size - known.sum())
+    if n_left > BAD_CELL_SHARE * known.size or not MIN_HISTORY <= known.size <= MAX_HISTORY:
+        raise RecordingError(
+            f"{table.name}: {n_left} of {known.size} rows hold no number in time or displacement; allowed are "
+            f"{BAD_CELL_SHARE:.0%}, of {MIN_HISTORY} to {MAX_HISTORY} rows; correct them, or thin the history"
+        )
+    if n_left:
+        message = f"{n_left} of {known.size} rows hold no number in time or displacement, and are left out"
+        findings.append(Finding("rows-left-out", "warning", message, n_left))
+    return time[known], moved[known], tuple(findings)
 
 
 def _columns(

@@ -131,6 +131,7 @@ LONG_REST = 1.0  # usual half-cycles; holds at reversals are shorter, pauses bet
 SAME_STROKE = 0.05  # driven strokes of the same protocol agree to 3 % on the worst of the public rigs
 PROTOCOL_HALF_CYCLES = 8  # a sequence of amplitudes shorter than this is a pattern within one run
 PROTOCOL_VARIES = 1.5  # largest over smallest amplitude of a protocol that can be seen to begin again
+MIN_HISTORY, MAX_HISTORY = 8, 200_000  # rows of a displacement history to be driven through: half an hour at 100 Hz
 MAX_EXTRAS = 12  # further channels that a page has room for
 MAX_EXTRA_NAME = 40  # characters of the name of one
 CHANNEL_GAP = 0.05  # of a run, without a number: a line across is a guess where a stroke or more lies in it

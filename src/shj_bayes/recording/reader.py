@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.recording.clock import follow_on, restarts
-from shj_bayes.recording.columns import Channels, choose
+from shj_bayes.recording.columns import Channels, choose, choose_history
 from shj_bayes.recording.formats.catalogue import read_table
 from shj_bayes.recording.further import at_samples
 from shj_bayes.recording.plausible import plausibility_findings, with_exchange
@@ -51,6 +51,14 @@ def read(
         If the file cannot be read, or a channel is missing, ambiguous or not convertible.
     """
     return recording_of(read_table(path), columns, units, rate_Hz)
+
+
+def read_history(path: Path) -> tuple[FloatArray, FloatArray, tuple[Finding, ...]]:
+    """Read a displacement history that nobody has run yet: times (s), displacement (mm), and what was found.
+
+    The same readers and bounds as for a recording; errors as for `read`.
+    """
+    return choose_history(read_table(path))
 
 
 def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: float | None) -> Recording:

@@ -231,5 +231,8 @@ def test_a_history_of_ones_own_is_driven_through(folder, tmp_path):
     record = json.loads((folder / "margins.json").read_text(encoding="utf-8"))
     assert record["history"] == "the history of drift.csv"
     assert run("margins", folder, "--history", path, "--cycles", 3).exit_code == 1
+    path.write_text(path.read_text(encoding="utf-8") + "x,y\n" * 3, encoding="utf-8")
+    done = run("margins", folder, "--history", path)
+    assert "drift.csv: 3 lines below the numbers left out" in done.output
     path.write_text("nothing\n", encoding="utf-8")
-    assert "two columns" in run("margins", folder, "--history", path).output
+    assert "no column of numbers" in run("margins", folder, "--history", path).output
