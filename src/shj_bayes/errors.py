@@ -17,6 +17,7 @@
 """
 
 import unicodedata
+from contextlib import suppress
 from pathlib import PurePath
 
 MAX_MESSAGE = 1000  # characters; a file that is quoted at length says less than its beginning
@@ -27,6 +28,8 @@ def plain_text(text: str) -> str:
     """Text without characters that steer a terminal, turn the direction of writing, or cannot be written at all."""
     if text.isascii() and text.isprintable():
         return text
+    with suppress(UnicodeError):  # letters that a locale without them left as the halves of characters
+        text = text.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
     return "".join(" " if unicodedata.category(c) in _STEERING else c for c in text)
 
 

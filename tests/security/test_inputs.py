@@ -23,7 +23,7 @@ import pytest
 import scipy.io
 from click.testing import CliRunner
 
-from shj_bayes._util.files import file_digest, read_bytes
+from shj_bayes._util.files import file_digest, plain_name, read_bytes
 from shj_bayes.cli import main
 from shj_bayes.commands.campaign import read_manifest
 from shj_bayes.errors import CampaignError, PlanError, PopulationError, PriorError, RecordingError, ShjError
@@ -432,6 +432,13 @@ def test_names_that_are_not_utf8_can_be_shown_and_written(tmp_path):
     recording = read(path)
     recording.source.name.encode("utf-8")
     assert CliRunner().invoke(main, ["check", str(path)]).exit_code in (0, 1)
+
+
+def test_letters_of_names_outlive_a_locale_that_has_none():
+    name = "D\u00e4mpfer \u0416"
+    assert plain_name(name.encode().decode("ascii", "surrogateescape")) == name
+    assert plain_name("D\xe4mpfer".encode("latin-1").decode("utf-8", "surrogateescape")) == "D mpfer"
+    assert plain_name("a\ud800b") == "a b"
 
 
 def test_reading_opens_no_connection(tmp_path, monkeypatch):

@@ -235,4 +235,4 @@ def test_a_history_of_ones_own_is_driven_through(folder, tmp_path):
     done = run("margins", folder, "--history", path)
     assert "drift.csv: 3 lines below the numbers left out" in done.output
     path.write_text("nothing\n", encoding="utf-8")
-    assert "no column of numbers" in run("margins", folder, "--history", path).output
+    assert "two or more numbers" in run("margins", folder, "--history", path).output
