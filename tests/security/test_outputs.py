@@ -8,11 +8,12 @@ import shutil
 import zipfile
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 import shj_bayes
-from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, sealed
+from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, refuse_windows, sealed
 from shj_bayes.cli import Output
 from shj_bayes.commands.campaign import Device, read_manifest
 from shj_bayes.commands.margin_sheet import design_margins
@@ -261,6 +262,39 @@ def test_draws_that_unpack_to_more_than_they_hold_are_refused(pooled, tmp_path, 
 
 
 # ---- altered results ----
+
+
+def window(file, other, kind):
+    """Put a window into another file in the place of a dataset, or of a group."""
+    name = "posterior" if kind == "group" else "posterior/Fy"
+    shape = file["posterior/Fy"].shape
+    file.move(name, "kept")
+    if kind in ("group", "external link"):
+        file[name] = h5py.ExternalLink(other, name)
+    elif kind == "soft link":
+        file[name] = h5py.SoftLink("/kept")
+    elif kind == "external":
+        file.create_dataset(name, shape, "f8", external=[(str(other), 0, 8 * shape[0] * shape[1])])
+    else:
+        layout = h5py.VirtualLayout(shape, "f8")
+        layout[:] = h5py.VirtualSource(other, name, shape)
+        file.create_virtual_dataset(name, layout)
+
+
+@pytest.mark.parametrize("kind", ["group", "external link", "soft link", "external", "virtual"])
+def test_a_posterior_that_is_a_window_into_another_file_is_refused(copy, fitted, kind):
+    with h5py.File(copy / "posterior.nc", "a") as file:
+        window(file, fitted / "posterior.nc", kind)
+    record = json.loads((copy / "fit.json").read_text(encoding="utf-8"))
+    record["files"]["posterior.nc"] = file_digest(copy / "posterior.nc")
+    (copy / "fit.json").write_text(json.dumps(sealed(record)), encoding="utf-8")
+    for reader in (lambda folder: record_file.read_group(folder, "posterior"), render_device):
+        with pytest.raises(InferenceError, match="is a link to somewhere else, or lies there"):
+            reader(copy)
+
+
+def test_what_a_fit_writes_is_no_window(fitted):
+    refuse_windows(fitted / "posterior.nc")
 
 
 @pytest.mark.parametrize("name", ["posterior.nc", "summary.csv", "summary.json"])

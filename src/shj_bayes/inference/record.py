@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.files import check_seal, file_digest, read_json
+from shj_bayes._util.files import check_seal, file_digest, read_json, refuse_windows
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.parameters import FloatArray
 
@@ -89,6 +89,7 @@ def whole(folder: Path) -> Iterator[Path]:
     if (folder / "fit.json").exists():
         check_files(folder, read_record(folder))
     try:
+        refuse_windows(folder / "posterior.nc")
         yield folder / "posterior.nc"
     except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
         raise InferenceError(
