@@ -178,7 +178,7 @@ class NextTest(_Result):
     @property
     def history(self) -> pd.DataFrame:
         """Displacement of the best protocol at the rig's rate: columns ``time_s`` and ``displacement_mm``."""
-        return pd.read_csv(self.folder / str(self.record["candidates"][0]["file"]))
+        return pd.read_csv(self.folder / Path(str(self.record["candidates"][0]["file"])).name)
 
 
 @dataclass(frozen=True, eq=False)

@@ -252,6 +252,13 @@ def test_damaged_checkpoint_is_refused(
         sample(small, start, path=path)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in the file system")
+def test_a_pipe_in_the_place_of_a_checkpoint_is_refused_at_once(small: Posterior, start: Start, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "checkpoint.h5")
+    with pytest.raises(CheckpointError, match="not an ordinary file"):
+        sample(small, start, path=tmp_path / "checkpoint.h5")
+
+
 def test_no_flipped_bit_goes_unnoticed(
     small: Posterior, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:

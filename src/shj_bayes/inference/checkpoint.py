@@ -9,7 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from shj_bayes._util.files import replacing
+from shj_bayes._util.files import open_ordinary, replacing
 from shj_bayes.errors import CheckpointError, StrangeCheckpointError
 from shj_bayes.model.parameters import FloatArray
 
@@ -57,7 +57,8 @@ def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
     try:
         # The digest comes first: a damaged file can make the HDF5 library end the process. HDF5 itself allows for bytes
         # behind its end, so other tools can open a checkpoint as it is.
-        raw = path.read_bytes()
+        with open_ordinary(path) as stream:
+            raw = stream.read()
         content, seal = raw[: -len(_SEAL) - 32], raw[-len(_SEAL) - 32 :]
         if seal != _SEAL + hashlib.sha256(content).digest():
             raise ValueError("it was cut short or altered: its digest does not fit")
