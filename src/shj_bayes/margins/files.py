@@ -1,7 +1,10 @@
 """Margins as files: everything as CSV, Excel and JSON, a short table for the terminal."""
 
+import io
 import json
 import math
+import re
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -23,6 +26,9 @@ HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
 """Columns whose name in a file says more than the one in the code."""
 WIDTH_ROWS, WIDEST = 200, 60
 """Rows of a workbook that the width of a column is taken from, and most of it in characters."""
+
+EPOCH = (2000, 1, 1, 0, 0, 0)
+_CLOCK = re.compile(rb"(?<=W3CDTF\">)[^<]*")  # in the properties of a workbook
 
 
 def to_table(sheet: Sheet) -> pd.DataFrame:
@@ -93,8 +99,12 @@ def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
             page.column_dimensions[letter].width = min(WIDEST, longest + 2)
         for row in rows:
             page.append(row)
-    with replacing(path) as part:
-        book.save(part)
+    made = io.BytesIO()
+    book.save(made)
+    with replacing(path) as part, zipfile.ZipFile(made) as old, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():  # without the time of writing: the same margins, the same bytes
+            part_of = _CLOCK.sub(b"2000-01-01T00:00:00Z", old.read(name))
+            new.writestr(zipfile.ZipInfo(name, EPOCH), part_of, new.compression)
 
 
 def _cell(value: Any) -> Any:

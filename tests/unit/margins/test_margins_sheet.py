@@ -1,5 +1,6 @@
 import json
 import math
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -211,6 +212,8 @@ def test_files_hold_the_same_numbers_and_no_formulas(sheet, tmp_path):
     assert book.sheetnames == ["Design", "All margins", "To mind"]
     assert book["All margins"].max_row == len(sheet.rows) + 1
     assert all(cell.data_type != "f" for page in book for row in page.iter_rows() for cell in row)
+    assert b">2000-01-01T00:00:00Z<" in zipfile.ZipFile(paths[1]).read("docProps/core.xml")  # the time is not told
+    assert {part.date_time[0] for part in zipfile.ZipFile(paths[1]).infolist()} == {2000}
     assert to_json(sheet) == document
     assert to_table(sheet).shape[0] == len(sheet.rows)
     assert {"new device, low", "EN 1990 design, high"} <= set(design_table(sheet).columns)
