@@ -1,4 +1,4 @@
-"""Single samples of a channel: empty cells, clipping."""
+"""Single samples of a channel: empty cells, clipping, standing still."""
 
 import numpy as np
 
@@ -78,4 +78,28 @@ def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
         moved = sum(float(np.ptp(other[a:b])) for a, b in at) / len(at)
         if entry and float(np.median(entry)) > 1e-4 and moved > limits.CLIP_MOTION * motion:
             found |= values == level
+    return found
+
+
+def stopped(force_kN: FloatArray, displacement_mm: FloatArray) -> BoolArray:
+    """Find samples at which the force holds one value while the device moves: its channel has stopped.
+
+    Long runs of exactly equal values within the range, in a channel that hardly repeats a value elsewhere. Arrays have
+    shape (n_samples,).
+    """
+    found = np.zeros(force_kN.size, dtype=np.bool_)
+    extremes, motion = (force_kN.min(), force_kN.max()), float(np.ptp(displacement_mm))
+    equal = [(a, b + 1) for a, b in runs(np.diff(force_kN) == 0.0) if b + 1 - a >= limits.CLIP_RUN]
+    long = [
+        (a, b)
+        for a, b in equal
+        if b - a >= limits.STOPPED_RUN
+        and force_kN[a] not in extremes
+        and float(np.ptp(displacement_mm[a:b])) > limits.CLIP_MOTION * motion
+    ]
+    # A rounded channel, and a plateau without noise, repeat values in every half-cycle.
+    if sum(b - a for a, b in equal) > 1.2 * sum(b - a for a, b in long) or len(long) > limits.STOPS:
+        return found
+    for a, b in long:
+        found[a:b] = True
     return found

@@ -52,6 +52,8 @@ FAR = 2.5  # times the middle third of the values, or twice their median distanc
 CLIP_RUN = 5
 CLIP_SHARE = 0.001  # fewer clipped samples than this change nothing
 CLIP_MOTION = 0.01  # displacement must go on over this share of the range while the force stays put
+STOPPED_RUN = 25  # rows of one force within the range: noise does not repeat itself so often
+STOPS = 3  # more such runs are a plateau
 
 # --- magnitude: real devices of this kind, and laboratory models of them, with room on both sides ---
 MAX_FORCE_KN = 20_000.0  # the largest testing machines stop near 20 MN

@@ -4,7 +4,7 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
-from shj_bayes.recording.cells import clipped, complete_rows, fill, runs
+from shj_bayes.recording.cells import clipped, complete_rows, fill, runs, stopped
 from shj_bayes.recording.clock import clock_findings, orderly_rows
 from shj_bayes.recording.excursions import NoReadings, not_readings
 from shj_bayes.recording.force_unit import unit_of
@@ -55,6 +55,9 @@ def repair(
         cut = clipped(values, other)
         used &= ~cut
         findings += _clip_findings(label, values, cut)
+    dead = stopped(f, x)
+    used &= ~dead
+    findings += _stop_findings(t, f, dead)
     findings += clock_findings(t, x) + magnitude_findings(x, f)
     f, more = sign_findings(x, f)
     return t, x, f, used, (*findings, *more)
@@ -137,6 +140,20 @@ def _jump_findings(t: FloatArray, x: FloatArray, jumps: tuple[int, ...]) -> list
         "of the file, or give the parts between them as files of their own"
     )
     return [Finding("jumps", "unusable", message, len(jumps))]
+
+
+def _stop_findings(t: FloatArray, f: FloatArray, dead: BoolArray) -> list[Finding]:
+    """Name a force channel that has stopped."""
+    count = int(np.count_nonzero(dead))
+    if count == 0:
+        return []
+    share, first = count / f.size, int(np.argmax(dead))
+    unit, factor = unit_of(f)
+    message = (
+        f"force holds {f[first] * factor:.4g} {unit} in {count} rows ({share:.1%}), from {t[first]:.6g} s, while the "
+        "device moves: its channel has stopped; these rows are not used as evidence"
+    )
+    return [Finding("stopped", "unusable" if share > 0.5 else "warning", message, count)]
 
 
 def _clip_findings(label: str, values: FloatArray, cut: BoolArray) -> list[Finding]:

@@ -320,3 +320,24 @@ def test_a_saturated_load_cell_has_no_lag(limit):
 
 def test_a_held_force_has_no_lag():
     assert codes(repaired(f=latest(P.force_kN, 5))) == {"held"}
+
+
+@pytest.mark.parametrize(("first", "n", "value"), [(1500, 60, None), (2700, 700, 0.0), (900, 30, -41.5)])
+def test_a_force_channel_that_stops_is_no_evidence(first, n, value):
+    force = P.force_kN.copy()
+    force[first : first + n] = force[first] if value is None else value
+    found = repaired(f=force)
+    (said,) = [one for one in found.findings if one.code == "stopped"]
+    assert said.count == min(n, force.size - first)
+    assert not found.used[first : first + n].any()
+    assert found.usable
+    assert np.count_nonzero(~found.used) == said.count
+
+
+def test_a_plateau_without_noise_has_not_stopped():
+    time = np.arange(4000) / 20.0
+    x = 20.0 * (2.0 / np.pi) * np.arcsin(np.sin(2 * np.pi * 0.05 * time))
+    force = np.clip(np.cumsum(np.diff(x, prepend=0.0)) * 18.0, -80.0, 80.0)
+    for k in range(1, force.size):  # elastic, plastic
+        force[k] = np.clip(force[k - 1] + 18.0 * (x[k] - x[k - 1]), -80.0, 80.0)
+    assert "stopped" not in {one.code for one in repaired(time, x, force).findings}
