@@ -5,6 +5,12 @@ what is concealed, the verdict, the coordinates with their probabilities, the na
 then a table. ``--effect wear`` holds the forms of wear in turn, ``--effect wear_power`` one form. Trial i of a seed is
 the same whatever ``-n`` is; ``--first`` goes on behind trials that are done. Every trial is a line of
 ``build/develop/*.jsonl``, with its key. The figures set thresholds and prove nothing.
+
+``--others`` draws other protocols and noises than a proof does: triangles, ramps with rests, two speeds, an earthquake;
+white alone, rounded, with hum, growing with the force; the motion begins with the first reading. ``--protocol`` and
+``--noise`` choose among all. ``--first-off`` puts the first force reading of each run three standard deviations off.
+``--table FILE...`` prints the tables of trials that are done: by effect; by protocol and noise false alarms,
+coordinates, and the error on cycles left out before and after.
 """
 
 from __future__ import annotations
@@ -25,6 +31,8 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_validation.proof.cases import KINDS, Key, development_keys
 from shj_validation.proof.make import make
+from shj_validation.proof.noise import NOISES, TRIAL_NOISES
+from shj_validation.proof.protocols import PEAK_SPEED_MM_S, TRIAL_PROTOCOLS
 from shj_validation.proof.score import coordinate_right, outcome, rate
 from shj_validation.proof.simulators.simulator import simulators_by_id
 from shj_validation.proof.summary import RIGHT_OUTCOMES
@@ -43,11 +51,33 @@ def main() -> None:
     parser.add_argument("--kind", choices=KINDS, default="one", help="what the trials hold")
     parser.add_argument("--effect", help="simulator, or effect whose forms are taken in turn")
     parser.add_argument("--rate", type=float, help="sampling rate, Hz; drawn if not given")
-    arguments = parser.parse_args()
-    keys = development_keys(
-        arguments.seed, arguments.n, arguments.kind, effect=arguments.effect, rate_Hz=arguments.rate
+    known = list(dict.fromkeys((*PEAK_SPEED_MM_S, *TRIAL_PROTOCOLS))), list(dict.fromkeys((*NOISES, *TRIAL_NOISES)))
+    parser.add_argument("--others", action="store_true", help="protocols and noises that no proof draws")
+    parser.add_argument("--protocol", action="append", choices=known[0], help="to draw from; may be repeated")
+    parser.add_argument("--noise", action="append", choices=known[1], help="to draw from; may be repeated")
+    parser.add_argument("--first-off", action="store_true", help="first force reading of each run three deviations off")
+    parser.add_argument(
+        "--table", type=Path, nargs="+", metavar="FILE", help="print the tables of trials that are done"
     )
-    words = [arguments.kind, arguments.effect, arguments.rate, f"seed{arguments.seed}"]
+    arguments = parser.parse_args()
+    if arguments.table:
+        print(tables([json.loads(text) for path in arguments.table for text in path.read_text().splitlines()]))
+        return
+    usual = (TRIAL_PROTOCOLS, TRIAL_NOISES) if arguments.others else (PEAK_SPEED_MM_S, NOISES)
+    protocols, noises = tuple(arguments.protocol or usual[0]), tuple(arguments.noise or usual[1])
+    keys = development_keys(
+        arguments.seed,
+        arguments.n,
+        arguments.kind,
+        effect=arguments.effect,
+        rate_Hz=arguments.rate,
+        protocols=protocols,
+        noises=noises,
+        first=arguments.first_off,
+    )
+    words = [arguments.kind, arguments.effect, arguments.rate, "others" if arguments.others else None]
+    words += [*(arguments.protocol or ()), *(arguments.noise or ()), "first-off" if arguments.first_off else None]
+    words.append(f"seed{arguments.seed}")
     BUILD.mkdir(parents=True, exist_ok=True)
     rows = []
     with (BUILD / ("-".join(str(word) for word in words if word is not None) + ".jsonl")).open("a") as file:
@@ -57,7 +87,7 @@ def main() -> None:
             print(line(row), flush=True)
             file.write(json.dumps(row, allow_nan=False) + "\n")
             file.flush()
-    print(table(rows))
+    print(tables(rows))
 
 
 def trial(key: Key) -> dict[str, Any]:
@@ -88,6 +118,7 @@ def line(row: dict[str, Any]) -> str:
     if key["effects"] and not row["required"]:
         concealed += " too small"
     setting = f"{key['protocol']} {key['rate_Hz']:g} Hz {key['reversal'][:4]} {key['nuisance']['noise']}"
+    setting += " first off" if key.get("first_sd") else ""
     place = {True: "right", False: "WRONG", None: "-"}[row["right"]]
     stated = sorted(row.get("coordinates", []), key=lambda entry: -entry["probability"])[:4]
     coordinates = ", ".join(f"{e['action']}/{e['coordinate']} {e['probability']:.2f}" for e in stated)
@@ -96,6 +127,36 @@ def line(row: dict[str, Any]) -> str:
     answer = f"{row['verdict']} {names}{f' or {family}' if family else ''}".strip()
     head = f"{key['number']:4} {concealed:44} {setting:36} coordinate {place:6} {row['outcome']:13}"
     return f"{head} {row['seconds']:5.1f} s | {answer} | {coordinates}"
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """By effect; by protocol, by noise and by first reading."""
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        key = row["key"]
+        first = "first reading off" if key.get("first_sd") else "first reading as others"
+        for name in (f"protocol: {key['protocol']}", f"noise: {key['nuisance']['noise']}", first):
+            groups.setdefault(name, []).append(row)
+    lines = [f"{'':34} {'alarms':>10} {'coordinate':>12} {'kN left out, before and after':>30} {'worse':>12}"]
+    for name, own in [("all", rows), *sorted(groups.items())]:
+        quiet = [row for row in own if not row["key"]["effects"]]
+        alarms = sum(row["verdict"] not in ("adequate", "failed") for row in quiet)
+        stated = [row for row in own if row["required"] and row["right"] is not None]
+        pairs = np.array([held_out(row) for row in own if row["verdict"] in ("named", "family")]).reshape(-1, 2)
+        middle = "{:.3f}, {:.3f}".format(*np.nanmedian(pairs, axis=0)) if len(pairs) else "-"
+        lines.append(
+            f"{name:34} {alarms:3} of {len(quiet):3} {sum(row['right'] for row in stated):5} of {len(stated):3} "
+            f"{middle:>30} {np.count_nonzero(pairs[:, 1] > pairs[:, 0]):5} of {len(pairs):3}"
+        )
+    lines.append("kN left out, worse: error on cycles left out where something was named or a family; medians")
+    failed = [f"failed: {row['reason']}" for row in rows if row["verdict"] == "failed"]
+    return "\n".join([table(rows), "", *lines, *failed])
+
+
+def held_out(row: dict[str, Any]) -> tuple[float, float]:
+    """Error on cycles left out before and after, kN; without one the trial counts as not worse."""
+    before, after = (row[when].get("heldout_rmse_kN") for when in ("before", "after"))
+    return (before, after) if None not in (before, after) else (np.nan, np.nan)
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -1,5 +1,6 @@
 """Keys: same seed same keys, stated shares, sealed against change; recordings that give nothing away."""
 
+import hashlib
 import os
 from collections import Counter
 from dataclasses import replace
@@ -11,6 +12,8 @@ from shj_bayes.errors import ModelError, ProofError
 from shj_validation.proof import seal
 from shj_validation.proof.cases import KINDS, Key, canonical, development_keys, draw_keys
 from shj_validation.proof.make import make
+from shj_validation.proof.noise import TRIAL_NOISES
+from shj_validation.proof.protocols import TRIAL_PROTOCOLS
 from shj_validation.proof.run import write_recordings
 from shj_validation.proof.simulators.simulator import simulators_by_id
 
@@ -65,6 +68,28 @@ def test_development_takes_the_forms_of_an_effect_in_turn():
 def test_development_and_proof_have_no_stream_in_common():
     proof, development = draw_keys(SEED, 30), [key for kind in KINDS for key in development_keys(SEED, 30, kind)]
     assert not {key.entropy for key in proof} & {key.entropy for key in development}
+
+
+def test_other_protocols_and_noises_are_drawn_for_development_only():
+    how = {"protocols": tuple(TRIAL_PROTOCOLS), "noises": TRIAL_NOISES, "first": True}
+    keys = [key for kind in KINDS for key in development_keys(SEED, 20, kind, **how)]
+    assert {key.protocol for key in keys} == set(TRIAL_PROTOCOLS)
+    assert {key.nuisance.noise for key in keys} == set(TRIAL_NOISES)
+    assert min(key.rate_Hz for key in keys if key.nuisance.noise == "with hum") >= 20.0
+    assert all(Key.from_dict(key.to_dict()) == key for key in keys)
+    assert development_keys(SEED, 5, "one", **how) == development_keys(SEED, 12, "one", **how)[:5]
+    one = replace(keys[0], rate_Hz=5.0)
+    off = make(one)[0].noise_kN[0] - make(replace(one, first_sd=0.0))[0].noise_kN[0]
+    assert off == pytest.approx(one.first_sd * one.nuisance.noise_kN, abs=one.nuisance.force_step_kN)
+
+
+def test_what_is_sealed_does_not_change():
+    """A proof of an old seed is made again to the byte."""
+    digest = hashlib.sha256()
+    keys = draw_keys(SEED, 12)
+    for key in keys:
+        digest.update(canonical(key.to_dict()))
+    assert digest.hexdigest() == "c9c80fd533f309ddfecea3224c733fbf0b162b40cd75f7fcd50b961207198817"
 
 
 def test_a_key_survives_its_text():

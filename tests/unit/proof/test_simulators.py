@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp, trapezoid
+from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import ModelError
 from shj_bayes.mismatch.classes import MATTERS
@@ -18,8 +19,8 @@ from shj_bayes.recording.reversals import hysteresis
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.device import Device
 from shj_validation.proof.make import make
-from shj_validation.proof.noise import NOISES, force_noise
-from shj_validation.proof.protocols import IMPROVED, LEAST_MM, Course, course
+from shj_validation.proof.noise import NOISES, TRIAL_NOISES, force_noise
+from shj_validation.proof.protocols import IMPROVED, LEAST_MM, TRIAL_PROTOCOLS, Course, course, peak_speed
 from shj_validation.proof.simulators import bolt, forms, friction, heat
 from shj_validation.proof.simulators.branch import STILL_MM
 from shj_validation.proof.simulators.iwan import elements
@@ -113,7 +114,7 @@ def test_a_mass_on_a_spring_whose_friction_does_not_weaken_is_no_effect():
     assert np.percentile(np.abs(driven - held), 99) < MATTERS * DEVICE.Fy
 
 
-@pytest.mark.parametrize("kind", NOISES)
+@pytest.mark.parametrize("kind", dict.fromkeys((*NOISES, *TRIAL_NOISES)))
 def test_noise_means_the_same_at_every_rate(kind):
     """Averages over 2 s scatter alike at 20 and 200 Hz, less the white part; the whole has the stated deviation."""
     scatter = []
@@ -123,7 +124,7 @@ def test_noise_means_the_same_at_every_rate(kind):
         series = force_noise(kind, speed, dt, 2.0, 3.0, rng)
         assert series.std() == pytest.approx(2.0, rel=0.1)
         scatter.append(series.reshape(-1, round(2.0 / dt)).mean(axis=1).std())
-    if kind in ("white", "rounded"):
+    if kind in ("white", *TRIAL_NOISES):
         assert scatter[0] / scatter[1] == pytest.approx(np.sqrt(10), rel=0.1)
     else:
         assert scatter[0] / scatter[1] == pytest.approx(1.0, abs=0.3)
@@ -391,3 +392,28 @@ def test_formulas_follow_simulators_of_the_same_physics_where_cycles_are_small(
     off = np.abs(np.interp(sampled, time, own) - model)[later] / DEVICE.Fy
     assert np.percentile(off, 95) < 0.02
     assert np.sqrt(np.mean(off**2)) < 0.01
+
+
+@pytest.mark.parametrize("rule", ["published", "continuous"])
+@pytest.mark.parametrize("protocol", TRIAL_PROTOCOLS)
+def test_a_ten_times_finer_simulator_gives_the_same_force(protocol, rule, monkeypatch):
+    """Motion goes on smoothly between two readings: what a grid cuts off a corner is no force that counts."""
+
+    def finer(*asked):
+        if protocol in ("triangles", "ramps with rests"):  # their corners stand at the same times on every grid
+            return course(protocol, asked[1], 10 * asked[2])
+        coarse = course(*asked)
+        time = np.arange(10 * (coarse.time_s.size - 1) + 1) * coarse.dt_s / 10
+        return Course(time, PchipInterpolator(coarse.time_s, coarse.x_mm)(time), 10 * coarse.every)
+
+    key = replace(stated_key("wear", 0.02, seed=3, protocol=protocol, reversal=rule), effects=(), rate_Hz=5.0)
+    usual = make(key)[1]
+    monkeypatch.setattr("shj_validation.proof.make.course", finer)
+    fine = make(key)[1]
+    n = min(usual.x_mm.size, fine.x_mm.size)
+    assert n > 0.99 * usual.x_mm.size
+    assert np.abs(usual.x_mm[:n] - fine.x_mm[:n]).max() < 0.02
+    # A reading within a fine step of a turn may stand on either side of the jump of Eq. (1) as published.
+    apart = np.abs(usual.clean_kN[:n] - fine.clean_kN[:n]) > 0.002 * key.device.Fy
+    assert apart.sum() <= (n // 1000 if rule == "published" else 0)
+    assert np.abs(np.diff(fine.x_mm)).max() <= 1.01 * peak_speed(protocol) / key.rate_Hz

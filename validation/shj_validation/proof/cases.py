@@ -11,8 +11,8 @@ import numpy as np
 
 from shj_bayes.errors import ModelError
 from shj_validation.proof.device import Device, Nuisance
-from shj_validation.proof.noise import MEMORIES_S, NOISES
-from shj_validation.proof.protocols import PEAK_SPEED_MM_S
+from shj_validation.proof.noise import HUM, MEMORIES_S, NOISES
+from shj_validation.proof.protocols import PEAK_SPEED_MM_S, TRIAL_PROTOCOLS, peak_speed
 from shj_validation.proof.simulators.rig import RULES
 from shj_validation.proof.simulators.simulator import Simulator, simulators_by_id
 
@@ -22,6 +22,8 @@ NOTHING, OUTSIDE, TWO = 0.50, 0.15, 0.15
 RATES = {5.0: 0.40, 20.0: 0.45, 200.0: 0.15}
 KINDS = ("nothing", "one", "two", "outside")
 DEVELOPMENT = 1_000_000_007  # apart from the streams of every proof, whatever its number of trials
+FIRST_SD = 3.0  # that a first reading is off in development trials that ask for it
+HUM_HZ = 20.0  # least rate of a trial with hum: at 5 Hz 50 Hz is a slow wave, which a diagnosis rightly finds
 LARGEST_SPEED_FACTOR = 0.35  # of Fy by speed alone: the published rows reach a third at 10 mm/s
 SMALL = 0.01  # of Fy: nuisances make less force than that
 # Physics that cannot be put into one rig (one spring, one second contact) or that only names the same thing twice.
@@ -63,14 +65,16 @@ class Key:
         The device.
     nuisance : Nuisance
         Imperfections of the test.
-    protocol : {"paper", "improved"}
-        Displacement regime.
+    protocol : str
+        Displacement regime, see `shj_validation.proof.protocols`.
     rate_Hz : float
         Sampling rate of the recording, Hz.
     reversal : {"published", "continuous"}
         What the device does at a reversal: jump as Eq. (1) does, or unload from the force it has.
     entropy : int
         Where the noise of this trial starts from.
+    first_sd : float
+        What is added to the first force reading of each run, in standard deviations of the noise; 0 in every proof.
     """
 
     number: int
@@ -82,10 +86,14 @@ class Key:
     rate_Hz: float
     reversal: str
     entropy: int
+    first_sd: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as they are sealed."""
-        return asdict(self)
+        """Plain values, as they are sealed; a first reading that is like the others is not stated."""
+        plain = asdict(self)
+        if not self.first_sd:
+            del plain["first_sd"]
+        return plain
 
     @classmethod
     def from_dict(cls, plain: dict[str, Any]) -> Key:
@@ -133,7 +141,15 @@ def draw_keys(seed: int, n: int) -> list[Key]:
 
 
 def development_keys(
-    seed: int, n: int, kind: str, *, effect: str | None = None, rate_Hz: float | None = None
+    seed: int,
+    n: int,
+    kind: str,
+    *,
+    effect: str | None = None,
+    rate_Hz: float | None = None,
+    protocols: Sequence[str] = tuple(PEAK_SPEED_MM_S),
+    noises: Sequence[str] = NOISES,
+    first: bool = False,
 ) -> list[Key]:
     """Draw keys of one kind for development, from streams that no proof uses; trial i is the same whatever `n` is.
 
@@ -149,6 +165,10 @@ def development_keys(
         Effect of the catalogue (its forms in turn), or one simulator, that each trial holds.
     rate_Hz : float, optional
         In place of the drawn sampling rate.
+    protocols, noises : sequence of str
+        What is drawn from for each trial, in place of what a proof draws from.
+    first : bool
+        Whether the first force reading of each run is off by `FIRST_SD`.
 
     Returns
     -------
@@ -166,8 +186,13 @@ def development_keys(
 
     place = KINDS.index(kind)
     hand = _Hand(np.random.default_rng(stream(place, 0)), forms)
-    keys = [_draw(i, kind, hand.next(kind), np.random.default_rng(stream(place, i))) for i in range(1, n + 1)]
-    return keys if rate_Hz is None else [replace(key, rate_Hz=rate_Hz) for key in keys]
+    out = []
+    for i in range(1, n + 1):
+        key = _draw(i, kind, hand.next(kind), np.random.default_rng(stream(place, i)), protocols, noises)
+        drawn = max(key.rate_Hz, HUM_HZ) if key.nuisance.noise == HUM else key.rate_Hz
+        sign = 1.0 if key.entropy % 2 else -1.0
+        out.append(replace(key, rate_Hz=rate_Hz or drawn, first_sd=sign * FIRST_SD if first else 0.0))
+    return out
 
 
 def stated_key(
@@ -205,7 +230,7 @@ def stated_key(
     """
     one = simulators_by_id()[name]
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    drawn = replace(_device(rng, PEAK_SPEED_MM_S[protocol]), **device)
+    drawn = replace(_device(rng, peak_speed(protocol)), **device)
     effects = (Concealed(one.id, size, one.draw(rng)),)
     kind = "one" if one.inside else "outside"
     nuisance = _nuisance(rng, drawn, protocol)
@@ -265,11 +290,18 @@ def _kinds(n: int, rng: np.random.Generator) -> list[str]:
     return [kinds[i] for i in rng.permutation(n)]
 
 
-def _draw(number: int, kind: str, chosen: list[Simulator], rng: np.random.Generator) -> Key:
+def _draw(
+    number: int,
+    kind: str,
+    chosen: list[Simulator],
+    rng: np.random.Generator,
+    protocols: Sequence[str] = tuple(PEAK_SPEED_MM_S),
+    noises: Sequence[str] = NOISES,
+) -> Key:
     """Device, sizes, nuisances, protocol, rate and reversal rule of one trial."""
-    allowed = [p for p in PEAK_SPEED_MM_S if all(p in one.protocols for one in chosen)]
+    allowed = [p for p in protocols if p in TRIAL_PROTOCOLS or all(p in one.protocols for one in chosen)]
     protocol = allowed[int(rng.integers(len(allowed)))]
-    device = _device(rng, PEAK_SPEED_MM_S[protocol])
+    device = _device(rng, peak_speed(protocol))
     effects = tuple(
         Concealed(
             one.id,
@@ -278,7 +310,7 @@ def _draw(number: int, kind: str, chosen: list[Simulator], rng: np.random.Genera
         )
         for one in chosen
     )
-    nuisance = _nuisance(rng, device, protocol)
+    nuisance = _nuisance(rng, device, protocol, noises)
     rate = float(rng.choice(list(RATES), p=list(RATES.values())))
     rules = [rule for rule in RULES if all(rule in one.rules for one in chosen)]
     rule = rules[int(rng.integers(len(rules)))]
@@ -297,13 +329,13 @@ def _device(rng: np.random.Generator, peak_speed: float) -> Device:
     return Device(float(K), float(Fy), beta, gamma, float(rng.uniform(0.5, 0.95)))
 
 
-def _nuisance(rng: np.random.Generator, device: Device, protocol: str) -> Nuisance:
+def _nuisance(rng: np.random.Generator, device: Device, protocol: str, noises: Sequence[str] = NOISES) -> Nuisance:
     """Each below 1 % of Fy in the force it makes; rounded forces are rounded to more than their noise."""
     noise, noise_kN = (
-        NOISES[int(rng.integers(len(NOISES)))],
+        noises[int(rng.integers(len(noises)))],
         float(np.exp(rng.uniform(*np.log([0.004, 0.015])))) * device.Fy,
     )
-    late = min(0.003, SMALL * device.Fy / (device.K * PEAK_SPEED_MM_S[protocol]))
+    late = min(0.003, SMALL * device.Fy / (device.K * peak_speed(protocol)))
     return Nuisance(
         frame_kN_mm=float(rng.uniform(20.0, 80.0)) * device.K,
         lag_s=float(rng.uniform(0.0, late)),

@@ -10,7 +10,7 @@ from shj_bayes.recording.recording import Recording, Source
 from shj_validation.proof.cases import Concealed, Key
 from shj_validation.proof.device import Device
 from shj_validation.proof.noise import force_noise
-from shj_validation.proof.protocols import PEAK_SPEED_MM_S, Course, course
+from shj_validation.proof.protocols import Course, course, peak_speed
 from shj_validation.proof.simulators.mechanism import two_poles
 from shj_validation.proof.simulators.rig import Acts, Drive, drives, join, rate_free
 from shj_validation.proof.simulators.simulator import simulators_by_id
@@ -67,10 +67,11 @@ def make(
     known = simulators_by_id()
     stepped = FAST_HZ if any(known[one.id].fast for one in key.effects) else FINE_HZ
     fine = max(1, round(stepped / key.rate_Hz))
-    noise, shake = (np.random.SeedSequence(key.entropy, spawn_key=(i,)) for i in range(2))
-    courses = [course(key.protocol, key.rate_Hz, fine)] * (1 if then else N_RUNS)
+    noise, shake, own = (np.random.SeedSequence(key.entropy, spawn_key=(i,)) for i in range(3))
+    first = course(key.protocol, key.rate_Hz, fine, np.random.default_rng(own), peak_speed(key.protocol))
+    courses = [first] * (1 if then else N_RUNS)
     if heldout:
-        speed = EARTHQUAKE_SPEED * PEAK_SPEED_MM_S[key.protocol]
+        speed = EARTHQUAKE_SPEED * peak_speed(key.protocol)
         courses.append(course("earthquake", key.rate_Hz, fine, np.random.default_rng(shake), speed))
     courses += then
     rigs = drives(courses, key.device, STROKE_MM, float(courses[0].time_s[-1]), key.nuisance.frame_kN_mm, key.reversal)
@@ -99,7 +100,9 @@ def _record(path: Course, force: FloatArray, key: Key, rng: np.random.Generator,
     every = slice(None, None, path.every)
     time, x, clean = path.time_s[every], path.x_mm[every], force[every]
     n = key.nuisance
-    noise = force_noise(n.noise, np.abs(path.v_mm_s[every]), path.dt_s * path.every, n.noise_kN, n.noise_memory_s, rng)
+    speed, dt = np.abs(path.v_mm_s[every]), path.dt_s * path.every
+    noise = force_noise(n.noise, speed, dt, n.noise_kN, n.noise_memory_s, rng, clean)
+    noise[0] += key.first_sd * n.noise_kN
     measured = np.round((clean + noise) / n.force_step_kN) * n.force_step_kN
     wobble = n.displacement_noise_mm * rng.standard_normal(x.size)
     moved = np.round((x + wobble) / n.displacement_step_mm) * n.displacement_step_mm

@@ -7,19 +7,28 @@ from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 
 NOISES = ("white", "ar1", "white and slow", "more at low speed", "slow drift", "rounded")
+HUM, WITH_FORCE = "with hum", "growing with the force"
+TRIAL_NOISES = ("white", "rounded", HUM, WITH_FORCE)  # of development trials of their own; no proof draws the last two
 MEMORIES_S = (1.0, 3.0, 30.0)  # of the slow part of "white and slow"
+MAINS_HZ, WANDERS_HZ, WANDERS_S = 50.0, 0.02, 100.0  # frequency, its standard deviation and memory
 SHORT_S, LONG_S = 0.3, 150.0  # memory of an amplifier's filter, and of a load cell in the draught
 
 
 def force_noise(
-    kind: str, speed_mm_s: FloatArray, dt_s: float, sd_kN: float, memory_s: float, rng: np.random.Generator
+    kind: str,
+    speed_mm_s: FloatArray,
+    dt_s: float,
+    sd_kN: float,
+    memory_s: float,
+    rng: np.random.Generator,
+    force_kN: FloatArray | float = 0.0,
 ) -> FloatArray:
     """Draw the force noise of one run; it means the same at any sampling rate.
 
     Parameters
     ----------
     kind : str
-        One of `NOISES`; what "rounded" is rounded to is a property of the recorder.
+        One of `NOISES` or `TRIAL_NOISES`; what "rounded" is rounded to is a property of the recorder.
     speed_mm_s : array, shape (n,)
         Speed at each sample, mm/s.
     dt_s : float
@@ -30,6 +39,8 @@ def force_noise(
         Memory of the slow part of "white and slow", s.
     rng : numpy.random.Generator
         Source of chance.
+    force_kN : array, shape (n,), or float
+        Force without noise, for the kind that grows with it, kN.
 
     Returns
     -------
@@ -50,8 +61,16 @@ def force_noise(
         series = series / np.sqrt(np.mean(series**2))
     elif kind == "slow drift":
         series = 0.9 * white + 0.44 * slow(n, dt_s, LONG_S, rng)
+    elif kind == HUM:
+        turns = np.cumsum(MAINS_HZ + WANDERS_HZ * slow(n, dt_s, WANDERS_S, rng)) * dt_s
+        series = 0.6 * white + 0.8 * np.sqrt(2.0) * np.sin(2 * np.pi * (turns + rng.random()))
+    elif kind == WITH_FORCE:
+        series = white * (0.3 + np.abs(force_kN) / max(np.abs(force_kN).max(), 1e-9))
+        series = series / np.sqrt(np.mean(series**2))
     else:
-        raise ModelError(f"noise '{kind}' is not known; choose one of {', '.join(NOISES)}")
+        raise ModelError(
+            f"noise '{kind}' is not known; choose one of {', '.join(dict.fromkeys((*NOISES, *TRIAL_NOISES)))}"
+        )
     return np.asarray(sd_kN * series)
 
 

@@ -1,4 +1,4 @@
-"""Displacement histories on a fine grid: the paper's Table 1, an improved test, and a slowed earthquake."""
+"""Displacement histories on a fine grid: the paper's Table 1, an improved test, and others that laboratories run."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,10 @@ PEAK_SPEED_MM_S = {
     "paper": 10.25,
     "improved": 42.0,
 }  # fastest that each protocol moves; bounds gamma and the earthquake
+# Of development trials of their own; no proof draws them. Motion begins with the first reading.
+TRIAL_PROTOCOLS = {"triangles": 10.0, "ramps with rests": 5.0, "two speeds": 20.0, "earthquake": 20.0}
 EASE_S = 0.3  # a controller eases from one block into the next
+CORNER_S = 0.1  # an actuator rounds the corners of a triangle
 REST_S = 2.0  # recorded before the first block
 LEAST_MM = 0.5  # between two reversals of the earthquake
 # half stroke mm, peak speed mm/s, cycles, seconds of rest at the first positive end of the stroke
@@ -30,6 +33,9 @@ IMPROVED: tuple[tuple[float, float, int, float], ...] = (
     (24.0, 10.0, 2, 10.0),
     (6.0, 10.0, 2, 0.0),
 )
+TRIANGLES = ((6.0, 10.0, 3), (12.0, 10.0, 3), (24.0, 10.0, 3), (48.0, 5.0, 2), (95.0, 10.0, 2), (24.0, 2.0, 1))
+RAMPS = ((12.0, 5.0, 2, 5.0), (24.0, 5.0, 2, 20.0), (48.0, 5.0, 2, 20.0), (95.0, 5.0, 1, 60.0), (24.0, 1.0, 1, 5.0))
+TWO_SPEEDS = tuple((a, v, n, 0.0) for a in (12.0, 24.0, 72.0) for v, n in ((4.0, 2), (20.0, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +74,9 @@ def course(
 
     Parameters
     ----------
-    protocol : {"paper", "improved", "earthquake"}
-        Table 1; several speeds, rests and return blocks; or a band-limited random motion.
+    protocol : str
+        ``paper`` (Table 1), ``improved`` (several speeds, rests and return blocks), ``earthquake`` (a band-limited
+        random motion), or another one of `TRIAL_PROTOCOLS`.
     rate_Hz : float
         Sampling rate of the recording, Hz.
     fine : int
@@ -92,20 +99,47 @@ def course(
     elif protocol == "earthquake":
         assert rng is not None
         x = _earthquake(rng, speed, dt)
+    elif protocol == "two speeds":
+        x = _blocks(list(TWO_SPEEDS), dt, rest_s=0.0)
+    elif protocol == "triangles":
+        x = _ramps([(a, v, n, 0.0) for a, v, n in TRIANGLES], dt)
+    elif protocol == "ramps with rests":
+        x = _ramps(list(RAMPS), dt)
     else:
-        raise ModelError(f"protocol '{protocol}' is not known; choose paper, improved or earthquake")
+        known = ", ".join((*PEAK_SPEED_MM_S, *TRIAL_PROTOCOLS))
+        raise ModelError(f"protocol '{protocol}' is not known; choose one of {known}")
     return Course(np.arange(x.size, dtype=np.float64) * dt, x, fine)
 
 
-def _blocks(table: list[tuple[float, float, int, float]], dt: float) -> FloatArray:
+def peak_speed(protocol: str) -> float:
+    """Fastest that a protocol moves, mm/s."""
+    return (PEAK_SPEED_MM_S | TRIAL_PROTOCOLS)[protocol]
+
+
+def _blocks(table: list[tuple[float, float, int, float]], dt: float, rest_s: float = REST_S) -> FloatArray:
     """Blocks one after another, eased where the speed changes from one to the next."""
-    parts = [np.zeros(round(REST_S / dt)), *(_sine(*block, dt) for block in table)]
+    parts = [np.zeros(round(rest_s / dt)), *(_sine(*block, dt) for block in table)]
     x = np.concatenate(parts)
     smooth = gaussian_filter1d(x, EASE_S / dt, mode="nearest")
     ends = np.concatenate([[0.0], np.cumsum([part.size for part in parts])]) * dt
     time = np.arange(x.size) * dt
     share = np.max([np.exp(-(((time - end) / (3 * EASE_S)) ** 4)) for end in ends], axis=0)
-    return np.asarray(x + share * (smooth - x))
+    eased = x + share * (smooth - x)
+    return np.asarray(eased - eased[0])
+
+
+def _ramps(table: list[tuple[float, float, int, float]], dt: float) -> FloatArray:
+    """Constant speed from end to end, with a rest at each end, from and to zero; corners are rounded."""
+    knots = [(0.0, 0.0)]
+    for amplitude, speed, cycles, rest in table:
+        for end in (*(amplitude, -amplitude) * cycles, 0.0):
+            at, before = knots[-1]
+            there = at + abs(end - before) / speed
+            knots += [(there, end), (there + rest, end)] if rest and end else [(there, end)]
+    times, places = np.array(knots).T
+    sharp = np.interp(np.arange(int(times[-1] / dt)) * dt, times, places)
+    x = gaussian_filter1d(sharp, CORNER_S / dt, mode="nearest")
+    return np.asarray(x - x[0])
 
 
 def _sine(amplitude: float, speed: float, cycles: int, rest: float, dt: float) -> FloatArray:
