@@ -10,6 +10,7 @@ install-reference  install the analysis program that exported materials are test
 docs     build the documentation site into build/docs; a warning or a link to nowhere is an error
 prove    200 concealed-effect trials, sealed, diagnosed, opened, scored (under an hour; goes on where it stopped)
 fuzz     read 6000 damaged files of every kind; a traceback, a hang or a garbled refusal is an error (15 minutes)
+robust   fit, diagnose, plan and margins on 200 cut, joined, scaled recordings; a traceback is an error (hours; resumes)
 kill     kill fits and campaigns at random moments, resume them, compare the bits; full disk, lost folder (20 minutes)
 thousand a campaign of 1000 devices, 5 % of them broken, a worker killed midway (about 40 minutes)
 calibrate  ranks and coverage of 300 simulated devices, predictions and diagnosed devices (goes on where it stopped);
@@ -58,6 +59,7 @@ TASKS: dict[str, list[list[str]]] = {
     ],
     "prove": [[str(TOOL), "prove", "-n", "200", "--workers", "2", "--out", "shj-bayes-proof"]],
     "fuzz": [[str(PYTHON), "tests/fuzz/run.py", "-n", "6000"]],
+    "robust": [[str(PYTHON), "tests/robust/robust.py", "-n", "200"]],
     "kill": [[str(PYTHON), "tests/resume/kill.py"]],
     "thousand": [[str(PYTHON), "benchmarks/thousand.py"]],
     "calibrate": [
