@@ -98,7 +98,7 @@ class Corpus:
             return damage.json_damage(raw, rng)
         if name.endswith(".gz") and share < 0.8:
             return gzip.compress(self._text(gzip.decompress(raw), rng), mtime=0)
-        if name.endswith((".csv", ".tsv", ".txt", ".toml")) and share < 0.85:
+        if name.endswith((".csv", ".tsv", ".txt", ".dat", ".lvm", ".toml")) and share < 0.85:
             return self._text(raw, rng)
         return damage.bytes_damage(raw, rng)
 

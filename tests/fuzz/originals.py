@@ -64,6 +64,19 @@ recordings = ["b-1.xlsx"]
 """
 
 
+LVM = """LabVIEW Measurement
+Separator\tTab
+***End_of_Header***
+Channels\t2\t\t
+Date\t2024/05/03\t2024/05/03
+Time\t10:00:00,5\t10:00:00,5
+Y_Unit_Label\tmm\tkN
+X0\t0.0\t0.0
+Delta_X\t0.05\t0.05
+***End_of_Header***\t\t\t
+"""
+
+
 def recording(seed: int = 1, rate_Hz: float = 6.0) -> Recording:
     """About 270 samples with two amplitudes."""
     return simulate_device(TRUTH, seed=seed, rate_Hz=rate_Hz, blocks=BLOCKS)[0]
@@ -94,6 +107,16 @@ def recordings(folder: Path) -> dict[str, bytes]:
         "blanks.txt": (text(rows, "  ") + "End of test\nchecked by C. D.\n").encode(),
         "wide.csv": text(rows).encode("utf-16"),
         "packed.csv.gz": gzip.compress(text(rows).encode(), mtime=0),
+        "letters.csv.gz": gzip.compress(b"a " * 32_767 + b"\n" + b"\n".join([b"a," * 32_767] * 399), mtime=0),
+        "heads.dat": "".join(
+            text(rows[k : k + 40], "\t", head=f"Cycle {k}\nTime\tDisplacement\tForce\nSec\tmm\tkN")
+            for k in range(0, len(rows), 40)
+        ).encode(),
+        "wave.lvm": (LVM + text(rows, "\t", head="X_Value\tDisplacement\tForce\tComment")).encode(),
+        "stamps.csv": "\n".join(
+            ["Date,Time,Stroke (in),Load (kip)"]
+            + [f"5/3/2024,23:59:{a % 60:06.3f},{b},\u2212{c}" for a, b, c in rows if 0 <= a < 60]
+        ).encode(),
     }
     book = openpyxl.Workbook()
     book.active.append(["Time (s)", "Displacement (mm)", "Force (kN)"])

@@ -79,6 +79,52 @@ def _goes_on(displacement_mm: FloatArray, force_kN: FloatArray, row: int) -> boo
     return not (still or jump or step)
 
 
+def going_on(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[FloatArray, list[int]]:
+    """Let a clock go on that begins again with each cycle of one run; shape (n_rows,).
+
+    Times, and the rows at which they began again at their own first value while the device moved on. The first sample
+    of a cycle that is the last of the one before has no time.
+    """
+    index = np.flatnonzero(np.isfinite(time_s))
+    times = time_s[index]
+    steps = np.diff(times)
+    if not np.any(steps > 0):
+        return time_s, []
+    step = float(np.median(steps[steps > 0]))
+    falls = np.flatnonzero((steps < -0.5 * limits.CYCLE_ROWS * step) & (np.abs(times[1:] - times[0]) < 1.5 * step)) + 1
+    if not falls.size or falls.size > min(limits.MAX_CYCLES, times.size // limits.CYCLE_ROWS):
+        return time_s, []
+    x, f = displacement_mm[index], force_kN[index]
+    found = [int(k) for k in falls if _in_cycle(x, f, int(k))]
+    out, edges = times.copy(), [*(int(k) for k in falls), times.size]
+    for a, b in pairwise(edges):
+        if a in found:
+            doubled = x[a] == x[a - 1] and f[a] == f[a - 1]
+            out[a:b] += out[a - 1] + (0.0 if doubled else step) - times[a]
+            if doubled:
+                out[a] = np.nan
+    moved = time_s.copy()
+    moved[index] = out
+    return moved, [int(index[k]) for k in found]
+
+
+def _in_cycle(x: FloatArray, f: FloatArray, row: int) -> bool:
+    """Whether neither channel jumps at a row, and the device is not at rest where it began, as at the end of a run."""
+    near = slice(max(0, row - limits.CYCLE_ROWS), row + limits.CYCLE_ROWS)
+    at = row - near.start - 1
+    for values in (x, f):
+        moves = np.abs(np.diff(values[near]))
+        extent = float(np.nanmax(values) - np.nanmin(values))
+        usual = float(np.nanmax(np.delete(moves, at), initial=0.0))
+        if not moves[at] <= max(2.0 * usual, limits.CYCLE_JUMP * extent):
+            return False
+    extent = float(np.nanmax(x) - np.nanmin(x))
+    at_home = abs(x[row] - x[0]) < limits.REST_HOME * extent
+    sides = (x[max(0, row - limits.CYCLE_ROWS) : row], x[row : row + limits.CYCLE_ROWS])
+    still = min(abs(float(side[-1] - side[0])) for side in sides) < limits.CYCLE_STILL * extent
+    return not (at_home and still)
+
+
 def follow_on(time_s: FloatArray, rows: list[int]) -> tuple[FloatArray, list[float]]:
     """Put runs behind one another on one clock; `rows` are the first of each run after the first.
 

@@ -20,17 +20,20 @@ from shj_bayes.recording.limits import (
 )
 from shj_bayes.recording.recording import Extra, Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
-from shj_bayes.recording.units import ROLES, TARGET, Role, factor, parse_units, role_of
+from shj_bayes.recording.units import ROLES, TARGET, Role, factor, is_weight, parse_units, role_of
 
 TENSION = "tension"  # of the bolts: the force over it is a coefficient of friction
 # Headers that mean the channel and nothing else; a header that merely contains one of the words is a weaker claim.
 _EXACT: dict[Role, set[str]] = {
-    "time": {"time", "t", "elapsed time", "running time", "test time", "total time", "timestamp", "zeit", "temps"},
+    "time": {
+        *("time", "t", "elapsed time", "running time", "test time", "total time", "timestamp", "zeit", "temps"),
+        "x value",  # of LabVIEW
+    },
     "displacement": {"displacement", "disp", "displ", "stroke", "slip", "u", "x", "d", "deformation", "weg"},
     "force": {"force", "load", "f", "p", "axial force", "shear force", "axial load", "kraft"},
 }
 _CONTAINS: dict[Role, tuple[str, ...]] = {
-    "time": ("time",),
+    "time": ("time", "zeit", "temps", "timestamp"),
     "displacement": ("displacement", "disp", "stroke", "slip", "lvdt", "deflection", "deformation", "weg", "hub"),
     "force": ("force", "load", "kraft"),
 }
@@ -87,6 +90,10 @@ def choose(
         used[role] = unit = _unit(
             role, values[role], given, findings, f"{table.name} gives no unit for {chosen[role]!r}"
         )
+        if role == "force" and is_weight(unit):
+            kn = _factor(unit, role, chosen[role], table)
+            message = f"force: 1 {unit} is taken for the weight of that mass, {kn:.6g} kN"
+            findings.append(Finding("unit-weight", "assumed", message))
         scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
     others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
@@ -176,7 +183,7 @@ def _extra(name: str, value: Value, n: int, table: Table) -> Extra:
     if value.values.size != n or not value.values.ndim:
         raise RecordingError(f"{table.name}: {name} has {value.values.size} rows, the force {n}; choose another column")
     unit = (value.columns[0].unit if value.plain else None) or ""
-    if role_of(unit) == "force" or (name == TENSION and not unit):
+    if role_of(unit) == "force" or (name == TENSION and (not unit or is_weight(unit))):
         return Extra(name, "kN", value.values * (factor(unit, "force") if unit else 1.0))
     return Extra(name, unit, np.array(value.values, dtype=np.float64))
 
@@ -226,6 +233,12 @@ def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | Non
     if not exact:
         findings.append(Finding("column-by-word", "assumed", f"column {found[0].header!r} is taken for the {role}"))
     return found[0]
+
+
+def roles_named(name: str) -> set[Role]:
+    """Channels that a name may stand for."""
+    words = _words(name)
+    return {role for role in ROLES if words in _EXACT[role] or set(words.split()) & set(_CONTAINS[role])}
 
 
 def _words(name: str) -> str:

@@ -2,15 +2,17 @@
 
 import csv
 import re
+from collections import deque
 from dataclasses import dataclass, replace
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.headers import bare_unit, is_unit_row, split_header
-from shj_bayes.recording.limits import MAX_CELL
+from shj_bayes.recording.limits import MAX_CELL, MAX_COLUMNS
+from shj_bayes.recording.stamps import is_stamp
+from shj_bayes.recording.tables import bounded_columns
 
 LOOK = 400  # lines looked at to find the header; exports with longer preambles do not occur
 # Groups of three digits; a blank groups only where it does not separate (thin and hard blanks are what typists use).
-_GROUPS = {".": ",'\u2019 \u00a0\u202f", ",": ".'\u2019 \u00a0\u202f"}
+_GROUPS = {".": ",'\u2019 \u00a0\u202f\u2009", ",": ".'\u2019 \u00a0\u202f\u2009"}
 PLAIN = {
     ".": re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][+-]?[0-9]+)?"),
     ",": re.compile(r"[+-]?([0-9]+,?[0-9]*|,[0-9]+)([eEdD][+-]?[0-9]+)?"),
@@ -20,7 +22,8 @@ GROUPED = {
     for decimal, signs in _GROUPS.items()
 }
 # Separator and decimal sign, the likelier first.
-_WAYS = (("\t", "."), (";", "."), (",", "."), (" ", "."), ("\t", ","), (";", ","), (" ", ","))
+# Decimal commas between commas are told apart by quotes: "0,05","1,23".
+_WAYS = (*(("\t", "."), (";", "."), (",", "."), (" ", ".")), *(("\t", ","), (";", ","), (" ", ","), (",", ",")))
 
 
 class NoNumbersError(RecordingError):
@@ -36,14 +39,15 @@ class Dialect:
     first: int  # index of the first line of numbers
     width: int  # number of columns
 
-    def cells(self, line: str) -> list[str]:
-        """Cells of one line."""
+    def cells(self, line: str, most: int = -1) -> list[str]:
+        """Cells of one line; what is beyond `most` of them stays in one."""
         if self.separator == " ":
-            parts = line.split()
+            parts = line.split(None, most)
         elif line.count('"') % 2 == 0 and '"' in line:
             parts = next(csv.reader([line], delimiter=self.separator))  # a quoted header may hold the separator
+            parts = parts if most < 0 else parts[: most + 1]
         else:
-            parts = line.split(self.separator)
+            parts = line.split(self.separator, most)
         return [part.strip().strip('"').strip() for part in parts]
 
 
@@ -57,57 +61,56 @@ def find_dialect(lines: list[str], name: str) -> Dialect:
     """Separator, decimal sign and first line of numbers, from lines without comments and empty ones.
 
     It is the first line from which numbers follow, read in the way that makes most cells numbers, then most columns.
+    Each line is taken apart once for each separator, and no further than the cells that a table may have.
     """
+    ahead: deque[dict[str, tuple[list[str], dict[str, int]]]] = deque()
     for first in range(min(len(lines), LOOK)):
+        ahead.extend(map(_taken_apart, lines[first + len(ahead) : first + 5]))
         best, most = None, (0.0, 0)
         for separator, decimal in _WAYS:
-            trial = Dialect(separator, decimal, first, 0)
-            rows = [trial.cells(line) for line in lines[first : first + 5]]
-            fits = [len(row) == len(rows[0]) and numeric_width(row, decimal) > 0 for row in rows]
+            rows = [line[separator][0] for line in ahead]
+            width = len(rows[0])
+            fits = [len(line[separator][0]) == width and line[separator][1][decimal] > 0 for line in ahead]
             # Most of the next five lines must be numbers of one width; broken cells may come among the first.
             if not fits[0] or sum(fits) < (len(rows) + 1) // 2:
                 continue
-            score = (_number_share(rows, decimal), len(rows[0]))
+            if _is_label(rows[0][0], [row[0] for row, fit in zip(rows[1:], fits[1:], strict=True) if fit]):
+                continue
+            score = (_number_share(rows, decimal), width)
             if score > most:
-                best, most = Dialect(separator, decimal, first, len(rows[0])), score
+                best, most = Dialect(separator, decimal, first, width), score
         if best is not None:
+            if best.width > MAX_COLUMNS:
+                bounded_columns(best.cells(lines[first]), name)
             return _without_empty_tail(best, lines)
+        ahead.popleft()
     raise NoNumbersError(
         f"{name}: found no rows of two or more numbers; a recording needs time, displacement and force in columns "
         f"separated by comma, semicolon, tab or blanks"
     )
 
 
-def header_of(above: list[str], dialect: Dialect) -> tuple[list[str], list[str | None], list[str]]:
-    """Names, units and headers as written, from the lines above the numbers."""
-    rows = [cells for cells in (dialect.cells(line)[: dialect.width] for line in above) if len(cells) == dialect.width]
-    while rows and _damaged(rows, dialect.decimal):
-        rows.pop()
-    if not rows:
-        return [""] * dialect.width, [None] * dialect.width, ["(no name)"] * dialect.width
-    unit_row: list[str | None] = [None] * dialect.width
-    if len(rows) > 1 and is_unit_row(rows[-1]):
-        unit_row = [bare_unit(cell) or None for cell in rows.pop()]
-    pairs = [split_header(cell) for cell in rows[-1]]
-    units = [unit or below for (_, unit), below in zip(pairs, unit_row, strict=True)]
-    written = [
-        f"{cell} ({unit})" if unit and own is None else cell or "(no name)"
-        for cell, (_, own), unit in zip(rows[-1], pairs, units, strict=True)
-    ]
-    return [name for name, _ in pairs], units, written
+def _taken_apart(line: str) -> dict[str, tuple[list[str], dict[str, int]]]:
+    """Cells of a line by separator, and whether they are numbers by decimal sign."""
+    found = {}
+    for separator in ("\t", ";", ",", " "):
+        cells = Dialect(separator, ".", 0, 0).cells(line, MAX_COLUMNS + 1)
+        found[separator] = cells, {sign: numeric_width(cells, sign) for sign in PLAIN}
+    return found
 
 
-def _damaged(rows: list[list[str]], decimal: str) -> bool:
-    """Whether the last row is no header but the first sample with its readings lost: a number under names, or alone."""
-    numbers = [any(is_number(cell, decimal) for cell in cells) for cells in rows]
-    alone = all(cell == "" or is_number(cell, decimal) for cell in rows[-1])
-    return numbers[-1] and (alone or (len(rows) > 1 and not numbers[-2]))
+def _is_label(cell: str, below: list[str]) -> bool:
+    """Whether a row begins with a word and those below it do not: ``Interval;0.05;0.05`` is none of numbers."""
+    word = cell[:1].isalpha() and cell.lower() != "nan" and not is_stamp(cell)
+    return word and bool(below) and 2 * sum(not one[:1].isalpha() for one in below) >= len(below)
 
 
 def numeric_width(cells: list[str], decimal: str) -> int:
-    """Count the cells if at least two and half of them are numbers and none of the others is a word, else 0."""
+    """Count the cells if at least two of them, and half of those that are no time stamps, are numbers, else 0."""
     numbers = sum(is_number(cell, decimal) for cell in cells)
-    return len(cells) if numbers >= 2 and numbers >= len(cells) / 2 else 0
+    if numbers < 2 or (numbers < len(cells) / 2 and numbers < (len(cells) - sum(map(is_stamp, cells))) / 2):
+        return 0
+    return len(cells)
 
 
 def _without_empty_tail(dialect: Dialect, lines: list[str]) -> Dialect:

@@ -12,7 +12,9 @@ _SUFFIXES = {
     *("n", "kn", "mn", "lb", "lbs", "lbf", "kip", "kips", "kgf", "tonf"),
 }
 _TIME_SUFFIXES = {"min", "mins", "h", "hr"}  # behind "time" only: elsewhere min is a minimum
-_OTHER_UNITS = {"v", "mv", "mpa", "bar", "c", "%"}
+_WEIGHT_SUFFIXES = {"t", "ton", "tons", "tonne", "tonnes", "kg", "tf"}  # behind a force only: t is a time, too
+_FORCES = ("force", "load", "kraft", "last")
+_OTHER_UNITS = {"v", "mv", "volt", "volts", "mpa", "bar", "c", "%", *_WEIGHT_SUFFIXES}
 # degC, V, %, bar, 1/s, m/s^2, N/mm2, \u00b0C ...: a letter or sign and little behind it
 _UNIT_LIKE = re.compile(r"(1/)?[^\W\d_%]{0,10}[%\u00b0\u2126\u2030]?[^\W\d_]{0,4}([ */.\u00b7^-]{0,2}[^\W_]{1,6}){0,3}")
 _SUFFIXED = re.compile(r"^(?P<name>.+?)\s*[_,/: \-]\s*(?P<unit>[A-Za-z\u00b5\u03bc\"'.]{1,8})$")
@@ -28,7 +30,9 @@ def split_header(header: str) -> tuple[str, str | None]:
         return match["name"].strip(), match["unit"].strip()
     if match := _SUFFIXED.match(text):
         unit = match["unit"].strip(".").lower()
-        if unit in _SUFFIXES or (unit in _TIME_SUFFIXES and "time" in match["name"].lower()):
+        name = match["name"].lower()
+        timed = unit in _TIME_SUFFIXES and "time" in name
+        if unit in _SUFFIXES or timed or (unit in _WEIGHT_SUFFIXES and name.endswith(_FORCES)):
             return match["name"].strip(), match["unit"]
     return text, None
 

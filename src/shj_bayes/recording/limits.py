@@ -18,6 +18,7 @@ MAX_SPECIAL = 2_000_000  # numbers with groups of thousands or D exponents; each
 MAX_CELL = 64  # characters of a number; no instrument prints more, and longer ones make pattern matching slow
 MAX_VALUE = 1e30  # in any unit; no channel holds more, and its square still fits into a double
 MAX_NAME = 200  # characters of a header that are looked at
+MAX_DATES = 1000  # different dates in a column of time stamps; a test lasts a week at most
 
 # --- time ---
 GAP_STEPS = 3.5  # a step this many medians long is a gap: jitter and one or two lost samples stay below
@@ -28,6 +29,12 @@ RATE_AGREES = 0.02  # a rate that is given may differ by this share from what a 
 # 54 of the other 216 samples are left out for nothing (``test_quality.py`` cuts 200).
 GAP_WAY = 0.1
 MANY_GAPS_SHARE = 0.01  # more gaps than this and the median step itself means little
+
+# --- time that begins again with each cycle of one run ---
+MAX_CYCLES = 100_000  # more falls of the clock are noise
+CYCLE_ROWS = 8  # of a cycle at least, and looked at on either side of its begin
+CYCLE_JUMP = 0.01  # of the range, from one row to the next, beside twice what the rows around it move
+CYCLE_STILL = 0.002  # of the range, in eight rows: a run ends and begins at rest where it began, a cycle in motion
 
 # --- cells that hold no number ---
 FILL_RUN = 10  # longest run of empty cells that a straight line may bridge, samples

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.dialect import GROUPED, LOOK, PLAIN, Dialect, numeric_width
+from shj_bayes.recording.dialect import GROUPED, LOOK, PLAIN, Dialect, is_number, numeric_width
+from shj_bayes.recording.heads import Head, brought, head_of, is_head
 from shj_bayes.recording.limits import BLOCK_ROWS, MAX_CELL, MAX_ROWS, MAX_SPECIAL, MAX_WORDS
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
+from shj_bayes.recording.stamps import Stamps, is_stamp
 from shj_bayes.recording.tables import as_floats
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "#n/a"}
+_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "\u2013", "\u2014", "\u2212", "inf", "-inf", "+inf", "#n/a"}
 _SUSPECT = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")  # 1.234: one and a bit, or a thousand and some?
 _MIN_SUSPECT = 3  # fewer such cells beside whole numbers are chance
 _N_LOOKED = 4000  # rows in which they are looked for
+_N_STAMPS = 20  # cells of a column that show whether it holds time stamps
+_HEAD_GAP = 4  # lines without words, such as dates, that may stand between those of a head
+_WORDY = re.compile(r"""[\s"'(\[{<*,;]*[^\W\d_]""")  # how a line begins that may be none of numbers
 
 
 class _Column:
@@ -33,6 +39,7 @@ class _Column:
         self.pieces: list[FloatArray] = []
         self.n_rows = self.n_words = self.n_grouped = self.n_other = 0
         self.first = ("", 0)
+        self.stamps: Stamps | None = None
 
     @property
     def is_text(self) -> bool:
@@ -46,14 +53,27 @@ class _Column:
 
     def skip(self, n_rows: int) -> None:
         """Take a block of words without looking at it."""
-        self.take(np.full(n_rows, np.nan))
+        self.lack(n_rows)
         self.n_words += n_rows
 
-    def add(self, raw: pd.Series[Any]) -> None:
-        """Take the next block as pandas read it."""
+    def lack(self, n_rows: int) -> None:
+        """Take a block in which the column is missing."""
+        if self.stamps is not None:
+            self.stamps.add([""] * n_rows)
+        self.take(np.full(n_rows, np.nan))
+
+    def add(self, raw: pd.Series[Any], scale: float) -> None:
+        """Take the next block as pandas read it, times the factor of its unit."""
         import pandas as pd  # noqa: PLC0415
 
-        if raw.dtype == object or pd.api.types.is_string_dtype(raw.dtype):
+        if self.stamps is None and not self.n_rows and raw.dtype.kind not in "iuf":
+            looked = [str(cell).strip() for cell in raw.dropna().iloc[:_N_STAMPS]]
+            self.stamps = Stamps() if 2 * sum(map(is_stamp, looked)) > len(looked) else None
+        if self.stamps is not None:
+            cells = raw.astype("string").fillna("").str.strip()
+            values, wrong = self.stamps.add(cells.tolist())
+            wrong &= ~cells.str.lower().isin(_EMPTY).to_numpy(dtype=bool)
+        elif raw.dtype == object or pd.api.types.is_string_dtype(raw.dtype):
             cells = raw.astype("string").str.strip().str.strip('"').str.strip()
             values, wrong = self._from_text(cells)
         else:
@@ -63,7 +83,7 @@ class _Column:
             row = int(np.flatnonzero(wrong)[0])
             self.first = self.first if self.n_words else (str(cells.iloc[row]), self.n_rows + row + 1)
             self.n_words += int(np.count_nonzero(wrong))
-        self.take(as_floats(values))
+        self.take(as_floats(values * scale if scale != 1.0 else values))
 
     def _from_text(self, cells: pd.Series[Any]) -> tuple[FloatArray, BoolArray]:
         """Numbers of a block in which some cells are not plain numbers, and which cells hold none."""
@@ -107,51 +127,182 @@ class _Column:
             yield Finding("mixed-decimals", "assumed", f"{message}; read so")
 
 
-def numbers(
-    lines: Iterable[str], dialect: Dialect, names: list[str], file: str
-) -> tuple[list[FloatArray], list[int], list[Finding]]:
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """What the rows of a text table hold."""
+
+    values: list[FloatArray]  # of each column, shape (n_rows,); NaN where there is no number
+    n_words: list[int]  # cells of each that hold text
+    stamps: list[Stamps | None]  # of columns of time stamps, whose values are no numbers
+    heads: list[tuple[int, Head]]  # heads that come again, with the row that follows
+    findings: list[Finding]
+
+
+def numbers(lines: Iterable[str], dialect: Dialect, head: Head, file: str, line_of: Callable[[int], int]) -> Numbers:
     """Parse rows, from the first line of numbers on, in blocks: memory holds the numbers and one block of text.
 
-    Columns, NaN where there is no number; how many cells of each hold text; findings. `names` (empty where there are
-    none) and `file` are for messages. `RecordingError` for too many rows, and where 1.234 may be a thousand.
+    A head that comes again is read, and what follows it brought to the columns and units of the first. `line_of` gives
+    the number in the file of a line. `RecordingError` for too many rows, for a head that cannot be brought to the
+    first, and where 1.234 may be a thousand.
     """
-    columns = [_Column(dialect.decimal) for _ in range(dialect.width)]
-    labels = [name or f"#{i + 1}" for i, name in enumerate(names)]
+    reader = _Reader(dialect, head, file, line_of)
     source, held, findings = iter(lines), list[str](), list[Finding]()
-    n_read = n_kept = 0
+    n_read = 0
     while True:
         block = list(islice(source, BLOCK_ROWS))
         if not n_read:
-            _refuse_thousands(block, dialect, labels, file)
+            _refuse_thousands(block, dialect, reader.labels, file)
         n_read += len(block)
         if n_read > MAX_ROWS + LOOK:
             raise RecordingError(f"{file} has more than {MAX_ROWS} rows; allowed are {MAX_ROWS}; export fewer")
         held += block
-        if block:  # the last lines are held back: they may be remarks below the numbers
-            ready, held = held[:-LOOK], held[-LOOK:]
+        if block:  # the last lines are held back: they may be remarks below the numbers, or a head
+            end = max(0, len(held) - LOOK)
+            while end and len(held) - end < 2 * LOOK and _WORDY.match(held[end - 1]):
+                end -= 1
+            ready, held = held[:end], held[end:]
         else:
-            (ready, more), held = _without_notes(held, dialect), []
+            (ready, more), held = _without_notes(held, reader.layout.dialect), []
             findings += more
         if ready:
-            n_kept += _parse(ready, dialect, columns)
-            _refuse_slow(columns, labels, file)
+            reader.take(ready)
         if not block:
             break
-    n_rows = n_read - sum(f.count for f in findings)
-    if n_kept < n_rows:
-        lost = n_rows - n_kept
-        findings.append(Finding("broken-rows", "repaired", f"{lost} rows with too many cells left out", lost))
-    for column, label in zip(columns, labels, strict=True):
-        findings += column.findings(label)
-    return [column.joined() for column in columns], [column.n_words for column in columns], findings
+    findings += reader.findings()
+    columns = reader.columns
+    return Numbers(
+        [column.joined() for column in columns],
+        [column.n_words for column in columns],
+        [column.stamps for column in columns],
+        reader.heads,
+        findings,
+    )
 
 
-def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
-    """Read one block; the number of rows that came of it."""
-    plain = _plain(lines, dialect)
+@dataclass(frozen=True)
+class _Layout:
+    """How the rows below a head are read."""
+
+    dialect: Dialect
+    places: list[tuple[int, float]]  # of each column of the first head: where it stands, -1 nowhere; factor of its unit
+
+
+class _Reader:
+    """Columns as they grow, and the heads that are met."""
+
+    def __init__(self, dialect: Dialect, head: Head, file: str, line_of: Callable[[int], int]) -> None:
+        self.head, self.file, self.line_of = head, file, line_of
+        self.columns = [_Column(dialect.decimal) for _ in range(dialect.width)]
+        self.labels = [name or f"#{i + 1}" for i, name in enumerate(head.names)]
+        self.layout = _Layout(dialect, [(i, 1.0) for i in range(dialect.width)])
+        self.at = dialect.first  # line at which what is taken next begins
+        self.heads: list[tuple[int, Head]] = []
+        self.moved: list[Head] = []  # heads that are not the same as the first
+        self.n_rows = self.n_kept = self.n_remarks = 0
+        self.remark = ""
+        self.labelled = False  # whether lines that begin with a word are none of numbers
+
+    def take(self, lines: list[str]) -> None:
+        """Take the next lines."""
+        plain = _plain(lines, self.layout.dialect)
+        if not self.n_rows:
+            self.labelled = not _is_word(self.layout.dialect.cells(lines[0])[0])
+        groups = [] if plain is not None else _groups(lines, self.layout.dialect, self.labelled)
+        begin = 0
+        for a, b in [*groups, (len(lines), len(lines))]:
+            if a > begin:
+                self.n_rows += a - begin
+                self.n_kept += _parse(lines[begin:a], plain, self.layout, self.columns)
+                _refuse_slow(self.columns, self.labels, self.file)
+            if b > a:
+                self._turn(lines[a:b], lines[b] if b < len(lines) else "", self.at + a)
+            begin = b
+        self.at += len(lines)
+
+    def _turn(self, group: list[str], row: str, at: int) -> None:
+        """Read lines of words between the rows; `row` is that which follows, `at` the first of them."""
+        dialect = self.layout.dialect
+        width = len(dialect.cells(row)) or dialect.width
+        own = replace(dialect, width=width)
+        if not is_head(group, self.head, own):
+            self.remark = self.remark or group[0].strip()
+            self.n_remarks += len(group)
+            if self.n_remarks > max(MAX_WORDS, self.n_rows):
+                raise RecordingError(
+                    f"{self.file}: more than {MAX_WORDS} lines between the rows hold words; export the numbers alone"
+                )
+            return
+        named = next((i for i, line in enumerate(group) if len(own.cells(line)) == width), 0)
+        head = head_of(group, own, self.line_of(at + named))
+        places = brought(self.head, head, self.file)
+        self.heads.append((self.n_kept, head))
+        if places != [(i, 1.0) for i in range(len(places))]:
+            self.moved.append(head)
+        self.layout = _Layout(own, places)
+
+    def findings(self) -> Iterator[Finding]:
+        """Say what was met between the rows and in the columns."""
+        if self.heads:
+            message = f"the head comes again {len(self.heads)} times, first in line {self.heads[0][1].line}"
+            yield Finding("heads", "note", f"{message}; the rows below all of them are read as one table")
+        if self.moved:
+            head = self.moved[0]
+            message = f"the head in line {head.line} has other columns or units: {', '.join(head.written)[:200]}"
+            yield Finding("head-changes", "repaired", f"{message}; brought to those of the first", len(self.moved))
+        if self.n_remarks:
+            message = f"{self.n_remarks} lines of words between the rows left out ({self.remark[:40]!r})"
+            yield Finding("notes", "note", message, self.n_remarks)
+        if self.n_kept < self.n_rows:
+            lost = self.n_rows - self.n_kept
+            yield Finding("broken-rows", "repaired", f"{lost} rows with too many cells left out", lost)
+        for column, label in zip(self.columns, self.labels, strict=True):
+            yield from column.findings(label)
+
+
+def _groups(lines: list[str], dialect: Dialect, labels: bool) -> list[tuple[int, int]]:
+    """Half-open ranges of lines that are no rows.
+
+    Lines without numbers between two of them belong to them, and where rows do not begin with words, `labels`, those
+    beside them that do (``Delta_X  0.05  0.05``).
+    """
+    found: list[tuple[int, int, bool]] = []
+    for i, line in enumerate(lines):
+        if not _WORDY.match(line):
+            continue
+        cells = dialect.cells(line)
+        no_row = not _is_row(cells, dialect)
+        if not no_row and not (labels and _is_word(cells[0])):
+            continue
+        near = found and i - found[-1][1] < _HEAD_GAP
+        if near and not any(numeric_width(dialect.cells(one), dialect.decimal) for one in lines[found[-1][1] : i]):
+            found[-1] = (found[-1][0], i + 1, no_row or found[-1][2])
+        else:
+            found.append((i, i + 1, no_row))
+    return [(a, b) for a, b, no_row in found if no_row]
+
+
+def _is_row(cells: list[str], dialect: Dialect) -> bool:
+    """Whether a line that begins with a word is a row all the same: it holds a number, among as many cells."""
+    n_numbers = sum(is_number(cell, dialect.decimal) for cell in cells)
+    if n_numbers == 0:
+        return all(cell.lower() in _EMPTY for cell in cells)
+    return len(cells) == dialect.width or numeric_width(cells, dialect.decimal) > 0
+
+
+def _is_word(cell: str) -> bool:
+    return cell[:1].isalpha() and cell.lower() not in _EMPTY
+
+
+def _parse(lines: list[str], plain: list[FloatArray] | None, layout: _Layout, columns: list[_Column]) -> int:
+    """Read rows; `plain` are their numbers where that was easy. The number of rows that came of it."""
+    dialect, places = layout.dialect, layout.places
+    plain = plain if plain is not None else _plain(lines, dialect)
     if plain is not None:
-        for column, values in zip(columns, plain, strict=True):
-            column.take(values)
+        for column, (place, scale) in zip(columns, places, strict=True):
+            if place < 0:
+                column.lack(len(lines))
+            else:
+                column.take(plain[place] if scale == 1.0 else plain[place] * scale)
         return len(lines)
     import pandas as pd  # noqa: PLC0415  its import takes as long as reading an ordinary recording
 
@@ -159,13 +310,13 @@ def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
     exact: dict[str, Any] = {} if int(pd.__version__.split(".")[0]) >= 3 else {"float_precision": "round_trip"}
     # A quote that is never closed would join all that follows into one cell.
     lines = [line.replace('"', "") if '"' in line and line.count('"') % 2 else line for line in lines]
-    read = [i for i, column in enumerate(columns) if not column.is_text]
+    read = [place for column, (place, _) in zip(columns, places, strict=True) if place >= 0 and not column.is_text]
     frame = pd.read_csv(
         io.StringIO("\n".join(lines)),
         sep=r"\s+" if dialect.separator == " " else dialect.separator,
         header=None,
         names=list(range(dialect.width)),
-        usecols=read,
+        usecols=sorted(read),
         index_col=False,
         decimal=dialect.decimal,
         **exact,
@@ -173,9 +324,11 @@ def _parse(lines: list[str], dialect: Dialect, columns: list[_Column]) -> int:
         on_bad_lines="skip",
         low_memory=False,
     )
-    for i, column in enumerate(columns):
-        if i in read:
-            column.add(frame[i])
+    for column, (place, scale) in zip(columns, places, strict=True):
+        if place in read:
+            column.add(frame[place], scale)
+        elif place < 0:
+            column.lack(len(frame))
         else:
             column.skip(len(frame))
     return len(frame)
@@ -232,7 +385,8 @@ def _unusual(cell: str, decimal: str) -> float | None:
 
 def _refuse_thousands(lines: list[str], dialect: Dialect, labels: list[str], file: str) -> None:
     """Refuse a column of 998 and 1,002: whether that is a thousand or about one cannot be seen, and matters."""
-    rows = [dialect.cells(line) for line in lines[:: max(1, len(lines) // _N_LOOKED)]]
+    looked = (dialect.cells(line) for line in lines[:: max(1, len(lines) // _N_LOOKED)])
+    rows = [cells for cells in looked if numeric_width(cells, dialect.decimal)]
     for i, label in enumerate(labels):
         cells = [row[i] for row in rows if len(row) > i and row[i]]
         marked = [cell for cell in cells if "." in cell or "," in cell]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes.recording.clock import follow_on, restarts
+from shj_bayes.recording.clock import follow_on, going_on, restarts
 from shj_bayes.recording.columns import Channels, choose, choose_history
 from shj_bayes.recording.formats.catalogue import read_table
 from shj_bayes.recording.further import at_samples
@@ -99,14 +99,22 @@ def _at_samples(extra: Extra, clock_s: FloatArray, time_s: FloatArray) -> Extra:
 
 def _placed_runs(channels: Channels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
     """Put all rows on one clock; give the first time of each further run, what was added to it, and what to say."""
-    again = restarts(channels.time_s, channels.displacement_mm, channels.force_kN)
+    time_s, cycles = going_on(channels.time_s, channels.displacement_mm, channels.force_kN)
+    again = restarts(time_s, channels.displacement_mm, channels.force_kN)
     rows = sorted({*again, *channels.run_rows})
-    clock_s, shifts = follow_on(channels.time_s, rows)
+    clock_s, shifts = follow_on(time_s, rows)
     timed = np.flatnonzero(np.isfinite(clock_s))
     firsts = [float(clock_s[timed[np.searchsorted(timed, row)]]) for row in rows]
     begins = list(zip(firsts, shifts, strict=True))
+    said: list[Finding] = []
+    if cycles:
+        message = (
+            f"time begins again {len(cycles)} times, first at row {cycles[0] + 1}, while the device moves on: read as "
+            "one run, with the usual step between"
+        )
+        said.append(Finding("time-cycles", "assumed", message, len(cycles)))
     if not again:
-        return clock_s, begins, []
+        return clock_s, begins, said
     where = f"at row {again[0] + 1}" if len(again) == 1 else f"{len(again)} times, first at row {again[0] + 1}"
     message = f"time begins again {where}: {len(rows) + 1} runs, put one behind the other"
-    return clock_s, begins, [Finding("time-restarts", "assumed", message, len(again))]
+    return clock_s, begins, [*said, Finding("time-restarts", "assumed", message, len(again))]

@@ -8,6 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 from shj_bayes.errors import RecordingError
+from shj_bayes.recording.stamps import H_MIN_OR_MIN_S
 
 if TYPE_CHECKING:
     import pint
@@ -18,8 +19,9 @@ TARGET: dict[Role, str] = {"time": "s", "displacement": "mm", "force": "kN"}
 _EXAMPLES: dict[Role, tuple[str, ...]] = {
     "time": ("s", "ms", "us", "min", "h"),
     "displacement": ("mm", "cm", "m", "um", "in", "ft"),
-    "force": ("N", "kN", "MN", "lbf", "kip", "kgf", "tonf"),
+    "force": ("N", "kN", "MN", "lbf", "kip", "kgf", "tf", "kg", "t"),
 }
+_ABBREVIATION = 4  # letters of an abbreviated unit at most, in which case matters
 _TONNE = "metric_ton * standard_gravity"
 _KILOPOND_KN = 9.80665e-3
 _POUND_KN = 0.45359237 * _KILOPOND_KN
@@ -29,7 +31,7 @@ _ALIASES = {
     for unit, words in {
         "inch": ('"', "''", "in", "in.", "ins", "inches"),
         "lbf": ("lb", "lbs", "lb.", "lb-f", "pound", "pounds"),
-        "kip": ("kips", "klbf"),
+        "kip": ("kips", "klbf", "klb", "klbs"),
         "s": ("sec", "secs", "sec."),
         "ms": ("msec",),
         "us": ("usec", "\u00b5s", "\u03bcs"),  # micro sign, Greek mu
@@ -41,6 +43,14 @@ _ALIASES = {
     }.items()
     for word in words
 }
+# Masses that a force channel is written in: its force is their weight.
+_WEIGHTS_KN = {
+    **dict.fromkeys(("kg", "kgs", "kilo", "kilogram", "kilograms", "kilogramm"), _KILOPOND_KN),
+    **dict.fromkeys(("t", "te", "to", "tonne", "tonnes", "metric ton", "metric tons"), 1e3 * _KILOPOND_KN),
+    **dict.fromkeys(("short ton", "short tons", "us ton"), 2000 * _POUND_KN),
+    **dict.fromkeys(("long ton", "long tons", "uk ton"), 2240 * _POUND_KN),
+}
+_TONS = {"ton", "tons"}  # metric, short or long? They differ by 10 and 12 %.
 # Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
 _ANY_CASE = {unit.lower(): unit for unit in ("kN", "N", "mm", "cm", "s", "ms", "kip", "lbf")} | {"in": "inch"}
 # Of what pint knows the units that recordings carry: importing it and its list takes longer than reading a recording.
@@ -63,7 +73,12 @@ _OTHERS = {"V", "mV", "bar", "MPa", "degC", "C", "%", "mm/s", "m/s", "in/s"}
 def _known(text: str) -> tuple[Role, float] | None:
     """Channel of a unit as laboratories write it, and its factor to the tool's unit; None when it is none of them."""
     # The likeliest first: pint's Ms is a million seconds, and stays so although MS is forgiven for ms.
-    for name in (_ALIASES.get(text, text), _ALIASES.get(text.lower(), text), _ANY_CASE.get(text.lower(), text)):
+    for name in (
+        _ALIASES.get(text, text),
+        _ALIASES.get(text.lower(), text),
+        _ANY_CASE.get(text.lower(), text),
+        _long(text),
+    ):
         if name in _USUAL:
             return _USUAL[name]
         if name not in _OTHERS and (unit := _parse(name)) is not None:
@@ -71,6 +86,11 @@ def _known(text: str) -> tuple[Role, float] | None:
                 if unit.is_compatible_with(target):
                     return role, float(_registry().Quantity(1.0, unit).to(target).magnitude)
     return None
+
+
+def _long(text: str) -> str:
+    """Names of units that are written out, in the case in which pint knows them: Millimeters, KILONEWTONS."""
+    return text.lower() if len(text) > _ABBREVIATION else text
 
 
 @cache
@@ -98,12 +118,29 @@ def role_of(text: str) -> Role | None:
     return None if known is None else known[0]
 
 
+def is_weight(text: str) -> bool:
+    """Whether a unit of a force is that of a mass, such as ``kg``, or a ton-force of which there are several."""
+    word = _spaced(text)
+    return word in _WEIGHTS_KN or word in _TONS or word == "tonf"
+
+
+def _spaced(text: str) -> str:
+    return " ".join(re.split(r"[\s_-]+", text.strip().lower()))
+
+
 def factor(text: str, role: Role) -> float:
     """Multiplier from a unit (``lb`` is a pound-force) to the tool's unit of a channel: s, mm and kN.
 
     `RecordingError` if it is not a unit of that channel.
     """
     text = text.strip()
+    if role == "force" and _spaced(text) in _TONS:
+        raise RecordingError(
+            f"unit {text!r} of force may be a metric ton (9.807 kN), a short one of 2000 lbf (8.896 kN) or a long one "
+            "of 2240 lbf (9.964 kN); say which with --units force=tf, 'force=short ton' or 'force=long ton'"
+        )
+    if role == "force" and _spaced(text) in _WEIGHTS_KN:
+        return _WEIGHTS_KN[_spaced(text)]
     known = _known(text)
     if known is None or known[0] != role:
         raise RecordingError(
@@ -120,6 +157,11 @@ def _refusal(text: str, role: Role, known: bool) -> str:
     if known:  # of another channel: not a slip of the pen but a wrong header, or two columns exchanged
         hint = f"; where the header is wrong, say what the numbers are with --units {role}={TARGET[role]}"
     what = "is a unit, but not of" if known else "is no known unit of"
+    if text == H_MIN_OR_MIN_S:
+        return (
+            "time: cells such as 00:01 may be hours and minutes or minutes and seconds; say which with --units time=h, "
+            "where the first are hours, or --units time=min"
+        )
     electrical = text.lower() in {"v", "mv", "volt", "volts"}
     advice = (
         "; multiply by the sensor's calibration first, or choose the calibrated column with --columns"
@@ -139,7 +181,7 @@ def parse_units(option: str | None) -> dict[Role, str]:
         if not part:
             continue
         name, _, unit = (piece.strip() for piece in part.rpartition("="))
-        role = _role_named(name, part) if name else role_of(unit)
+        role = _role_named(name, part) if name else role_of(unit) or ("force" if is_weight(unit) else None)
         if role is None:
             near = difflib.get_close_matches(unit, [u for units in _EXAMPLES.values() for u in units], n=1, cutoff=0.4)
             hint = f"; did you mean {near[0]!r}?" if near else ""

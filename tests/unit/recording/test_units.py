@@ -100,7 +100,8 @@ def test_bad_units_option(option, words):
         ("Velocity (as published; wrong scale)", "Velocity (as published; wrong scale)", None),
         ("Force", "Force", None),
         ("LVDT_a", "LVDT_a", None),
-        ("Load t", "Load t", None),
+        ("Load t", "Load", "t"),
+        ("Shift t", "Shift t", None),
         ('Stroke (")', "Stroke", '"'),
     ],
 )

@@ -6,20 +6,28 @@ The file is read as a stream: memory holds the numbers and one block of lines, n
 import codecs
 import gzip
 import io
+import re
 import zlib
+from array import array
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
 from typing import IO
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.dialect import LOOK, Dialect, find_dialect, header_of
+from shj_bayes.recording.dialect import LOOK, Dialect, find_dialect
 from shj_bayes.recording.formats.format import Format
+from shj_bayes.recording.heads import head_of
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE
 from shj_bayes.recording.numerals import numbers
 from shj_bayes.recording.recording import Finding
-from shj_bayes.recording.tables import Column, Table, bounded_columns
+from shj_bayes.recording.tables import Table, bounded_columns
+from shj_bayes.recording.timed import timed
 
+# hyphens, dashes and minus signs before a number or in its exponent; marks without width
+_MINUS = re.compile("(?:(?<!\\w)|(?<=[0-9][eEdD]))[\u2010-\u2015\u2212\ufe58\ufe63\uff0d](?=[.,]?[0-9])")
+_INVISIBLE = dict.fromkeys((0xFEFF, 0x200B, 0x200C, 0x200D, 0x200E, 0x200F, 0x2060))
 _HEAD = 4096  # bytes in which the zeros of UTF-16 are looked for
 
 
@@ -37,25 +45,24 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
 
     `kind` is the format of the table, `notes` what was met before.
     """
-    comments: list[str] = []
-    stream = _rows(lines, comments, name)
-    head = list(islice(stream, 2 * LOOK))
-    dialect = find_dialect(head, name)
-    names, units, headers = header_of(head[: dialect.first], dialect)
-    if not any(names) and comments:  # numpy and gnuplot write the header as a comment
-        names, units, headers = header_of([line.lstrip("#% ") for line in comments], dialect)
-    if not any(names):
-        _refuse_split_numbers(head[: dialect.first], dialect, name)
-    bounded_columns(names, name)
-    values, n_words, findings = numbers(chain(head[dialect.first :], stream), dialect, names, name)
-    if any("simulated" in line.lower() for line in comments):
+    rows = _Rows(lines, name)
+    stream = iter(rows)
+    first = list(islice(stream, 2 * LOOK))
+    dialect = find_dialect(first, name)
+    head = head_of(first[: dialect.first], dialect)
+    if not any(head.names) and rows.comments:  # numpy and gnuplot write the header as a comment
+        head = head_of([line.lstrip("#% ") for line in rows.comments], dialect)
+    if not any(head.names):
+        _refuse_split_numbers(first[: dialect.first], dialect, name)
+    bounded_columns(head.names, name)
+    read = numbers(chain(first[dialect.first :], stream), dialect, head, name, rows.line_of)
+    findings = read.findings
+    if any("simulated" in line.lower() for line in rows.comments):
         findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
     if dialect.decimal == ",":
         findings.append(Finding("decimal-comma", "assumed", "a comma is read as the decimal sign (0,5 is one half)"))
-    columns = tuple(
-        Column(label or f"#{i + 1}", values[i], units[i], headers[i], n_words[i]) for i, label in enumerate(names)
-    )
-    return Table(name, kind, sha256, columns, has_header=any(names), findings=(*notes, *findings))
+    columns, more = timed(read, head, name)
+    return Table(name, kind, sha256, columns, has_header=any(head.names), findings=(*notes, *findings, *more))
 
 
 def _refuse_split_numbers(above: list[str], dialect: Dialect, name: str) -> None:
@@ -69,23 +76,40 @@ def _refuse_split_numbers(above: list[str], dialect: Dialect, name: str) -> None
         )
 
 
-def _rows(lines: Iterable[str], comments: list[str], name: str) -> Iterator[str]:
+class _Rows:
     """Lines that may be rows; the first comments go into a list."""
-    surplus = 0
-    for line in lines:
-        text = line if line[:1].isdigit() else line.lstrip()
-        if text and not text.startswith(("#", "%")):
-            surplus -= 1
-            yield line
-            continue
-        surplus += 1
-        if surplus > MAX_EMPTY:
-            raise RecordingError(
-                f"{name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no recording; "
-                f"export it again, one row on each line"
-            )
-        if text and len(comments) < LOOK:
-            comments.append(line)
+
+    def __init__(self, lines: Iterable[str], name: str) -> None:
+        self.lines, self.name = lines, name
+        self.comments: list[str] = []
+        self.passed = array("q")  # how many rows came before each line that is none
+
+    def __iter__(self) -> Iterator[str]:
+        """Give the rows, in the signs of typewriters."""
+        n_rows = 0
+        for line in self.lines:
+            text = line if line[:1].isdigit() else line.lstrip()
+            if text and not text.startswith(("#", "%")):
+                n_rows += 1
+                yield line if line.isascii() else _typed(line)
+                continue
+            self.passed.append(n_rows)
+            if len(self.passed) - n_rows > MAX_EMPTY:
+                raise RecordingError(
+                    f"{self.name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no "
+                    f"recording; export it again, one row on each line"
+                )
+            if text and len(self.comments) < LOOK:
+                self.comments.append(line)
+
+    def line_of(self, row: int) -> int:
+        """Give the number of a row's line in the file, counted from 1."""
+        return row + 1 + bisect_right(self.passed, row)
+
+
+def _typed(line: str) -> str:
+    """Line in which a minus before a number is a hyphen, whatever a typesetter made of it, and nothing is invisible."""
+    return _MINUS.sub("-", line.translate(_INVISIBLE))
 
 
 def find_encoding(path: Path) -> str:
@@ -185,4 +209,4 @@ def _lines(text: io.TextIOWrapper, name: str) -> Iterator[str]:
         yield held
 
 
-FORMATS = (Format("csv", (".csv", ".tsv", ".txt", ".dat", ".asc"), read_text, gzipped=True),)
+FORMATS = (Format("csv", (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm"), read_text, gzipped=True),)
