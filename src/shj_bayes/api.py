@@ -293,8 +293,9 @@ def fit(
     name : str, optional
         Name of the device; that of the first file by default.
     **options
-        Fields of `shj_bayes.commands.options.Options` (columns, units, rate_Hz, priors, priors_from, model, noise,
-        effects, free, seed, max_steps, runs) and of `shj_bayes.commands.pipeline.Work` (progress, threads, force).
+        Fields of `shj_bayes.commands.options.Options` (columns, units, rate_Hz, sheet, priors, priors_from, model,
+        noise, effects, free, seed, max_steps, runs) and of `shj_bayes.commands.pipeline.Work` (progress, threads,
+        force).
 
     Returns
     -------

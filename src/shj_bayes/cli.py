@@ -129,6 +129,7 @@ READING = _options(
     click.option("--columns", metavar="ROLE=COLUMN,...", help="time=, displacement=, force=, and others to show."),
     click.option("--units", metavar="mm,kN,s", help="Units, where the header does not say."),
     click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Sampling rate of files without time, Hz."),
+    click.option("--sheet", metavar="NAME", help="Sheet of a workbook, or group of a TDMS, HDF5 or MAT file."),
     click.option("--runs", "n_runs", type=click.IntRange(1), metavar="N", help="Runs that the files hold together."),
     click.option("--split", is_flag=True, help="Split files where several runs are found."),
     click.option("--one-run", is_flag=True, help="Each file is one run, whatever it looks like."),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import shutil
 import time
 from pathlib import Path
@@ -24,7 +25,8 @@ from shj_bayes.recording.check import check_recording
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.device import render_device
 
-SLOW_S = 10.0  # rule of the issue: never a hang over 10 s
+SLOW_S = 10.0  # of work
+LARGE_KB = 1_500_000  # of memory, of this process or of one that it started
 A_SET = "Brass"  # of the population
 HISTORY_EVERY = 3  # every so many recordings are also read as displacement histories
 RENDER_EVERY = 25  # drawing takes seconds; every so many results are also shown
@@ -47,6 +49,7 @@ def attack(case: Case, folder: Path, good: Path | None = None) -> str:
     str
         ``"read"`` or ``"refused"``, or the breach in words, beginning with ``"BREACH"``.
     """
+    before = _memory_kb()
     begin = time.process_time()  # not the clock: on a busy machine it would show the others
     try:
         word = _ATTACKS[case.kind](case, folder, good)
@@ -56,7 +59,14 @@ def attack(case: Case, folder: Path, good: Path | None = None) -> str:
         place = _place(error)
         word = f"BREACH {type(error).__name__} at {place}: {str(error)[:120]!r}"
     taken = time.process_time() - begin
+    if before < LARGE_KB <= _memory_kb():
+        return f"BREACH {_memory_kb() / 1e6:.1f} GB for {case.name}"
     return f"BREACH {taken:.0f} s for {case.name}" if taken > SLOW_S else word
+
+
+def _memory_kb() -> int:
+    """Most memory so far."""
+    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def _place(error: BaseException) -> str:

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import bombs
 import damage
 import numpy as np
 import originals
@@ -61,7 +62,7 @@ class Corpus:
 
     def __init__(self, seed: int, scratch: Path, *, results: bool = True) -> None:
         self.seed = seed
-        self.recordings = originals.recordings(scratch)
+        self.recordings = originals.recordings(scratch) | bombs.bombs(scratch)
         self.settings = originals.settings()
         self.results = originals.results(scratch / "campaign") if results else {}
 
@@ -78,9 +79,9 @@ class Corpus:
             name = damage.pick(rng, list(self.settings))
             kind = "manifest" if name == "campaign.toml" else "prior"
             return Case(number, kind, name, self._damaged(name, self.settings[name], rng), {})
-        # HDF5 is read in a process of its own, which takes most of the time: half as often as the others.
-        slow = ("data.h5", "seven.mat")
-        name = damage.pick(rng, [n for n in self.recordings for _ in range(1 if n in slow else 2)])
+        # HDF5 is read in a process of its own, which takes most of the time: less often than the others.
+        seldom = ("data.h5", "seven.mat", "nested.mat", *bombs.SAID)
+        name = damage.pick(rng, [n for n in self.recordings for _ in range(1 if n in seldom else 4)])
         options = {"columns": damage.pick(rng, COLUMNS), "units": damage.pick(rng, UNITS)}
         options["rate_Hz"] = damage.pick(rng, RATES)
         if rng.random() < 0.6:

@@ -24,7 +24,7 @@ from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import write_population
 from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.recording import FloatArray, Recording
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 TRUTH = Truth(sigma=0.5, phi=0.3)
@@ -138,7 +138,36 @@ def recordings(folder: Path) -> dict[str, bytes]:
         channels = [ChannelObject("test", key, values) for key, values in columns.items()]
         writer.write_segment(channels)
     files["labview.tdms"] = (folder / "labview.tdms").read_bytes()
-    return files
+    return files | _nested(folder, columns)
+
+
+def _nested(folder: Path, columns: dict[str, FloatArray]) -> dict[str, bytes]:
+    """The same in structs, groups, sheets, and as pandas writes it."""
+    files = {
+        "split.json": json.dumps({"columns": list(columns), "data": np.transpose(list(columns.values())).tolist()})
+    }
+    by_index = {name: dict(enumerate(values.tolist())) for name, values in columns.items()}
+    files["columns.json"] = json.dumps(by_index)
+    packed = {name: content.encode() for name, content in files.items()}
+    time_s, *channels = columns.values()
+    pairs = {name: {"Time": time_s, "Data": values} for name, values in zip(("disp", "force"), channels, strict=True)}
+    scipy.io.savemat(folder / "nested.mat", {"test": {"name": "A", "data": pairs}}, do_compression=True)
+    packed["nested.mat"] = (folder / "nested.mat").read_bytes()
+    with TdmsWriter(folder / "groups.tdms") as writer:
+        for run in ("Run 1", "Run 2"):
+            steps = {"wf_increment": 0.1, "wf_start_offset": 0.0}
+            writer.write_segment([ChannelObject(run, k, v, properties=steps) for k, v in list(columns.items())[1:]])
+    packed["groups.tdms"] = (folder / "groups.tdms").read_bytes()
+    book = openpyxl.Workbook()
+    book.active.append(["Cycle", "Max force (kN)"])
+    book.active.append([1, 80.0])
+    sheet = book.create_sheet("Data")
+    sheet.append(list(columns))
+    for row in np.transpose(list(columns.values())).tolist():
+        sheet.append(row)
+    stream = io.BytesIO()
+    book.save(stream)
+    return packed | {"two.xlsx": stream.getvalue()}
 
 
 def settings() -> dict[str, bytes]:

@@ -52,6 +52,7 @@ OPTION_KINDS: dict[str, Any] = {
     "columns": str,
     "units": str,
     "rate_Hz": int | float,
+    "sheet": str,
     "priors": str,
     "model": str,
     "noise": str,

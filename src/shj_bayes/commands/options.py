@@ -25,6 +25,8 @@ class Options:
         Columns and units, where the file does not say.
     rate_Hz : float or None
         Sampling rate of files without time, Hz.
+    sheet : str or None
+        Sheet of a workbook, or group of a file that has groups.
     priors : str
         Shipped family or TOML file.
     model : {"published", "continuous"}
@@ -49,6 +51,7 @@ class Options:
     columns: str | None = None
     units: str | None = None
     rate_Hz: float | None = None
+    sheet: str | None = None
     priors: str = "afc"
     model: str = "published"
     noise: str = DEFAULT

@@ -166,7 +166,8 @@ def _usable(paths: Sequence[Path | Recording], options: Options, tell: Callable[
             given.append(each)
         else:
             tell(f"reading {plain_text(each.name)}")
-            given.append(read(each, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz))
+            columns, units = options.columns, options.units
+            given.append(read(each, columns=columns, units=units, rate_Hz=options.rate_Hz, sheet=options.sheet))
     recordings = remarked(settle(given, options.runs), options.free)
     if options.priors_from is not None:
         recordings = earlier(options.priors_from).remarked(recordings)

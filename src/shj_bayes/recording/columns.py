@@ -2,13 +2,14 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.formula import Value, evaluate
+from shj_bayes.recording.groups import beside, clock_of, described, one_axis, same_clock, usual_step
 from shj_bayes.recording.limits import (
     BAD_CELL_SHARE,
     MAX_EXTRA_NAME,
@@ -17,6 +18,7 @@ from shj_bayes.recording.limits import (
     MIN_HISTORY,
     MIN_SAMPLES,
     RATE_AGREES,
+    SAME_INSTANT,
 )
 from shj_bayes.recording.recording import Extra, Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table
@@ -72,11 +74,27 @@ def choose(
     asked = parse_columns(columns)
     given = parse_units(units)
     findings: list[Finding] = []
+    own = _own_times(table, asked)
+    apart = own is not None and not same_clock(*own)
+    if own is not None and apart and (rate_Hz is not None or "time" in asked):
+        raise RecordingError(
+            f"{table.name}: displacement has {described(own[0])}, force {described(own[1])}, in the file itself; leave "
+            "--rate and time=... out"
+        )
     if rate_Hz is not None:
         check_rate(rate_Hz, asked)
-        _rate_agrees(rate_Hz, table, given)
+        _rate_agrees(rate_Hz, table, given, own)
+    timed = own is not None and (apart or (rate_Hz is None and "time" not in asked and not _has_time(table)))
     roles = [role for role in ROLES if role != "time" or rate_Hz is None]
-    values, chosen = _columns(table, roles, asked, findings)
+    values, chosen = _columns(table, [role for role in roles if role != "time" or not timed], asked, findings)
+    axis_s = None if own is None else own[0]
+    if own is not None and apart:
+        axis_s = _laid(values, own, table.name, findings)
+    if timed and axis_s is not None:
+        told = all(column.clock_told for value in values.values() for column in value.columns)
+        chosen["time"], clock = "times of the channels", Column("time", axis_s, "s" if told else None)
+        values["time"] = Value(axis_s, (clock,), plain=True)
+        given = {role: unit for role, unit in given.items() if role != "time" or not told}
     n = _length(values, table)
     used: dict[str, str] = {}
     arrays: dict[Role, FloatArray] = {}
@@ -96,9 +114,11 @@ def choose(
             findings.append(Finding("unit-weight", "assumed", message))
         scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
-    others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
+    others = {name: _at(axis_s, evaluate(text, table)) for name, text in asked.items() if name not in ROLES}
     extras = tuple(_extra(name, value, n, table) for name, value in others.items())
     run, run_rows = _run_column(table, values)
+    if run is not None and run.clock_s is not None and axis_s is not None and apart:
+        run_rows = tuple(np.searchsorted(axis_s, run.clock_s[list(run_rows)]).tolist())
     if run is not None:
         message = f"column {run.header or run.name!r} numbers {len(run_rows) + 1} runs"
         findings.append(Finding("run-column", "assumed", message))
@@ -147,6 +167,54 @@ def choose_history(table: Table) -> tuple[FloatArray, FloatArray, tuple[Finding,
         message = f"{n_left} of {known.size} rows hold no number in time or displacement, and are left out"
         findings.append(Finding("rows-left-out", "warning", message, n_left))
     return time[known], moved[known], tuple(findings)
+
+
+def _own_times(table: Table, asked: dict[str, str]) -> tuple[FloatArray, FloatArray] | None:
+    """Find the times of displacement and force, s, where both channels have their own."""
+    if all(column.clock_s is None for column in table.columns):
+        return None
+    clocks = []
+    for role in ("displacement", "force"):
+        header = None if role in asked else by_header(table, role, [])
+        columns = evaluate(asked[role], table).columns if role in asked else (header,) if header else ()
+        clocks.append(clock_of(columns))
+    return None if clocks[0] is None or clocks[1] is None else (clocks[0], clocks[1])
+
+
+def _has_time(table: Table) -> bool:
+    """Whether a file has one time for all channels: a column, or the interval of waveforms."""
+    try:
+        return by_header(table, "time", []) is not None or "wf_increment" in table.scalars
+    except RecordingError:
+        return False
+
+
+def _laid(
+    values: dict[Role, Value], own: tuple[FloatArray, FloatArray], name: str, findings: list[Finding]
+) -> FloatArray:
+    """Put displacement and force on one axis, in place; give its times, s."""
+    x, f = values["displacement"], values["force"]
+    axis_s = one_axis(own[0], own[1], name)
+    values["displacement"] = replace(x, values=np.interp(axis_s, own[0], x.values))
+    values["force"] = replace(f, values=f.values[np.searchsorted(own[1], axis_s)])
+    step = usual_step(axis_s)
+    both = bool(np.all(np.min(np.abs(axis_s[:, None] - own[0][beside(own[0], axis_s)]), axis=1) < SAME_INSTANT * step))
+    how = "both were read" if both else "the force was read; the displacement is on straight lines between its readings"
+    message = (
+        f"displacement has {described(own[0])}, force {described(own[1])}: they are laid on one axis of {axis_s.size} "
+        f"instants at {1.0 / step:.4g} Hz, at which {how}; of {own[1].size} forces {own[1].size - axis_s.size} are not "
+        "used"
+    )
+    findings.append(Finding("own-times", "assumed", message))
+    return axis_s
+
+
+def _at(axis_s: FloatArray | None, value: Value) -> Value:
+    """Further channel with times of its own at the instants of the others."""
+    clock = None if axis_s is None else clock_of(value.columns)
+    if axis_s is None or clock is None or clock.size != value.values.size or same_clock(clock, axis_s):
+        return value
+    return replace(value, values=np.interp(axis_s, clock, value.values, left=np.nan, right=np.nan))
 
 
 def _columns(
@@ -224,9 +292,11 @@ def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | Non
     loose = [c for c in table.columns if any(word in _words(c.name).split() for word in _CONTAINS[role])]
     found = exact or loose
     if len(found) > 1:
+        groups = list(dict.fromkeys(c.group for c in found if c.group))
+        group = f", or take one of the groups with --sheet, as in --sheet {groups[0]!r}" if len(groups) > 1 else ""
         raise RecordingError(
             f"{table.name}: {len(found)} columns could be {role}: {', '.join(c.header or c.name for c in found)}; "
-            f"say which with --columns {role}=..."
+            f"say which with --columns {role}=...{group}"
         )
     if not found:
         return None
@@ -280,9 +350,12 @@ def check_rate(rate_Hz: float, asked: dict[str, str]) -> None:
         raise RecordingError(f"both --rate {rate_Hz:g} and --columns time={asked['time']} are given; give one of them")
 
 
-def _rate_agrees(rate_Hz: float, table: Table, given: dict[Role, str]) -> None:
-    """Refuse a sampling rate that the file's own clock contradicts."""
-    for name, said in _rates(table, given):
+def _rate_agrees(
+    rate_Hz: float, table: Table, given: dict[Role, str], own: tuple[FloatArray, FloatArray] | None
+) -> None:
+    """Refuse a sampling rate that the file's own clock, or the times of its channels, contradict."""
+    ours = [] if own is None or own[0].size < 2 else [("the time of the channels", (1.0 / usual_step(own[0]),))]
+    for name, said in [*_rates(table, given), *ours]:
         # A clock printed with few digits repeats its times, and one with gaps ends late: each shows in one of the two.
         if all(abs(rate / rate_Hz - 1) > RATE_AGREES for rate in said):
             raise RecordingError(
@@ -393,7 +466,9 @@ def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None,
 def _note_ignored(table: Table, values: Sequence[Value], run: Column | None, findings: list[Finding]) -> None:
     """List the columns that were not used."""
     used = {id(column) for value in values for column in value.columns} | {id(run)}
-    rest = [(c.header if table.has_header else "") or c.name for c in table.columns if id(c) not in used]
+    clocks = {id(column.clock_s) for value in values for column in value.columns if column.clock_s is not None}
+    others = [c for c in table.columns if id(c) not in used and id(c.values) not in clocks]
+    rest = [(c.header if table.has_header else "") or c.name for c in others]
     if rest:
         more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
         findings.append(Finding("columns-ignored", "note", f"columns not used: {', '.join(rest[:8])}{more}"))

@@ -88,6 +88,7 @@ def _named(name: str, table: Table) -> Value | None:
         (name, [c.name for c in table.columns]),
         (lower, [c.header.lower() for c in table.columns]),
         (lower, [c.name.lower() for c in table.columns]),
+        (lower.replace("/", "."), [c.header.lower().replace("/", ".") for c in table.columns]),  # struct or group
     ):
         found = [column for column, key in zip(table.columns, keys, strict=True) if key == wanted]
         if len(found) == 1:

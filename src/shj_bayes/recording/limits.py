@@ -7,10 +7,20 @@ MAX_BYTES = 512 * 1024**2  # after decompression; holds 10 million rows of four 
 MAX_JSON_BYTES = 64 * 1024**2  # parsed it takes ten times as much memory: a million rows of three numbers
 CHUNK_BYTES = 4 * 1024**2  # a compressed file is unpacked in pieces of this size, so that it can be stopped
 BLOCK_ROWS = 200_000  # rows of text held at a time: some 50 MB, however long the file
-HDF5_SECONDS = 300  # for the largest file on the slowest disk; a damaged one can make the library loop
+HDF5_SECONDS = 20  # for a small file on a busy machine, and more by its size; a damaged one can make the library loop
+HDF5_BYTES_S = 4 * 1024**2  # read in a second by the slowest disk
+CHILD_BYTES = MAX_BYTES + 256 * 1024**2  # more than what is read into it, in the process that opens HDF5
+MAX_DEPTH = 32  # groups in groups, structs in structs; deeper ones end the stack of the libraries
+MAX_NESTED = 50_000  # cells and fields of MATLAB; each takes up to 0.1 ms
 MAX_RATIO = 200  # unpacked over packed size of a workbook; sheets of numbers reach about 10, constant columns 60
-MAX_PARTS = 2000  # files in a workbook; two hundred sheets with pictures stay below
+MAX_PARTS = (
+    2000  # files in a workbook, variables of MATLAB, groups and datasets; two hundred sheets with pictures stay below
+)
+MAX_SHEETS = 200  # a sheet for each specimen of a large programme
 MAX_SHEET_ROWS = 1_048_576  # the last row that a workbook can have
+MAX_ROW_BYTES = 16 * 1024**2  # of a row or text of a workbook; 16 384 full cells take a tenth
+MAX_TABLE_CELLS = 10_000_000  # of JSON and workbooks, rows x columns: each is an object of its own
+MAX_BRACKETS = 3_000_000  # lists and objects of JSON, a row each
 MAX_LINE = 65_536  # characters; 512 columns of 100 digits stay below
 MAX_EMPTY = 100_000  # lines without a row, beyond one for each row: a doubled line end makes one, a bomb millions
 MAX_WORDS = 100_000  # in a column, and half of it: a status, which is not read to its end as if it were numbers
@@ -24,6 +34,7 @@ MAX_DATES = 1000  # different dates in a column of time stamps; a test lasts a w
 GAP_STEPS = 3.5  # a step this many medians long is a gap: jitter and one or two lost samples stay below
 JITTER_SHARE = 0.02  # 5-95 % spread of the steps over the median; clocks that print rounded times stay below
 BAD_TIME_SHARE = 0.02  # more repeated or backward times than this is a broken clock, not a few broken rows
+SAME_INSTANT = 0.01  # of a step: readings this near to one another are of the same time
 RATE_AGREES = 0.02  # a rate that is given may differ by this share from what a time column says; clocks drift by less
 # Share of the way in a gap: of 400 gaps cut into Table 1 at 10 Hz, 8 of 184 that hide a reversal pass then, and after
 # 54 of the other 216 samples are left out for nothing (``test_quality.py`` cuts 200).

@@ -23,6 +23,7 @@ def read(
     columns: str | None = None,
     units: str | None = None,
     rate_Hz: float | None = None,
+    sheet: str | None = None,
 ) -> Recording:
     """Read one recording and check it.
 
@@ -38,6 +39,8 @@ def read(
         ``mm,kN,s`` in any order, or ``time=ms,...``; needed where the header does not say.
     rate_Hz : float or None
         Constant sampling rate of a file without time, Hz.
+    sheet : str or None
+        Sheet of a workbook, or group of a file that has groups (TDMS, HDF5, MAT), that holds the recording.
 
     Returns
     -------
@@ -50,7 +53,7 @@ def read(
     RecordingError
         If the file cannot be read, or a channel is missing, ambiguous or not convertible.
     """
-    return recording_of(read_table(path), columns, units, rate_Hz)
+    return recording_of(read_table(path, sheet), columns, units, rate_Hz)
 
 
 def read_history(path: Path) -> tuple[FloatArray, FloatArray, tuple[Finding, ...]]:

@@ -146,12 +146,18 @@ class Recording:
 
     @classmethod
     def read(
-        cls, path: str | Path, *, columns: str | None = None, units: str | None = None, rate_Hz: float | None = None
+        cls,
+        path: str | Path,
+        *,
+        columns: str | None = None,
+        units: str | None = None,
+        rate_Hz: float | None = None,
+        sheet: str | None = None,
     ) -> Recording:
         """Read a file; the same as `shj_bayes.recording.reader.read`, where the parameters and errors are described."""
         from shj_bayes.recording.reader import read  # noqa: PLC0415  the reader makes recordings, so it imports this
 
-        return read(path, columns=columns, units=units, rate_Hz=rate_Hz)
+        return read(path, columns=columns, units=units, rate_Hz=rate_Hz, sheet=sheet)
 
     def _repr_html_(self) -> str:
         """Facts and findings as a small table, for notebooks."""

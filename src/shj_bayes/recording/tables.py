@@ -18,6 +18,9 @@ class Column:
     unit: str | None = None  # unit as written in the file
     header: str = ""  # header as written, name and unit together
     n_words: int = 0  # cells that hold text and no number
+    group: str = ""  # group, struct or the like of the file that holds it
+    clock_s: FloatArray | None = None  # times of its values where it has its own, shape (n_rows,), s
+    clock_told: bool = True  # whether the file says that these are seconds
 
 
 @dataclass(frozen=True, eq=False)

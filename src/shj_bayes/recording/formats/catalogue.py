@@ -20,15 +20,18 @@ def by_ending() -> dict[str, Format]:
     return {ending: one for one in sorted(found, key=lambda f: (not f.gzipped, f.id)) for ending in one.endings}
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, sheet: str | None = None) -> Table:
     """Read a file of any supported format into columns of numbers; the ending tells which it is.
 
-    `RecordingError` if there is no such file, or it is empty, too large, or not what its ending says.
+    `sheet` names the sheet of a workbook, or a group of a file that has groups. `RecordingError` if there is no
+    such file, or it is empty, too large, or not what its ending says.
     """
     path = Path(path)
     own = _format(path)
+    if sheet is not None and not own.sheets:
+        raise RecordingError(f"{path.name}: a {own.id} file has no sheets or groups; leave --sheet out")
     try:
-        table = own.read(path, file_digest(path))
+        table = own.read(path, file_digest(path), *([sheet] if own.sheets else []))
     except RecordingError:
         raise
     except MemoryError as error:

@@ -1,42 +1,120 @@
-"""XLSX workbooks: the first sheet that holds a table of numbers."""
+"""XLSX workbooks: the sheet that holds a recording."""
 
+import re
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from shj_bayes.errors import RecordingError
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes.errors import RecordingError, shown
+from shj_bayes.recording.columns import by_header
 from shj_bayes.recording.dialect import NoNumbersError
 from shj_bayes.recording.formats.format import Format
 from shj_bayes.recording.formats.text import table_from_lines
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_COLUMNS, MAX_PARTS, MAX_RATIO, MAX_SHEET_ROWS
+from shj_bayes.recording.groups import grouped
+from shj_bayes.recording.limits import (
+    CHUNK_BYTES,
+    MAX_BYTES,
+    MAX_COLUMNS,
+    MAX_NAME,
+    MAX_PARTS,
+    MAX_RATIO,
+    MAX_ROW_BYTES,
+    MAX_SHEET_ROWS,
+    MAX_SHEETS,
+    MAX_TABLE_CELLS,
+    MIN_SAMPLES,
+)
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Table
+from shj_bayes.recording.units import ROLES
+
+_ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
+_SHEET = re.compile(rb"<(?:\w+:)?sheet[\s/>]")
+_ROW = re.compile(rb"<(?:\w+:)?(?:row|si)[\s/>]")
 
 
-def read_excel(path: Path, sha256: str) -> Table:
-    """Read an XLSX workbook, formulas as the values last stored; `sha256` is its digest."""
+def read_excel(path: Path, sha256: str, sheet: str | None) -> Table:
+    """Read the sheet of an XLSX workbook that holds a recording, formulas as the values last stored.
+
+    `sheet` names it; else it is the one whose header names most of the channels. Sheets that do so alike and are called
+    Run 1, Run 2 ... are runs; others are refused, by their names.
+    """
     _bounded(path)
     from openpyxl import load_workbook  # noqa: PLC0415
 
     book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
     try:
         names = list(book.sheetnames)
-        for name in names:
-            sheet = book[name]
-            if not hasattr(sheet, "iter_rows"):  # a chart sheet
+        asked = names if sheet is None else [_asked(sheet, names, path.name)]
+        tables: dict[str, Table] = {}
+        left = [MAX_TABLE_CELLS]
+        for name in asked:
+            if not hasattr(book[name], "iter_rows"):  # a chart sheet
                 continue
             try:  # by way of the text reader, so that both find headers by the same rules
-                table = table_from_lines(_lines(sheet), path.name, sha256, "xlsx")
+                tables[name] = table_from_lines(_lines(book[name], path.name, left), path.name, sha256, "xlsx")
             except NoNumbersError:
                 continue
-            note = Finding("sheet", "assumed", f"sheet {name!r} is read, the first with numbers of {len(names)}")
-            return table if len(names) == 1 else replace(table, findings=(*table.findings, note))
+            except RecordingError as error:
+                other = f" (sheet {name!r}; another one is read with --sheet NAME)" if len(asked) > 1 else ""
+                raise RecordingError(f"{error}{other}") from error
     finally:
         book.close()
-    raise RecordingError(f"{path.name}: no sheet holds rows of two or more numbers; sheets are {', '.join(names[:8])}")
+    if not tables:
+        said = ", ".join((names if sheet is None else asked)[:8])
+        raise RecordingError(f"{path.name}: no sheet holds rows of two or more numbers; sheets are {said}")
+    return next(iter(tables.values())) if len(names) == 1 else _best(tables, path.name)
+
+
+def _asked(sheet: str, names: list[str], book: str) -> str:
+    """Name of the sheet that was asked for."""
+    found = [name for name in names if name == sheet] or [n for n in names if n.lower() == sheet.strip().lower()]
+    if not found:
+        known = ", ".join(names[:8])
+        raise RecordingError(f"{book}: there is no sheet {sheet!r}{did_you_mean(sheet, names)}; sheets are {known}")
+    return found[0]
+
+
+def _best(tables: dict[str, Table], book: str) -> Table:
+    """Choose the sheet that holds a recording, or put together those that are its runs."""
+    claims = {name: _claim(table) for name, table in tables.items()}
+    best = max(claims.values())
+    equal = [name for name, claim in claims.items() if claim == best]
+    others = [name for name in tables if name not in equal]
+    besides = f"; not read: {', '.join(others[:8])}" if others else ""
+    table = tables[equal[0]]
+    if len(equal) > 1 and best[1] >= len(ROLES) - 1:
+        columns = [replace(c, group=name) for name in equal for c in tables[name].columns]
+        found, told = grouped(columns, book, "/")
+        if not told:
+            raise RecordingError(
+                f"{book}: sheets {', '.join(equal[:8])} all hold what may be the recording; say which with --sheet, as "
+                f"in --sheet {equal[0]!r}"
+            )
+        notes = dict.fromkeys(finding for name in equal for finding in tables[name].findings)
+        return replace(table, columns=found, findings=(*notes, *told))
+    why = "whose header names the channels" if best[1] else "the first with numbers"
+    note = Finding("sheet", "assumed", f"sheet {equal[0]!r} is read, {why}{besides}; --sheet NAME takes another")
+    return replace(table, findings=(*table.findings, note))
+
+
+def _claim(table: Table) -> tuple[bool, int, int]:
+    """Say how much speaks for a sheet: as many rows as a recording has, channels that are named, and named exactly."""
+    named = exact = 0
+    for role in ROLES:
+        said: list[Finding] = []
+        try:
+            found = by_header(table, role, said) is not None
+        except RecordingError:  # several could be it
+            named += 1
+            continue
+        named, exact = named + found, exact + (found and not said)
+    return max(c.values.size for c in table.columns) >= MIN_SAMPLES, named, exact
 
 
 def _bounded(path: Path) -> None:
@@ -56,9 +134,15 @@ def _bounded(path: Path) -> None:
                     f"{path.name} has {len(entries)} parts that unpack to {total / size:.0f} times its size; allowed "
                     f"are {MAX_PARTS} parts and {MAX_RATIO} times; that is no workbook; save one sheet as CSV"
                 )
+            sheets = 0
             for entry in entries:
                 if entry.filename.lower().endswith((".xml", ".rels", ".vml")):
                     _refuse_doctype(archive, entry, path.name)
+                    sheets += _looked_through(archive, entry, path.name)
+            if sheets > MAX_SHEETS:
+                raise RecordingError(
+                    f"{path.name} names more than {MAX_SHEETS} sheets; save the one that holds the recording as CSV"
+                )
     except zipfile.BadZipFile as error:
         raise RecordingError(f"{path.name} is not an XLSX workbook ({error}); save it again as .xlsx") from error
 
@@ -66,15 +150,19 @@ def _bounded(path: Path) -> None:
 def _refuse_doctype(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> None:
     """Refuse a part with a document type: only there can entities be declared, and no workbook has one.
 
-    Expat reads up to the first element, so the encoding and comments before it cannot hide anything.
+    Expat reads up to the first element, so comments before it cannot hide anything. A part in another encoding than
+    those of workbooks is refused as well, since its rows could not be counted.
     """
     parser = expat.ParserCreate()
-    found: list[str] = []
+    found, encodings = list[str](), list[str]()
     parser.StartDoctypeDeclHandler = lambda *_: found.append("doctype")
     parser.StartElementHandler = lambda *_: found.append("element")
+    parser.XmlDeclHandler = lambda _, encoding, __: encodings.append((encoding or "utf-8").lower())
     with archive.open(entry) as stream:
         try:
             while not found and (piece := stream.read(4096)):
+                if b"\x00" in piece:
+                    encodings.append("UTF-16")
                 parser.Parse(piece)
         except expat.ExpatError:
             pass  # broken XML; openpyxl says so, and may not need this part at all
@@ -83,18 +171,45 @@ def _refuse_doctype(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str)
             f"{name}: its part {entry.filename} declares a document type, which no workbook has and which can make "
             "a reader run for ever; save it again as .xlsx"
         )
+    if other := set(encodings) - _ENCODINGS:
+        raise RecordingError(
+            f"{name}: its part {entry.filename} is written in {shown(min(other))}; allowed are "
+            f"{', '.join(sorted(_ENCODINGS))}; save it again as .xlsx"
+        )
 
 
-def _lines(sheet: Any) -> Iterator[str]:
+def _looked_through(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> int:
+    """Refuse a part with a longer row or text than any sheet has, which a reader builds whole; count its sheets."""
+    sheets, since = 0, 0
+    with archive.open(entry) as stream:
+        while piece := stream.read(CHUNK_BYTES):
+            sheets += len(_SHEET.findall(piece))
+            starts = [match.start() for match in _ROW.finditer(piece)]
+            edges = [-since, *starts, len(piece)]
+            longest = max(b - a for a, b in pairwise(edges))
+            since = len(piece) - edges[-2]
+            if longest > MAX_ROW_BYTES:
+                raise RecordingError(
+                    f"{name}: its part {entry.filename} has a row or text of more than {MAX_ROW_BYTES // 1024**2} MiB; "
+                    "that is no recording; save one sheet as CSV"
+                )
+    return sheets
+
+
+def _lines(sheet: Any, book: str, left: list[int]) -> Iterator[str]:
     """Rows of a sheet as lines of text, without the empty ones.
 
-    A sheet can claim a cell in its last row; openpyxl then hands out one and the same empty row a million times.
+    `left` counts the cells down that the sheets of the book may still have. A sheet can claim a cell in its
+    last row; openpyxl then hands out one and the same empty row a million times.
     """
     last: Any = None
     for row in sheet.iter_rows(max_row=MAX_SHEET_ROWS, max_col=MAX_COLUMNS, values_only=True):
         if row is last:
             continue
         last = row
+        left[0] -= len(row)
+        if left[0] < 0:
+            raise RecordingError(f"{book}: more than {MAX_TABLE_CELLS} cells; save the recording alone, as CSV")
         filled = [i for i, cell in enumerate(row) if cell is not None]
         if filled:
             yield "\t".join(_cell(cell) for cell in row[: filled[-1] + 1])
@@ -106,7 +221,7 @@ def _cell(value: object) -> str:
         return ""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return repr(float(value))
-    return " ".join(str(value).split())
+    return " ".join(str(value)[:MAX_NAME].split())  # one long text may stand in every cell
 
 
-FORMATS = (Format("xlsx", (".xlsx",), read_excel),)
+FORMATS = (Format("xlsx", (".xlsx",), read_excel, sheets=True),)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from shj_bayes.recording.tables import Table
 
@@ -13,5 +12,7 @@ class Format:
 
     id: str  # word in files and messages
     endings: tuple[str, ...]  # of file names, in lower case with the dot
-    read: Callable[[Path, str], Table]  # ``read(path, sha256)`` gives the table; it imports its library itself
+    # ``read(path, sha256)`` gives the table; it imports its library itself. With sheets, ``read(path, sha256, sheet)``
+    read: Callable[..., Table]
     gzipped: bool = False  # whether it may be compressed, with ``.gz`` behind the ending
+    sheets: bool = False  # whether a file may hold several tables, of which ``--sheet`` names one

@@ -1,19 +1,23 @@
-"""JSON files: a list of records, a list of rows, or an object of columns, alone or under one of the keys."""
+"""JSON files: records, rows or columns, alone or under one of the keys, as pandas writes them, and a record a line."""
 
 import json
+from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, shown
+from shj_bayes.recording.dialect import PLAIN
 from shj_bayes.recording.formats.format import Format
 from shj_bayes.recording.headers import split_header
-from shj_bayes.recording.limits import MAX_JSON_BYTES
+from shj_bayes.recording.limits import MAX_BRACKETS, MAX_CELL, MAX_JSON_BYTES, MAX_TABLE_CELLS
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.tables import Column, Table, as_floats, bounded_columns, left_out
 
 _SHAPES = '[{"time_s": 0, ...}, ...], {"time_s": [0, ...], ...} or [[0, ...], ...]'
+_INDEX = "index"  # of the rows, as pandas writes it
 
 
 def read_records(path: Path, sha256: str) -> Table:
@@ -27,7 +31,7 @@ def read_records(path: Path, sha256: str) -> Table:
             f"{path.name} has {size / 1024**2:.0f} MiB; of JSON at most {MAX_JSON_BYTES // 1024**2} MiB are read; "
             "export CSV or HDF5, which take a fifth of the room"
         )
-    content = json.loads(path.read_bytes(), parse_int=float)
+    content = _parsed(path)
     beside = content if isinstance(content, dict) else {}
     names, lists = _table(content, path.name)
     given = beside.get("units")
@@ -52,6 +56,34 @@ def read_records(path: Path, sha256: str) -> Table:
     return Table(path.name, "json", sha256, tuple(columns), any(names), scalars, tuple(findings))
 
 
+def _parsed(path: Path) -> Any:
+    """Content of a file, or the list of its lines, each of which is one value; bounded before it is built."""
+    raw = path.read_bytes()
+    if raw.count(b",") > MAX_TABLE_CELLS or raw.count(b"[") + raw.count(b"{") > MAX_BRACKETS:
+        raise RecordingError(
+            f"{path.name} holds more than {MAX_TABLE_CELLS} values or {MAX_BRACKETS} rows; export CSV or HDF5"
+        )
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            counts = Counter(key for key, _ in pairs)
+            raise RecordingError(
+                f"{path.name}: the name {shown(counts.most_common(1)[0][0])} stands twice in one object, and nothing "
+                "tells which of the two counts; export each column under a name of its own"
+            )
+        return found
+
+    parse = partial(json.loads, parse_int=float, object_pairs_hook=once)
+    try:
+        return parse(raw)
+    except json.JSONDecodeError as error:
+        lines = [line for line in raw.splitlines() if line.strip()]
+        if not error.msg.startswith("Extra data") or len(lines) < 2:
+            raise
+        return [parse(line) for line in lines]
+
+
 def _table(content: Any, name: str) -> tuple[list[str], list[list[Any]]]:
     """Names and cells of the columns; of an object also those of the first value that is a table itself."""
     found = _columns(content, name)
@@ -63,20 +95,78 @@ def _table(content: Any, name: str) -> tuple[list[str], list[list[Any]]]:
 
 
 def _columns(content: Any, name: str) -> tuple[list[str], list[list[Any]]] | None:
-    """Columns of one of the three shapes; None for anything else."""
+    """Columns of one of the shapes, without an index that only counts the rows; None for anything else."""
+    found = _shape(content, name)
+    if found is None:
+        return None
+    kept = [i for i, (key, cells) in enumerate(zip(*found, strict=True)) if key != _INDEX or not _counts(cells)]
+    return [found[0][i] for i in kept], [found[1][i] for i in kept]
+
+
+def _counts(cells: list[Any]) -> bool:
+    """Whether cells are 0, 1, 2 ... or 1, 2, 3 ..."""
+    return cells[0] in (0.0, 1.0) and all(cell == cells[0] + i for i, cell in enumerate(cells))
+
+
+def _shape(content: Any, name: str) -> tuple[list[str], list[list[Any]]] | None:
+    """Columns of one of the shapes."""
     if isinstance(content, dict):
-        lists = {key: value for key, value in content.items() if isinstance(value, list) and len(value) > 1}
-        lists = {key: cells for key, cells in lists.items() if not any(isinstance(c, dict | list) for c in cells)}
-        return (bounded_columns(list(lists), name), list(lists.values())) if lists else None
+        return _of_object(content, name)
     if not isinstance(content, list) or len(content) < 2:
         return None
     if all(isinstance(record, dict) for record in content):
         keys = bounded_columns(list(dict.fromkeys(key for record in content for key in record)), name)
+        _refuse_wide(len(keys), len(content), name)
         return (keys, [[record.get(key) for record in content] for key in keys]) if keys else None
     if all(isinstance(row, list) for row in content):
         names = bounded_columns([""] * max(map(len, content)), name)
+        _refuse_wide(len(names), len(content), name)
         return names, [[row[i] if i < len(row) else None for row in content] for i in range(len(names))]
     return None
+
+
+def _of_object(content: dict[str, Any], name: str) -> tuple[list[str], list[list[Any]]] | None:
+    """Columns under their names, or names and rows apart, or by the index."""
+    names, rows = content.get("columns"), content.get("data")
+    if isinstance(names, list) and isinstance(rows, list) and all(isinstance(key, str) for key in names):
+        found = _shape(rows, name) if all(isinstance(row, list) for row in rows) else None
+        if found is not None and len(found[0]) == len(names):
+            index = content.get(_INDEX)
+            counted = isinstance(index, list) and len(index) == len(rows)
+            return ([*names, _INDEX], [*found[1], list(index or [])]) if counted else (names, found[1])
+    if (found := _by_index(content, name)) is not None:
+        return found
+    lists = {key: value for key, value in content.items() if isinstance(value, list) and len(value) > 1}
+    lists = {key: cells for key, cells in lists.items() if not any(isinstance(c, dict | list) for c in cells)}
+    return (bounded_columns(list(lists), name), list(lists.values())) if lists else None
+
+
+def _by_index(content: dict[str, Any], name: str) -> tuple[list[str], list[list[Any]]] | None:
+    """Rows, or columns beside anything else, that are objects by the index, whose names are numbers."""
+    nests = {key: value for key, value in content.items() if isinstance(value, dict) and len(value) > 1}
+    columns = {key: value for key, value in nests.items() if all(map(_is_number, value))}
+    if not columns and 1 < len(nests) == len(content) and all(map(_is_number, nests)):
+        found = _shape(list(nests.values()), name)
+        return None if found is None else ([*found[0], _INDEX], [*found[1], list(map(float, nests))])
+    if len(columns) < 2:
+        return None
+    names = bounded_columns([*columns, _INDEX], name)
+    index = list(dict.fromkeys(key for value in columns.values() for key in value))
+    _refuse_wide(len(names), len(index), name)
+    return names, [*([value.get(key) for key in index] for value in columns.values()), list(map(float, index))]
+
+
+def _is_number(text: str) -> bool:
+    """Whether an index is a number."""
+    return len(text) <= MAX_CELL and PLAIN["."].fullmatch(text) is not None and "d" not in text.lower()
+
+
+def _refuse_wide(width: int, length: int, name: str) -> None:
+    """Refuse a table that would be mostly empty cells, before they are laid out."""
+    if width * length > MAX_TABLE_CELLS:
+        raise RecordingError(
+            f"{name}: {length} rows and {width} columns; allowed are {MAX_TABLE_CELLS} cells; export fewer, or CSV"
+        )
 
 
 def _numbers(cells: list[Any]) -> tuple[FloatArray, int]:
@@ -85,4 +175,4 @@ def _numbers(cells: list[Any]) -> tuple[FloatArray, int]:
     return as_floats(values), sum(not isinstance(cell, float | bool) and cell is not None for cell in cells)
 
 
-FORMATS = (Format("json", (".json",), read_records),)
+FORMATS = (Format("json", (".json", ".jsonl", ".ndjson"), read_records),)

@@ -1,18 +1,28 @@
 """TDMS files as LabVIEW writes them."""
 
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.formats.format import Format
+from shj_bayes.recording.groups import grouped, same_clock
 from shj_bayes.recording.headers import split_header
-from shj_bayes.recording.recording import Finding
-from shj_bayes.recording.tables import Column, Table, as_floats, refuse_large
+from shj_bayes.recording.limits import MAX_PARTS
+from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.tables import Column, Table, as_floats, left_out, refuse_large
+
+_MARK = "/"  # between group and channel
 
 
-def read_tdms(path: Path, sha256: str) -> Table:
-    """Read the numeric channels of a TDMS file; a waveform's interval is the single number ``wf_increment`` (s)."""
+def read_tdms(path: Path, sha256: str, sheet: str | None) -> Table:
+    """Read the numeric channels and time stamps of a TDMS file, each with the times that its waveform states.
+
+    One interval for all is the single number ``wf_increment`` (s). `sheet` is one of the groups.
+    """
     with path.open("rb") as stream:
         if stream.read(4) != b"TDSm":
             raise RecordingError(f"{path.name} is not a TDMS file although its ending says so; export it again")
@@ -22,25 +32,86 @@ def read_tdms(path: Path, sha256: str) -> Table:
     log_manager.set_level(logging.CRITICAL)  # it writes to the terminal; what matters of it is a finding
     with TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
-        channels = [c for c in channels if c.dtype is not None and c.dtype.kind in "fiu" and len(c)]
+        channels = [c for c in channels if c.dtype is not None and len(c)]
+        if len(channels) > MAX_PARTS:
+            raise RecordingError(f"{path.name} has {len(channels)} channels; allowed are {MAX_PARTS}; export fewer")
+        skipped = [str(c.name) for c in channels if c.dtype.kind not in "fiuM"]
+        channels = [c for c in channels if c.dtype.kind in "fiuM"]
         refuse_large(sum(8 * len(channel) for channel in channels), path.name)
-        names = [str(channel.name) for channel in channels]
-        unique = len(set(names)) == len(names)
-        columns = tuple(_column(channel, unique) for channel in channels)
+        clocks, words = _clocks([channel for channel in channels if channel.dtype.kind != "M"])
+        columns = [_column(of, values, clocks.get(of.path)) for of, values in _values(channels)]
         cut = file.file_status.incomplete_final_segment
         steps = {float(c.properties["wf_increment"]) for c in channels if "wf_increment" in c.properties}
-    scalars = {"wf_increment": steps.pop()} if len(steps) == 1 else {}
-    words = "the file ends early, in the midst of what was written last; what was there is read"
-    findings = (Finding("cut-short", "warning", words),) if cut else ()
-    return Table(path.name, "tdms", sha256, columns, scalars=scalars, findings=findings)
+    found, told = grouped(columns, path.name, _MARK, sheet)
+    told += left_out(skipped)
+    if cut:
+        early = "the file ends early, in the midst of what was written last; what was there is read"
+        told += (Finding("cut-short", "warning", early),)
+    if words and any(c.clock_s is not None for c in found):
+        told += (Finding("start-unknown", "assumed", words),)
+    first = next((column.clock_s for column in found if column.clock_s is not None), None)
+    one = len(steps) == 1 and not any(c.name == "Run" for c in found)
+    one = one and all(column.clock_s is None or same_clock(column.clock_s, first) for column in found)
+    scalars = {"wf_increment": steps.pop()} if one else {}
+    return Table(path.name, "tdms", sha256, found, scalars=scalars, findings=told)
 
 
-def _column(channel: Any, unique: bool) -> Column:
-    """One channel; its group is part of the name only where names repeat."""
-    name, own = split_header(str(channel.name))
-    name = name if unique else f"{channel.group_name}/{name}"
-    unit = str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "").strip()
-    return Column(name, as_floats(channel[:]), unit or own, str(channel.name))
+def _clocks(channels: list[Any]) -> tuple[dict[str, FloatArray], str]:
+    """Give the times of channels that state an interval, s from the first start in the file, and what was assumed.
+
+    The start of a waveform is its ``wf_start_time``, and ``wf_start_offset`` behind it.
+    """
+    stated = {c.path: c for c in channels if 0 < _number(c, "wf_increment") < np.inf}
+    starts = {path: _start(c) for path, c in stated.items()}
+    known = [start for start in starts.values() if start is not None]
+    first = min(known, default=np.datetime64(0, "us"))
+    made: dict[tuple[float, ...], FloatArray] = {}  # one array for all channels of the same times
+    out: dict[str, FloatArray] = {}
+    for path, channel in stated.items():
+        begin = starts[path]
+        late = 0.0 if begin is None else float((begin - first) / np.timedelta64(1, "us")) * 1e-6
+        late += _number(channel, "wf_start_offset")
+        key = (late, _number(channel, "wf_increment"), float(len(channel)))
+        if not np.isfinite(late):
+            continue
+        if key not in made:
+            made[key] = np.asarray(late + key[1] * np.arange(len(channel)), dtype=np.float64)
+        out[path] = made[key]
+    unknown = [channel.name for path, channel in stated.items() if starts[path] is None]
+    words = f"no start is stated for {', '.join(unknown[:8])}; the earliest of the others is taken for it"
+    return out, words if known and unknown else ""
 
 
-FORMATS = (Format("tdms", (".tdms",), read_tdms),)
+def _number(channel: Any, key: str) -> float:
+    """Property of a channel as a number; 0 where there is none."""
+    try:
+        return float(channel.properties.get(key, 0.0))
+    except (TypeError, ValueError):
+        return 0.0
+
+
+def _start(channel: Any) -> np.datetime64 | None:
+    """Start of a waveform; None where none is stated."""
+    begin = channel.properties.get("wf_start_time")
+    begin = begin.as_datetime64("us") if hasattr(begin, "as_datetime64") else begin
+    return begin.astype("datetime64[us]") if isinstance(begin, np.datetime64) and not np.isnat(begin) else None
+
+
+def _values(channels: list[Any]) -> Iterator[tuple[Any, Any]]:
+    """Channels and their values; time stamps as seconds since the first one of the file."""
+    stamps = {c.path: np.asarray(c[:]).astype("datetime64[us]") for c in channels if c.dtype.kind == "M"}
+    first = min((values.min() for values in stamps.values()), default=None)
+    for channel in channels:
+        values = stamps.get(channel.path)
+        yield channel, channel[:] if values is None else (values - first) / np.timedelta64(1, "s")
+
+
+def _column(of: Any, values: Any, clock_s: FloatArray | None) -> Column:
+    """One channel."""
+    name, own = split_header(str(of.name))
+    unit = str(of.properties.get("unit_string") or of.properties.get("NI_UnitDescription") or "").strip()
+    stated = "s" if of.dtype.kind == "M" else unit or own
+    return Column(name, as_floats(values), stated, str(of.name), 0, str(of.group_name), clock_s)
+
+
+FORMATS = (Format("tdms", (".tdms",), read_tdms, sheets=True),)
