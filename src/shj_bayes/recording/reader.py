@@ -1,6 +1,7 @@
 """From a file to a Recording: table, columns, units, checks and repairs, in that order."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -100,9 +101,18 @@ def _at_samples(extra: Extra, clock_s: FloatArray, time_s: FloatArray) -> Extra:
     return replace(extra, values=at_samples(clock_s[order], extra.values[order], time_s))
 
 
+def _within_runs(channels: Channels) -> tuple[FloatArray, list[int]]:
+    """Let the clock go on over the cycles of each run, but not over the beginning of a run that the file tells."""
+    time_s, found = channels.time_s.copy(), list[int]()
+    for a, b in pairwise([0, *channels.run_rows, time_s.size]):
+        time_s[a:b], cycles = going_on(time_s[a:b], channels.displacement_mm[a:b], channels.force_kN[a:b])
+        found += [a + row for row in cycles]
+    return time_s, found
+
+
 def _placed_runs(channels: Channels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
     """Put all rows on one clock; give the first time of each further run, what was added to it, and what to say."""
-    time_s, cycles = going_on(channels.time_s, channels.displacement_mm, channels.force_kN)
+    time_s, cycles = _within_runs(channels)
     again = restarts(time_s, channels.displacement_mm, channels.force_kN)
     rows = sorted({*again, *channels.run_rows})
     clock_s, shifts = follow_on(time_s, rows)
