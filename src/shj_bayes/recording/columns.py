@@ -354,7 +354,8 @@ def _rate_agrees(
     rate_Hz: float, table: Table, given: dict[Role, str], own: tuple[FloatArray, FloatArray] | None
 ) -> None:
     """Refuse a sampling rate that the file's own clock, or the times of its channels, contradict."""
-    ours = [] if own is None or own[0].size < 2 else [("the time of the channels", (1.0 / usual_step(own[0]),))]
+    step = 0.0 if own is None else usual_step(own[0])
+    ours = [("the time of the channels", (1.0 / step,))] if step > 0 else []
     for name, said in [*_rates(table, given), *ours]:
         # A clock printed with few digits repeats its times, and one with gaps ends late: each shows in one of the two.
         if all(abs(rate / rate_Hz - 1) > RATE_AGREES for rate in said):

@@ -142,8 +142,10 @@ def _list(names: Sequence[str]) -> str:
 
 
 def usual_step(clock_s: FloatArray) -> float:
-    """Median step of times, s."""
-    return float(np.median(np.diff(clock_s)))
+    """Median step of times, s; NaN where there are no two."""
+    steps = np.diff(clock_s)
+    steps = steps[np.isfinite(steps)]
+    return float(np.median(steps)) if steps.size else float("nan")
 
 
 def clock_of(columns: Iterable[Column]) -> FloatArray | None:
@@ -167,15 +169,17 @@ def same_clock(left: FloatArray | None, right: FloatArray | None) -> bool:
         return left is right
     if left is right:
         return True
-    if left.size != right.size or left.size < 2:
+    if left.size != right.size:
         return False
-    step = abs(usual_step(left))
-    return bool(np.allclose(left, right, rtol=0.0, atol=SAME_INSTANT * step, equal_nan=True))
+    near = SAME_INSTANT * float(np.nan_to_num(abs(usual_step(left))))
+    return bool(np.allclose(left, right, rtol=0.0, atol=near, equal_nan=True))
 
 
 def described(clock_s: FloatArray) -> str:
     """Say rate, first and last time."""
-    return f"{1.0 / usual_step(clock_s):.4g} Hz from {clock_s[0]:.6g} to {clock_s[-1]:.6g} s"
+    step = usual_step(clock_s)
+    rate = f"{1.0 / step:.4g} Hz" if step > 0 else "times"
+    return f"{rate} from {clock_s[0]:.6g} to {clock_s[-1]:.6g} s"
 
 
 def one_axis(x_s: FloatArray, f_s: FloatArray, name: str) -> FloatArray:

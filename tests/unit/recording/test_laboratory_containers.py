@@ -332,6 +332,20 @@ def test_times_of_pairs_in_milliseconds(tmp_path):
 
 
 @pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("clock", [np.zeros(N_ROWS), np.full(N_ROWS, np.nan), -plain().time_s])
+@pytest.mark.parametrize("both", [True, False])
+@pytest.mark.parametrize("options", [{}, {"rate_Hz": 20.0}])
+def test_times_that_are_none_end_in_words(tmp_path, clock, both, options):
+    path = tmp_path / "run.mat"
+    one = plain()
+    disp = {"Time": clock if both else one.time_s, "Data": one.displacement_mm}
+    scipy.io.savemat(path, {"disp": disp, "force": {"Time": clock, "Data": one.force_kN}})
+    (facts, text), *_ = check_recording(path, **options)
+    assert facts["usable"] == (both and bool(options))  # the same times for both, which are wrong: the rate holds
+    assert facts["usable"] or "time" in text
+
+
+@pytest.mark.usefixtures("here")
 def test_two_times_in_one_place_are_not_chosen_from(tmp_path):
     path = tmp_path / "run.mat"
     one = plain()
