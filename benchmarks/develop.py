@@ -29,7 +29,7 @@ from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_validation.proof.cases import KINDS, Key, development_keys
+from shj_validation.proof.cases import KINDS, Key, canonical, development_keys
 from shj_validation.proof.make import make
 from shj_validation.proof.noise import NOISES, TRIAL_NOISES
 from shj_validation.proof.protocols import PEAK_SPEED_MM_S, TRIAL_PROTOCOLS
@@ -61,7 +61,8 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     if arguments.table:
-        print(tables([json.loads(text) for path in arguments.table for text in path.read_text().splitlines()]))
+        done = [json.loads(text) for path in arguments.table for text in path.read_text().splitlines()]
+        print(tables(list({canonical(row["key"]): row for row in done}.values())))  # of a trial made again the last
         return
     usual = (TRIAL_PROTOCOLS, TRIAL_NOISES) if arguments.others else (PEAK_SPEED_MM_S, NOISES)
     protocols, noises = tuple(arguments.protocol or usual[0]), tuple(arguments.noise or usual[1])
