@@ -15,6 +15,7 @@ from shj_bayes.recording.units import factor, role_of
 # First cells of rows of names and of units; where a time has no name of its own they stand above its column.
 _NAME_LABELS = {"channel name", "channel names", "signal name", "kanalname", "name"}
 _UNIT_LABELS = {"unit", "units", "einheit", "einheiten", "y unit label", "unité", "unités"}
+_SHORTEST_NAME = 3  # letters of words that may be names of columns and not marks of lost readings
 _LABVIEW = ("LabVIEW Measurement", "***End_of_Header")
 
 
@@ -144,7 +145,8 @@ def is_head(group: Sequence[str], first: Head, dialect: Dialect) -> bool:
         names = [split_header(cell)[0] for cell in cells]
         if is_unit_row(_unlabelled(cells)) or any(roles_named(name) or name.lower() in known for name in names):
             return True
-        if dialect.separator != " " and all(cells) and len(set(cells)) == len(cells):
+        unlike = len(set(cells)) == len(cells) and min(map(len, cells)) >= _SHORTEST_NAME
+        if unlike and dialect.separator != " ":
             return True
     return False
 

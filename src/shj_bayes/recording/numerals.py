@@ -211,13 +211,17 @@ class _Reader:
         begin = 0
         for a, b in [*groups, (len(lines), len(lines))]:
             if a > begin:
-                self.n_rows += a - begin
-                self.n_kept += _parse(lines[begin:a], plain, self.layout, self.columns)
-                _refuse_slow(self.columns, self.labels, self.file)
+                self._rows(lines[begin:a], plain)
             if b > a:
                 self._turn(lines[a:b], lines[b] if b < len(lines) else "", self.at + a)
             begin = b
         self.at += len(lines)
+
+    def _rows(self, lines: list[str], plain: list[FloatArray] | None) -> None:
+        """Take rows; `plain` are their numbers where these were easy to read."""
+        self.n_rows += len(lines)
+        self.n_kept += _parse(lines, plain, self.layout, self.columns)
+        _refuse_slow(self.columns, self.labels, self.file)
 
     def _turn(self, group: list[str], row: str, at: int) -> None:
         """Read lines of words between the rows; `row` is that which follows, `at` the first of them."""
@@ -225,8 +229,13 @@ class _Reader:
         width = len(dialect.cells(row)) or dialect.width
         own = replace(dialect, width=width)
         if not is_head(group, self.head, own):
-            self.remark = self.remark or group[0].strip()
-            self.n_remarks += len(group)
+            lost = [line for line in group if len(dialect.cells(line)) == dialect.width]  # rows of lost readings
+            if lost:
+                self._rows(lost, None)
+            if len(lost) < len(group):
+                remark = next(line for line in group if len(dialect.cells(line)) != dialect.width)
+                self.remark = self.remark or remark.strip()
+            self.n_remarks += len(group) - len(lost)
             if self.n_remarks > max(MAX_WORDS, self.n_rows):
                 raise RecordingError(
                     f"{self.file}: more than {MAX_WORDS} lines between the rows hold words; export the numbers alone"

@@ -152,6 +152,15 @@ def test_heads(tmp_path, kind):
     assert {"broken-rows", "text-cells", "empty-cells"}.isdisjoint(found)
 
 
+def test_rows_of_lost_readings_are_no_remarks(tmp_path):
+    """They count as text, of which a channel may hold 5 %."""
+    for n_lost, unusable in ((30, False), (300, True)):
+        lines = [HEAD, *BODY[:HALF], *["OVER,OVER,OVER"] * n_lost, *BODY[HALF:]]
+        found = read(file(tmp_path, lines)).findings
+        assert sum(f.count for f in found if f.code == "text-cells" and f.severity == "note") == 3 * n_lost
+        assert any(f.severity == "unusable" for f in found) == unusable
+
+
 REFUSED = {
     "volts": (
         ["Time,Displacement,Force", "s,V,V", "AI0,AI1,AI2", *BODY],
