@@ -70,7 +70,10 @@ def find_dialect(lines: list[str], name: str) -> Dialect:
         for separator, decimal in _WAYS:
             rows = [line[separator][0] for line in ahead]
             width = len(rows[0])
+            if len(rows) > 1 and width == len(rows[1]) + 1 and rows[0][-1][:1].isalpha():
+                width -= 1  # a comment behind the first sample, as LabVIEW writes it
             fits = [len(line[separator][0]) == width and line[separator][1][decimal] > 0 for line in ahead]
+            fits[0] = ahead[0][separator][1][decimal] > 0
             # Most of the next five lines must be numbers of one width; broken cells may come among the first.
             if not fits[0] or sum(fits) < (len(rows) + 1) // 2:
                 continue

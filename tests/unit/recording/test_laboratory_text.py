@@ -201,6 +201,10 @@ def test_heads_that_cannot_be_brought_together(tmp_path, kind):
         read(file(tmp_path, lines, "run.lvm" if "card" in kind else "run.csv"))
 
 
+def test_a_comment_behind_the_first_sample_does_not_cost_it(tmp_path):
+    same(read(file(tmp_path, [*lvm(), TABBED[0] + "\tbegin of test", *TABBED[1:]], "run.lvm")))
+
+
 # --- time --------------------------------------------------------------------------------------------------------
 def clock(second, form="{h:02d}:{m:02d}:{s:06.3f}"):
     second = round(float(second), 3)
