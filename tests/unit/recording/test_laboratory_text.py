@@ -183,14 +183,6 @@ REFUSED = {
         ["Time,Displacement,Force", *BODY[:HALF], HEAD, *BODY[HALF:]],
         f"head in line {HALF + 2} states 'Time' in s, the first head no unit",
     ),
-    "pairs at two rates": (
-        ["X_Value,Displacement,X_Value,Force", "s,mm,s,kN", *rows(T[:HALF], X[:HALF], T[:HALF] * 2, F[::2])],
-        "times of their own .*Displacement from 0 s every 0.05 s, Force from 0 s every 0.1 s",
-    ),
-    "a card that starts later": (
-        [*lvm(x0="0.0\t0.1"), *("\t" + line.partition("\t")[2] for line in TABBED)],
-        "times of their own .*Force from 0.1 s",
-    ),
 }
 
 
@@ -198,7 +190,41 @@ REFUSED = {
 def test_heads_that_cannot_be_brought_together(tmp_path, kind):
     lines, words = REFUSED[kind]
     with pytest.raises(RecordingError, match=words):
-        read(file(tmp_path, lines, "run.lvm" if "card" in kind else "run.csv"))
+        read(file(tmp_path, lines))
+
+
+UNTIMED = ["\t" + line.partition("\t")[2] for line in TABBED]
+APART = {
+    "force at half the rate": (
+        ["X_Value,Displacement,X_Value,Force", "s,mm,s,kN"]
+        + [f"{T[k]},{X[k]}," + (f"{T[2 * k]},{F[2 * k]}" if k < HALF else ",") for k in range(N)],
+        slice(0, None, 2),
+    ),
+    "a card that starts two samples later": (
+        [*lvm(x0="0.0\t0.1"), *rows([""] * (N - 2), X[: N - 2], F[2:], separator="\t")],
+        slice(2, N - 2),
+    ),
+    "a card that starts later by the clock": (
+        [*lvm(times="10:00:00.5\t10:00:00.6"), *rows([""] * (N - 2), X[: N - 2], F[2:], separator="\t")],
+        slice(2, N - 2),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", APART)
+def test_channels_with_times_of_their_own_are_laid_on_one_axis(tmp_path, kind):
+    lines, at = APART[kind]
+    recording = read(file(tmp_path, lines, "run.lvm" if "card" in kind else "run.csv"))
+    assert "own-times" in same(recording, at)
+    assert recording.usable
+
+
+def test_time_stamps_that_differ_from_channel_to_channel_are_refused(tmp_path):
+    later = CLOCKS["ISO"][2:]
+    head = "Timestamp,Displacement (mm),Timestamp,Force (kN)"
+    with pytest.raises(RecordingError, match=r"time stamps of their own .*Timestamp for Displacement.*for Force"):
+        read(file(tmp_path, [head, *rows(CLOCKS["ISO"][:-2], X[:-2], later, F[2:])]))
+    same(read(file(tmp_path, [head, *rows(CLOCKS["ISO"], X, CLOCKS["ISO"], F)])))
 
 
 def test_a_comment_behind_the_first_sample_does_not_cost_it(tmp_path):
