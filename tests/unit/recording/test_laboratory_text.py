@@ -321,6 +321,11 @@ def test_runs_with_heads_of_their_own_are_runs(tmp_path):
     assert [start.sample for start in recording.run_starts] == [N]
 
 
+def test_a_run_column_is_believed_where_the_device_moves_on(tmp_path):
+    body = rows(np.r_[T[:HALF], T[: N - HALF]], X, F, np.repeat(["1", "2"], HALF).tolist())
+    assert [start.sample for start in read(file(tmp_path, [HEAD + ",Run", *body])).run_starts] == [HALF]
+
+
 # --- numbers and units -------------------------------------------------------------------------------------------
 WAYS = {
     "quoted decimal commas": ['"Zeit (s)","Weg (mm)","Kraft (kN)"']
