@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes.inference.shared import Density
+from shj_bayes.inference.squares import root_of
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
 
@@ -94,7 +95,7 @@ def _first(density: Density, start: Start) -> Proposal:
     rate resolves): its tail may be twenty standard deviations long, and components of the same shape never met it.
     """
     d = start.free.size
-    root = np.linalg.cholesky(start.covariance + 1e-14 * np.eye(d))
+    root = root_of(start.covariance)
     weights, means, roots = [0.7, 0.3], [start.free, start.free], [root, 1.5 * root]
     distance = 2.0 ** np.arange(1, 8)
     for row in root:  # in the whitened space, the direction in which this parameter grows and the others follow

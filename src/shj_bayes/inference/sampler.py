@@ -17,6 +17,7 @@ from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, diagnose_cha
 from shj_bayes.inference.proposal import Proposal, fit_proposal
 from shj_bayes.inference.record import Trust
 from shj_bayes.inference.shared import Density, Shared, n_threads
+from shj_bayes.inference.squares import root_of
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
 
@@ -167,7 +168,7 @@ def _figures(names: tuple[str, ...], states: list[EnsembleState]) -> Diagnostics
 def _begin(density: Density, start: Start, n_walkers: int, stream: np.random.SeedSequence) -> EnsembleState:
     """Scatter the walkers of one ensemble; points without density are drawn again, nearer to the MAP."""
     rng = np.random.default_rng(stream)
-    root = np.linalg.cholesky(start.covariance + 1e-14 * np.eye(start.free.size))
+    root = root_of(start.covariance)
     points = np.empty((n_walkers, start.free.size))
     density_at = np.full(n_walkers, -np.inf)
     width = 1.5

@@ -146,3 +146,15 @@ def start_values(effect: Effect) -> list[list[float]]:
         given = effect.start.get(prior.name, ())
         out.append([float(prior.to_free(np.asarray(float(value)))) for value in given] or [begin])
     return out
+
+
+def root_of(covariance: FloatArray) -> FloatArray:
+    """Give a matrix R with R R^T = covariance, shape (d, d): a Cholesky factor where rounding has left it one.
+
+    Of parameters that the data hardly tell apart the smallest eigenvalues are rounding errors, of either sign.
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.eye(covariance.shape[0])), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        values, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        return np.asarray(axes * np.sqrt(np.maximum(values, 1e-14 * max(1.0, float(values[-1])))), dtype=np.float64)

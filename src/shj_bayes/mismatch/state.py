@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from shj_bayes.inference.squares import orthogonal_to, reach_after, step_within
+from shj_bayes.inference.squares import orthogonal_to, reach_after, root_of, step_within
 from shj_bayes.inference.start import most_probable_noise
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
 from shj_bayes.model.device import DeviceModel
@@ -46,7 +46,7 @@ class State:
 def drawn_from(state: State, n: int, seed: int = 1) -> FloatArray:
     """Draw from the Gaussian around the most probable parameters, shape (n, n_law)."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
-    root = np.linalg.cholesky(state.covariance + 1e-14 * np.eye(state.z.size))
+    root = root_of(state.covariance)
     return np.asarray(state.z + rng.standard_normal((n, state.z.size)) @ root.T)
 
 

@@ -10,6 +10,7 @@ from scipy import optimize, stats
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
+from shj_bayes.inference.squares import root_of
 from shj_bayes.inference.start import Start, find_start, law_starts, most_probable_noise
 from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.simulate import Truth
@@ -135,3 +136,15 @@ def test_nothing_to_fit(make_small: Make) -> None:
     still = Run(run.recording, replace(run.motion, speed_mm_s=np.zeros(run.recording.n_samples)))
     with pytest.raises(InferenceError, match=r"nothing to fit: largest force .* kN, stroke 48 mm, speed 0 mm/s"):
         find_start(make_posterior([still], small.model))
+
+
+def test_a_covariance_that_rounding_left_without_a_root_still_has_one():
+    rng = np.random.default_rng(3)
+    axes = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    for least in (1e-3, -1e-9):
+        covariance = axes @ np.diag([least, 0.1, 1.0, 2.0, 30.0]) @ axes.T
+        if least < 0.0:
+            with pytest.raises(np.linalg.LinAlgError):
+                np.linalg.cholesky(covariance + 1e-14 * np.eye(5))
+        root = root_of(covariance)
+        np.testing.assert_allclose(root @ root.T, covariance, atol=1e-8)
