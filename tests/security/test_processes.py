@@ -124,7 +124,10 @@ import os, sys, time
 from shj_bayes._util.child_processes import Workers
 if __name__ == "__main__":
     with Workers(2) as pool:
-        print(*{pool.submit(os.getpid).result() for _ in range(2)}, flush=True)
+        begun = set()
+        while len(begun) < 2:  # one that is killed while it starts has Python tell so
+            begun |= {one.result() for one in [pool.submit(os.getpid) for _ in range(4)]}
+        print(*begun, flush=True)
         list(pool.map(time.sleep, [60, 60]))
 """
 CHILD = """

@@ -221,7 +221,7 @@ def curve_words(c: Mapping[str, Any]) -> str:
 def dropped_words(record: Mapping[str, Any]) -> list[str]:
     """Say what was found and left out again, as it does not improve cycles that were not fitted."""
     out = []
-    for one in (record["heldout"] or {}).get("dropped") or ():
+    for one in (record.get("heldout") or {}).get("dropped") or ():
         of = ClassId.read(str(one["class"]))
         errors = [number(one.get(key)) for key in ("without_kN", "with_kN")]
         told = f" ({' to '.join(map(words.short, errors))} kN)" if all(map(math.isfinite, errors)) else ""
