@@ -95,6 +95,9 @@ def going_on(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArr
     if not falls.size or falls.size > min(limits.MAX_CYCLES, times.size // limits.CYCLE_ROWS):
         return time_s, []
     x, f = displacement_mm[index], force_kN[index]
+    # A time that falls back for a row or two, and goes on from where it was, begins no cycle.
+    near = 2.0 * limits.CYCLE_ROWS * step
+    falls = falls[[float(np.median(times[k : k + limits.CYCLE_ROWS])) - times[k] < near for k in falls]]
     found = [int(k) for k in falls if _in_cycle(x, f, int(k))]
     out, edges = times.copy(), [*(int(k) for k in falls), times.size]
     for a, b in pairwise(edges):

@@ -341,3 +341,14 @@ def test_a_plateau_without_noise_has_not_stopped():
     for k in range(1, force.size):  # elastic, plastic
         force[k] = np.clip(force[k - 1] + 18.0 * (x[k] - x[k - 1]), -80.0, 80.0)
     assert "stopped" not in {one.code for one in repaired(time, x, force).findings}
+
+
+@pytest.mark.parametrize("value", [0.0, 0.05])
+def test_times_that_are_zero_in_a_few_rows_begin_no_cycles(written, value):
+    time = P.time_s.copy()
+    rows = [300, 777, 1500, 2222, 3100]
+    time[rows] = value
+    found = written(t=time)
+    assert codes(found) == {"time-jumps-back"}
+    assert found.n_samples == N - len(rows)
+    np.testing.assert_allclose(found.time_s, np.delete(P.time_s, rows))
