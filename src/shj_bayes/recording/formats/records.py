@@ -79,9 +79,13 @@ def _parsed(path: Path) -> Any:
         return parse(raw)
     except json.JSONDecodeError as error:
         lines = [line for line in raw.splitlines() if line.strip()]
-        if not error.msg.startswith("Extra data") or len(lines) < 2:
-            raise
-        return [parse(line) for line in lines]
+        try:  # a document in the first line alone: a record in each
+            first = parse(lines[0]) if len(lines) > 1 else None
+        except json.JSONDecodeError:
+            first = None
+        if first is None:
+            raise error from None
+        return [first, *map(parse, lines[1:])]
 
 
 def _table(content: Any, name: str) -> tuple[list[str], list[list[Any]]]:
