@@ -74,7 +74,7 @@ def rows_of(file: Path) -> list[dict[str, Any]]:
 
 def trials(seed: int, n: int) -> Iterable[Task]:
     """Development trials of every kind that conceal something, and some that do not."""
-    for kind, share in (("one", 2), ("two", 1), ("outside", 1), ("none", 1)):
+    for kind, share in (("one", 2), ("two", 1), ("outside", 1), ("nothing", 1)):
         for key in development_keys(seed, max(n * share // 5, 1), kind):
 
             def task(key: Any = key) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Motion recovered from noisy displacement, against the exact motion of Table 1: ``python benchmarks/kinematics.py``.
 
 Prints the tables of docs/decisions/0002: ten recordings a line (two at 1 kHz), white noise or a 10-bit encoder; then
-when a device that rested at the end of a stroke leaves it.
+when a device that rested at the end of a stroke leaves it; then the turning points of triangles with rounded corners.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.recording import FloatArray, Recording, Source
+from shj_validation.proof.protocols import course
 
 COUNT_MM = 0.195  # 10 bits over 200 mm
 ROWS = [(rate, noise) for rate in (20.0, 100.0) for noise in (0.02, 0.1, None)] + [(1000.0, 0.1), (1000.0, None)]
@@ -49,6 +50,17 @@ def left_late_s(rate_Hz: float, noise_mm: float, seed: int) -> float:
     return float(time[found.start[1]] - 35.0)
 
 
+def triangle_errors(rate_Hz: float, noise_mm: float) -> FloatArray:
+    """Errors of the turning points of triangles whose corners an actuator rounds, outward, mm."""
+    fine = 40
+    exact = course("triangles", rate_Hz, fine).x_mm
+    x = exact[::fine]
+    x = x + noise_mm * np.random.default_rng(int(rate_Hz)).standard_normal(x.size)
+    found = motion_of(Recording(np.arange(x.size) / rate_Hz, x, np.zeros(x.size))).turning_mm[1:]
+    turns = exact[np.flatnonzero(np.diff(np.sign(np.diff(exact))) != 0) + 1]
+    return np.asarray((found - turns) * np.sign(turns))
+
+
 def rms(values: FloatArray) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(values**2)))
@@ -77,6 +89,11 @@ def main() -> None:
         for noise in (0.005, 0.02):
             late = np.array([left_late_s(rate, noise, seed) for seed in range(20)])
             print(f"| {rate:g} Hz | {noise:g} mm | {late.mean():+.3f}, {rms(late):.3f} |", flush=True)
+    print("\n| rate | noise | turning points of triangles outward: bias, rms (mm) |\n|---|---|---|")
+    for rate in (5.0, 10.0, 20.0, 100.0):
+        for noise in (0.005, 0.02):
+            wrong = triangle_errors(rate, noise)
+            print(f"| {rate:g} Hz | {noise:g} mm | {wrong.mean():+.4f}, {rms(wrong):.4f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from shj_bayes.recording import limits
 from shj_bayes.recording.motion import IntArray, Motion, alternating
 from shj_bayes.recording.noise import noise_of, resolution_of
 from shj_bayes.recording.recording import BoolArray, FloatArray, Recording
-from shj_bayes.recording.reversals import first_direction, hysteresis, least_return, place
+from shj_bayes.recording.reversals import first_direction, hysteresis, least_return, place, unfolded
 from shj_bayes.recording.smoothing import smooth
 
 
@@ -48,11 +48,16 @@ def _motion(recording: Recording) -> Motion:
         )
     floor = max(limits.REVERSAL_COUNTS * count, limits.REVERSAL_RANGE * extent)
     # The first search only has to find the large half-cycles; what it takes for one narrows the window.
-    curve = smooth(time, raw, noise, count, max(limits.REVERSAL_NOISE * noise, 2 * floor))
+    curve = smooth(time, raw, noise, count, hysteresis(raw, max(limits.REVERSAL_NOISE * noise, 2 * floor)))
     # The second search works on the smoothed curve, so that its threshold may be as low as the noise that is left.
     threshold = max(limits.REVERSAL_NOISE * curve.noise, floor)
     turns = hysteresis(curve.values, threshold)
-    turn_s, turn_mm = place(time, raw, curve, turns, noise)
+    turn_s, turn_mm, corners = place(time, raw, curve, turns, noise)
+    if corners:  # a window that crosses a corner rounds it, one that ends there sees half as many samples
+        way, offset, rounded, rounded_v = unfolded(time, corners)
+        straight = smooth(time, way * (raw - rounded) + offset, noise, count, turns)
+        x, v = way * (straight.values - offset) + rounded, way * straight.velocity + rounded_v
+        curve = replace(straight, values=x, velocity=v)
     start = _boundaries(time, turn_s)
     direction = alternating(start.size - 1, first_direction(curve.values, turns))
     turning = np.concatenate([[curve.values[0]], turn_mm])
@@ -61,12 +66,13 @@ def _motion(recording: Recording) -> Motion:
     # Speed against the half-cycle is noise at rest; cut at zero it biases |v| half as much as the absolute value.
     speed = np.maximum(along * curve.velocity, 0.0)
     half_s, band = curve.half_width_s, curve.bandwidth_Hz
-    corners = curve.kinks_s.size
-    across = f", not across {corners} corner{'s' if corners > 1 else ''}" if corners else ""
+    kinks = curve.kinks_s.size
+    across = f", not across {kinks} corner{'s' if kinks > 1 else ''}" if kinks else ""
+    placed = f"placed by a quartic, {len(corners)} where lines meet" if corners else "placed by a quartic"
     method = (
         f"local quintic over {2 * half_s[0]:.3g} s (fastest half-cycle) to {2 * half_s[1]:.3g} s (slowest){across}; "
         f"speed -3 dB at {band[1]:.3g} to {band[0]:.3g} Hz; "
-        f"reversals by {threshold:.3g} mm hysteresis, placed by a quartic"
+        f"reversals by {threshold:.3g} mm hysteresis, {placed}"
     )
     unsure = _unsure(time, turn_s, start, curve.velocity_sd, along * curve.velocity)
     motion = Motion(displacement, speed, start, turning, direction, unsure=unsure, method=method, noise_mm=noise)

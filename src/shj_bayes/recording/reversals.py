@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import erf, erfinv
 
 from shj_bayes.recording import limits
 from shj_bayes.recording.polynomial import hermite
@@ -17,6 +21,10 @@ if TYPE_CHECKING:
 NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans: a sine within 0.71 rad of its peak
 _MIN_POINTS = 9
 _MANY_POINTS = 100
+_LINE_POINTS, _LEAST_POINTS = 8, 3  # samples on each side of a corner through which lines go where few are near; least
+_TAIL = 6.0  # standard deviations of its rounding beyond which a corner is straight
+_ROUNDER = 9.0  # twice the log likelihood that a rounded corner gains over a sharp one, at least: three deviations
+_GOOD = 1.1  # a fit whose residual is not more than this many times the noise is not compared with another
 _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
 _AT_REST = 5.0  # standard deviations of a sample from the level of a rest
 _STILL = 1e-5  # of the whole stroke: less is no motion, however exact the samples are
@@ -69,32 +77,93 @@ def first_direction(values: FloatArray, turns: list[int]) -> int:
     return 1 if values[end] >= values[0] else -1
 
 
+@dataclass(frozen=True)
+class Corner:
+    """Two straight lines that meet at a reversal, rounded as by an actuator: a triangle convolved with a Gaussian."""
+
+    meets_s: float
+    meets_mm: float
+    slopes: tuple[float, float]  # before and after, mm/s
+    rounding_s: float  # standard deviation of the Gaussian
+    residual: float  # of the samples about it, mm
+
+    def rounded(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By how much rounding moves displacement (mm) and velocity (mm/s) at given times."""
+        half_jump = 0.5 * (self.slopes[1] - self.slopes[0])
+        level, slope = rounding(time_s - self.meets_s, self.rounding_s)
+        return half_jump * level, half_jump * slope
+
+    def turns(self) -> tuple[float, float]:
+        """Time and displacement of the extreme."""
+        before, after = self.slopes
+        later = self.rounding_s * math.sqrt(2.0) * float(erfinv((before + after) / (before - after)))
+        line = self.meets_mm + (before if later < 0 else after) * later
+        moment = self.meets_s + later
+        return moment, line + float(self.rounded(np.array([moment]))[0][0])
+
+
+def rounding(time_s: FloatArray, sd_s: float) -> tuple[FloatArray, FloatArray]:
+    """Give what convolving ``abs(t)`` with a Gaussian of a standard deviation adds to it, and to its slope."""
+    if sd_s <= 0:
+        return np.zeros_like(time_s), np.zeros_like(time_s)
+    u = time_s / (sd_s * math.sqrt(2.0))
+    slope = erf(u)
+    return time_s * slope + sd_s * math.sqrt(2 / math.pi) * np.exp(-(u**2)) - np.abs(time_s), slope - np.sign(time_s)
+
+
 def place(
     time_s: FloatArray, raw: FloatArray, curve: Smooth, turns: list[int], noise: float
-) -> tuple[FloatArray, FloatArray]:
-    """Give every reversal, an index into the smoothed displacement, its turning time and turning displacement.
+) -> tuple[FloatArray, FloatArray, list[Corner]]:
+    """Give every reversal, an index into the smoothed displacement, its time and displacement; and those with a corner.
 
-    A quartic in time is fitted around each extreme, over an eighth of the shorter neighbouring stroke. Where it does
-    not fit, or there is a corner, there may be a rest, whose level is the median of its samples and which ends when the
-    motion back begins; else a corner or the smoothed curve gives time and displacement, between the samples too.
-    `noise` is the standard deviation of one raw sample.
+    A quartic in time is fitted around each extreme, over an eighth of the shorter neighbouring stroke, and two straight
+    lines that meet; the one that fits better counts. Where neither fits there may be a rest, whose level is the median
+    of its samples and which ends when the motion back begins; else a corner or the smoothed curve gives time and
+    displacement, between the samples too. `noise` is the standard deviation of one raw sample.
     """
     smoothed, kinks_s = curve.values, curve.kinks_s
-    times, places = np.empty(len(turns)), np.empty(len(turns))
+    times, places, corners = np.empty(len(turns)), np.empty(len(turns)), []
     edges = [0, *turns, raw.size - 1]
     for k, index in enumerate(turns):
         before, after = edges[k], edges[k + 2]
         lo, hi = _neighbourhood(smoothed, before, index, after)
         peak = bool(smoothed[index] > smoothed[before])
         around = lo, index, hi
-        if np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])):
-            found = _rest(time_s, raw, smoothed, around, noise) or _corner(
-                time_s, raw, smoothed, around, noise, kinks_s
-            )
+        at_kink = bool(np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])))
+        rest = _rest(time_s, raw, smoothed, around, noise) if at_kink else None
+        smooth_top = None if at_kink else _quartic(time_s, raw, lo, hi, noise, peak)
+        fits = smooth_top is not None and smooth_top[2] < _GOOD * noise + _STILL * float(np.ptp(raw))
+        lines = None if rest or fits else _lines(time_s, raw, (before, *around, after), noise)
+        if lines and (smooth_top is None or lines.residual < smooth_top[2]):
+            corners.append(lines)
+            times[k], places[k] = lines.turns()
+            continue
+        found = rest or (smooth_top and smooth_top[:2])
+        if at_kink:
+            found = found or _corner(time_s, raw, smoothed, around, noise, kinks_s)
         else:
-            found = _quartic(time_s, raw, lo, hi, noise, peak) or _rest(time_s, raw, smoothed, around, noise)
+            found = found or _rest(time_s, raw, smoothed, around, noise)
         times[k], places[k] = found or _between_samples(time_s, smoothed, curve.velocity, around, peak)
-    return times, places
+    return times, places, corners
+
+
+def unfolded(time_s: FloatArray, corners: list[Corner]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Direction, offset, and what rounding did to displacement and velocity, each at n samples, in mm and mm/s.
+
+    ``direction * (displacement - rounded) + offset`` is reflected at each corner, so that a triangle is a straight
+    line, which a smoothing window may cross.
+    """
+    passed = np.searchsorted([corner.meets_s for corner in corners], time_s, side="right")
+    direction = 1.0 - 2.0 * (np.arange(len(corners) + 1) % 2)
+    jump = -np.diff(direction) * np.array([corner.meets_mm for corner in corners])
+    level, slope = np.zeros_like(time_s), np.zeros_like(time_s)
+    for corner in corners:
+        reach = _TAIL * corner.rounding_s
+        near = slice(*np.searchsorted(time_s, [corner.meets_s - reach, corner.meets_s + reach]).tolist())
+        moved = corner.rounded(time_s[near])
+        level[near] += moved[0]
+        slope[near] += moved[1]
+    return direction[passed], np.append(0.0, np.cumsum(jump))[passed], level, slope
 
 
 def _neighbourhood(smoothed: FloatArray, before: int, index: int, after: int) -> tuple[int, int]:
@@ -114,8 +183,11 @@ def degree_for(n: int) -> int:
 
 def _quartic(
     time_s: FloatArray, raw: FloatArray, lo: int, hi: int, noise: float, peak: bool
-) -> tuple[float, float] | None:
-    """Extreme of a quartic (of degree six, where there are many) through samples lo..hi; None when it does not fit."""
+) -> tuple[float, float, float] | None:
+    """Extreme of a quartic (of degree six, where there are many) through samples lo..hi, and its residual, mm.
+
+    None when it does not fit.
+    """
     if hi - lo + 1 < _MIN_POINTS:
         return None
     together = max(1, (hi - lo + 1) // _MAX_POINTS)  # means of neighbours: a few hundred points hold all samples
@@ -138,7 +210,7 @@ def _quartic(
     for _ in range(3):  # at 1 kHz the grid is twenty samples wide, and a sample on the wrong side is off by the jump
         step = np.polyval(slope, top) / np.polyval(bend, top)
         top = np.clip(top - step, fine[best - 1], fine[best + 1]) if np.isfinite(step) else top
-    return float(middle + span * top), float(np.polyval(coefficients, top))
+    return float(middle + span * top), float(np.polyval(coefficients, top)), residual * float(np.sqrt(together))
 
 
 def _rest(
@@ -219,18 +291,39 @@ def _corner(
     rest = (time_s >= close[0]) & (time_s <= close[-1])
     if np.count_nonzero(rest) >= _MIN_POINTS:
         return float(close[-1]), float(np.median(raw[rest]))
-    return _meeting(time_s, raw, lo, hi, float(close[-1])) or (float(close[-1]), float(smoothed[index]))
+    return float(close[-1]), float(smoothed[index])
 
 
-def _meeting(time_s: FloatArray, raw: FloatArray, lo: int, hi: int, corner: float) -> tuple[float, float] | None:
-    """Where the straight lines before and after a corner meet; None when they do not meet there."""
-    split = int(np.searchsorted(time_s, corner))
-    gap = float(time_s[min(split + 1, time_s.size - 1)] - time_s[split - 1])
-    if split - lo < 4 or hi - split < 4:
+def _lines(time_s: FloatArray, raw: FloatArray, around: tuple[int, int, int, int, int], noise: float) -> Corner | None:
+    """Two straight lines that meet at an extreme, rounded or not; None where they do not fit.
+
+    `around` are the neighbouring reversals, outermost, the samples near the extreme, and the extreme. Where few samples
+    are near, lines are fitted to more, since a line is as straight farther away,
+    without the neighbouring reversals, which are rounded too.
+    """
+    before, lo, index, hi, after = around
+    lo = min(lo, max(before + (before > 0), index - _LINE_POINTS))
+    hi = max(hi, min(after - (after < raw.size - 1), index + _LINE_POINTS))
+    if min(index - lo, hi - index) < _LEAST_POINTS:
         return None
-    left = np.polyfit(time_s[lo : split - 1] - corner, raw[lo : split - 1], 1)
-    right = np.polyfit(time_s[split + 2 : hi + 1] - corner, raw[split + 2 : hi + 1], 1)
-    if np.sign(left[0]) == np.sign(right[0]) or left[0] == right[0]:
+    some = slice(lo, hi + 1, 1 + (hi - lo) // _MAX_POINTS)
+    t, x = time_s[some] - time_s[index], raw[some]
+    step, end = float(np.median(np.diff(t))), np.array([t[0], t[-1]])
+    level, height = float(raw[index]), float(np.ptp(x))
+    slopes = (x[[0, -1]] - level) / end
+
+    def misfit(z: FloatArray) -> FloatArray:
+        meet, corner, one, other, sd = (*z, 0.0)[:5]
+        bend = 0.5 * (other - one) * rounding(t - meet, abs(sd))[0]
+        return np.asarray((corner + np.where(t < meet, one, other) * (t - meet) + bend - x) / height)
+
+    begin, scale = np.array([0.0, level, *slopes]), np.array([step, height, *np.abs(slopes)])
+    best = least_squares(misfit, begin, x_scale=scale)
+    rounded = least_squares(misfit, np.append(best.x, 0.5 * step), x_scale=np.append(scale, step))
+    if t.size * np.log(best.cost / max(rounded.cost, 1e-300)) > _ROUNDER:
+        best = rounded
+    meet, corner, one, other, sd = (*best.x, 0.0)[:5]
+    residual = height * float(np.sqrt(2 * best.cost / max(t.size - best.x.size, 1)))
+    if residual > _POOR * noise + 1e-3 * height or one * other >= 0 or abs(meet) > 2 * step or not 3 * abs(sd) < end[1]:
         return None
-    after = float((right[1] - left[1]) / (left[0] - right[0]))
-    return (corner + after, float(np.polyval(left, after))) if abs(after) <= 2 * gap else None
+    return Corner(float(time_s[index]) + meet, corner, (one, other), abs(sd), residual)

@@ -9,7 +9,6 @@ import numpy as np
 from shj_bayes.recording.limits import BIAS_RANGE, BIAS_SHARE, GAP_STEPS, KINK_Z, LOCAL_SD, SHORTEST_SHARE
 from shj_bayes.recording.polynomial import filtered, hermite, weights
 from shj_bayes.recording.recording import BoolArray, FloatArray
-from shj_bayes.recording.reversals import hysteresis
 
 NARROWEST = 3.5  # windows below the one that suits every half-cycle, by this factor, for what changes within one
 MAX_HALF_WIDTH = 100  # grid points on each side: wider windows are reached by averaging samples first
@@ -74,14 +73,13 @@ class Samples:
         return grid_of(self.time_s, self.values, self.noise, max(self.step, half_s / MAX_HALF_WIDTH))
 
 
-def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, threshold: float) -> Smooth:
+def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, turns: list[int]) -> Smooth:
     """Smooth a measured displacement with strictly increasing times and differentiate it.
 
-    `noise` is the standard deviation of one sample, `count` the step of the encoder, 0 when there is none, `threshold`
-    the hysteresis of the first search for half-cycles.
+    `noise` is the standard deviation of one sample, `count` the step of the encoder, 0 when there is none, `turns` the
+    samples at which half-cycles end, roughly.
     """
     samples = Samples(time_s, values, noise)
-    turns = hysteresis(values, threshold)
     # Neighbouring windows differ by the rounding error of a slow staircase without any bias, and noise that is not
     # white is larger than its third differences tell; a ten-thousandth of the range is no bias that a loop shows.
     coloured = min(BIAS_RANGE * float(np.ptp(values)), 4.0 * noise)

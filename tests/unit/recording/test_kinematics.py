@@ -298,3 +298,24 @@ def test_corners_in_a_long_recording_cost_no_more_than_its_length():
     np.testing.assert_array_equal(np.unique(np.diff(corners)), 40)
     assert corners.size > 24_000
     assert min(spent) < 5.0
+
+
+@pytest.mark.parametrize("rate_Hz", [5.0, 20.0, 100.0])
+@pytest.mark.parametrize("rounding_s", [0.0, 0.1])
+def test_a_triangle_turns_where_it_does_though_few_samples_show_it(rate_Hz: float, rounding_s: float) -> None:
+    """Half-cycles of 1.2 to 16 s, with sharp corners or as an actuator rounds them."""
+    fine, noise = 2000.0, 0.005
+    ends = [e for a, n in ((6.0, 2), (12.0, 2), (40.0, 2), (6.0, 2)) for e in (a, -a) * n]
+    places = np.array([0.0, *ends, 0.0])
+    times = np.cumsum([0.0, *np.abs(np.diff(places)) / np.repeat([10.0, 5.0], [9, 8])])
+    sharp = np.interp(np.arange(int(times[-1] * fine)) / fine, times, places)
+    exact = gaussian_filter1d(sharp, rounding_s * fine, mode="nearest") if rounding_s else sharp
+    every = int(fine / rate_Hz)
+    time, x = np.arange(exact[::every].size) / rate_Hz, exact[::every]
+    noisy = x + noise * np.random.default_rng(3).standard_normal(x.size)
+    found = motion_of(Recording(time, noisy, np.zeros(time.size)))
+    turns = exact[np.flatnonzero(np.diff(np.sign(np.diff(exact))) != 0) + 1]
+    assert found.n_half == turns.size + 1
+    short = (turns - found.turning_mm[1:]) * np.sign(turns)
+    assert np.median(np.abs(short)) < 0.02
+    assert np.sqrt(np.mean((found.displacement_mm - x) ** 2)) < 0.03
