@@ -163,7 +163,8 @@ def unfolded(time_s: FloatArray, corners: list[Corner]) -> tuple[FloatArray, Flo
         moved = corner.rounded(time_s[near])
         level[near] += moved[0]
         slope[near] += moved[1]
-    return direction[passed], np.append(0.0, np.cumsum(jump))[passed], level, slope
+    offset = np.append(0.0, np.cumsum(jump))
+    return np.asarray(direction[passed]), np.asarray(offset[passed]), level, slope
 
 
 def _neighbourhood(smoothed: FloatArray, before: int, index: int, after: int) -> tuple[int, int]:
