@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import zipfile
+import zlib
 from pathlib import Path
 
 import h5py
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 import shj_bayes
-from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, refuse_windows, sealed
+from shj_bayes._util import vetting
+from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, sealed
 from shj_bayes.cli import Output
 from shj_bayes.commands.campaign import Device, read_manifest
 from shj_bayes.commands.margin_sheet import design_margins
@@ -244,20 +246,26 @@ def archive(path, kind):
     with zipfile.ZipFile(path, "w") as out:
         for number in range(2):
             out.writestr(f"default/Fy/{number}.npy", head.getvalue() + bytes(80))
-    if kind == "directory":
-        raw = path.read_bytes()
-        at = raw.index(b"PK\x01\x02")
-        path.write_bytes(raw[: at + 24] + (2**31).to_bytes(4, "little") + raw[at + 28 :])
+    raw = path.read_bytes()
+    at = {"directory": raw.index(b"PK\x01\x02") + 24, "place": raw.index(b"PK\x05\x06") + 16}.get(kind)
+    if at is not None:
+        path.write_bytes(raw[:at] + (2**31).to_bytes(4, "little") + raw[at + 4 :])
 
 
-@pytest.mark.parametrize("kind", ["packed", "claims", "directory"])
-def test_draws_that_unpack_to_more_than_they_hold_are_refused(pooled, tmp_path, kind):
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        *[(kind, "would unpack to more than it holds") for kind in ("packed", "claims", "directory")],
+        ("place", "holds something else"),
+    ],
+)
+def test_draws_that_unpack_to_more_than_they_hold_are_refused(pooled, tmp_path, kind, words):
     folder = Path(shutil.copytree(pooled, tmp_path / "spring"))
     archive(folder / "population.npz", kind)
     record = json.loads((folder / "population.json").read_text(encoding="utf-8"))
     record["draws_sha256"] = file_digest(folder / "population.npz")
     (folder / "population.json").write_text(json.dumps(sealed(record)), encoding="utf-8")
-    with pytest.raises(PopulationError, match=r"population\.npz in spring would unpack to more than it holds"):
+    with pytest.raises(PopulationError, match=rf"population\.npz in spring .*{words}"):
         load_population(folder)
 
 
@@ -281,20 +289,64 @@ def window(file, other, kind):
         file.create_virtual_dataset(name, layout)
 
 
+def reseal(folder):
+    record = json.loads((folder / "fit.json").read_text(encoding="utf-8"))
+    record["files"]["posterior.nc"] = file_digest(folder / "posterior.nc")
+    (folder / "fit.json").write_text(json.dumps(sealed(record)), encoding="utf-8")
+
+
 @pytest.mark.parametrize("kind", ["group", "external link", "soft link", "external", "virtual"])
 def test_a_posterior_that_is_a_window_into_another_file_is_refused(copy, fitted, kind):
     with h5py.File(copy / "posterior.nc", "a") as file:
         window(file, fitted / "posterior.nc", kind)
-    record = json.loads((copy / "fit.json").read_text(encoding="utf-8"))
-    record["files"]["posterior.nc"] = file_digest(copy / "posterior.nc")
-    (copy / "fit.json").write_text(json.dumps(sealed(record)), encoding="utf-8")
+    reseal(copy)
     for reader in (lambda folder: record_file.read_group(folder, "posterior"), render_device):
         with pytest.raises(InferenceError, match="is a link to somewhere else, or lies there"):
             reader(copy)
 
 
+def hostile(file, kind):
+    """Put what no fit writes, and what the library cannot bear, into a posterior."""
+    if kind == "deep":
+        file.create_group("posterior/" + "g/" * 5000)
+    elif kind == "many":
+        for number in range(2001):
+            file.create_group(f"posterior/{number}")
+    elif kind == "claimed":
+        file.create_dataset("posterior/a", (10**12,), "f8", chunks=(1000,))
+    else:  # a chunk of 8 KB that unpacks to 1.7 GB
+        one = file.create_dataset("posterior/a", (1000,), "f8", chunks=(1000,), compression="gzip")
+        packer = zlib.compressobj()
+        piece, again = (packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
+        one.id.write_direct_chunk((0,), piece + 99 * again + packer.flush())
+
+
+@pytest.mark.parametrize("kind", ["deep", "many", "claimed", "chunk"])
+def test_a_posterior_that_is_none_is_refused_before_it_is_read_here(copy, kind):
+    with h5py.File(copy / "posterior.nc", "a") as file:
+        hostile(file, kind)
+    reseal(copy)
+    with pytest.raises(InferenceError, match=r"posterior\.nc in copy cannot be read \(.*\); run the fit again"):
+        record_file.read_group(copy, "posterior")
+    if kind in ("claimed", "chunk"):
+        assert set(record_file.read_group(copy, "observed_data")) > {"half_cycle"}
+
+
+@pytest.mark.parametrize("body", ["import os; os.abort()", "import sys, os; sys.stdin.readline(); os.abort()"])
+def test_a_posterior_that_ends_the_library_is_one_line_and_the_next_one_is_read(fitted, monkeypatch, body):
+    vetting._end()
+    with monkeypatch.context() as changed:
+        changed.setattr(vetting, "_CHILD", body)
+        with pytest.raises(InferenceError, match=r"posterior\.nc in .* cannot be read \(.* gave up\)"):
+            record_file.read_group(fitted, "posterior")
+    assert "Fy" in record_file.read_group(fitted, "posterior")
+    one = vetting._child().pid
+    assert "Fy" in record_file.read_group(fitted, "posterior")
+    assert vetting._child().pid == one  # one process for all files
+
+
 def test_what_a_fit_writes_is_no_window(fitted):
-    refuse_windows(fitted / "posterior.nc")
+    vetting.vet(fitted / "posterior.nc")
 
 
 @pytest.mark.parametrize("name", ["posterior.nc", "summary.csv", "summary.json"])

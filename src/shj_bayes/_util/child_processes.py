@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 PYTHON = (sys.executable, "-P")  # the beginning of a command that starts this Python again
@@ -80,6 +81,19 @@ def tether() -> Iterator[int]:
 def end_with_input() -> None:
     """End this process as soon as its standard input ends."""
     _when(lambda: os.read(0, 1))  # not sys.stdin: its lock, held by a waiting thread, aborts an orderly exit
+
+
+def bound_memory(more: int) -> None:
+    """Let this process take so many bytes more than it has, where the system can hold it to that."""
+    try:
+        import resource  # noqa: PLC0415  not on Windows
+
+        taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        limit = taken + more
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+    except (ImportError, OSError, ValueError):
+        return
 
 
 def program(name: str) -> str | None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
-from shj_bayes.errors import PopulationError, ShjError, plain_lines, plain_text, shown
+from shj_bayes.errors import PopulationError, ShjError, plain_lines, plain_text
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
@@ -110,9 +110,11 @@ def damage_told(what: str, error: type[ShjError]) -> Iterator[None]:
     """
     try:
         yield
-    except (ShjError, OSError, MemoryError):
+    except (ShjError, MemoryError):
         raise
     except Exception as problem:
+        if isinstance(problem, OSError) and problem.filename is not None:  # the system; without a name, a library
+            raise
         reason = f"{type(problem).__name__}: {str(problem)[:200]}"
         raise error(f"{what} lacks something or holds something else ({reason}); run the command again") from problem
 
@@ -184,31 +186,6 @@ def refuse_packed(path: Path, error: type[ShjError]) -> None:
             f"{path.name} in {path.parent.name} would unpack to more than it holds, or than {MAX_ARRAYS // 2**20} MiB; "
             "run the command again that wrote it"
         )
-
-
-def refuse_windows(path: Path) -> None:
-    """Refuse (`ValueError`) an HDF5 file that is a window into others: links, and external or virtual datasets.
-
-    Ours hold hard links alone.
-    """
-    import h5py  # noqa: PLC0415
-
-    # What a callback raises is lost in the library; what it returns ends the walk.
-    def look(name: bytes, link: Any) -> bytes | None:
-        return name if link.type != h5py.h5l.TYPE_HARD else None
-
-    def look_inside(name: bytes, _: Any) -> bytes | None:
-        part = h5py.h5o.open(file.id, name)
-        if not isinstance(part, h5py.h5d.DatasetID):
-            return None
-        made = part.get_create_plist()
-        virtual = made.get_layout() == getattr(h5py.h5d, "VIRTUAL", None)
-        return name if virtual or made.get_external_count() else None
-
-    with h5py.File(path, "r") as file:
-        found = file.id.links.visit(look, info=True) or file.id.links.visit(look_inside, info=True)
-    if found:
-        raise ValueError(f"{shown(found.decode('utf-8', 'replace'))} is a link to somewhere else, or lies there")
 
 
 def read_json(path: Path, error: type[ShjError]) -> Any:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.files import check_seal, file_digest, read_json, refuse_windows
+from shj_bayes._util.files import check_seal, file_digest, read_json
+from shj_bayes._util.vetting import vet
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.parameters import FloatArray
 
@@ -79,17 +80,17 @@ def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
     """
     import h5py  # noqa: PLC0415
 
-    with whole(folder) as path, h5py.File(path, "r") as file:
+    with whole(folder, group) as path, h5py.File(path, "r") as file:
         return {name: np.asarray(part) for name, part in file[group].items() if isinstance(part, h5py.Dataset)}
 
 
 @contextmanager
-def whole(folder: Path) -> Iterator[Path]:
-    """Give ``posterior.nc`` to read; a damaged one is told in one line."""
+def whole(folder: Path, group: str = "") -> Iterator[Path]:
+    """Give ``posterior.nc`` to read one group of, or all; a damaged one is told in one line."""
     if (folder / "fit.json").exists():
         check_files(folder, read_record(folder))
     try:
-        refuse_windows(folder / "posterior.nc")
+        vet(folder / "posterior.nc", group)
         yield folder / "posterior.nc"
     except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
         raise InferenceError(

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.files import read_json, refuse_windows
+from shj_bayes._util.files import read_json
+from shj_bayes._util.vetting import vet
 from shj_bayes.errors import ReportError, shown
 from shj_bayes.mismatch.schema import READ, Verdict
 from shj_bayes.model.parameters import FloatArray
@@ -113,7 +114,7 @@ def _read_channels(folder: Path) -> Channels:
     import xarray as xr  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
 
     try:
-        refuse_windows(folder / "diagnosis.nc")
+        vet(folder / "diagnosis.nc")
         with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
             channels = Channels(
                 **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},

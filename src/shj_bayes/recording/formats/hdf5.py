@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.child_processes import PYTHON, end_with_input, tether
+from shj_bayes._util.child_processes import PYTHON, bound_memory, end_with_input, tether
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.formats.nested import Item, Stated, flat
 from shj_bayes.recording.limits import (
@@ -77,7 +77,7 @@ def child(path: str, mark: str, seconds: str) -> None:
 
         read = from_hdf5 if is_hdf5(Path(path)) else loaded
         import_module("h5py" if read is from_hdf5 else "scipy.io")
-        _bound_memory(CHILD_BYTES)
+        bound_memory(CHILD_BYTES)
         items = list(flat(read(Path(path)), mark))
         heads = [(i.group, i.name, i.unit, i.path, (i.values is not None, i.times is not None)) for i in items]
         answer: dict[str, Any] = {"items": heads}
@@ -94,19 +94,6 @@ def child(path: str, mark: str, seconds: str) -> None:
                 # In pieces, by way of something that is no file: a second copy of it all would be over the bound.
                 np.save(SimpleNamespace(write=out.write), values, allow_pickle=False)
     out.flush()
-
-
-def _bound_memory(more: int) -> None:
-    """Let this process take so many bytes more than it has, where the system can hold it to that."""
-    try:
-        import resource  # noqa: PLC0415  not on Windows
-
-        taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-        limit = taken + more
-        _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
-    except (ImportError, OSError, ValueError):
-        return
 
 
 def from_hdf5(path: Path) -> dict[str, Any]:
