@@ -11,7 +11,7 @@ docs     build the documentation site into build/docs; a warning or a link to no
 prove    200 concealed-effect trials, sealed, diagnosed, opened, scored (under an hour; goes on where it stopped)
 fuzz     read 6000 damaged files of every kind; a traceback, a hang or a garbled refusal is an error (15 minutes)
 robust   fit, diagnose, plan and margins on 200 cut, joined, scaled recordings; a traceback is an error (hours; resumes)
-kill     kill fits and campaigns at random moments, resume them, compare the bits; full disk, lost folder (20 minutes)
+kill     kill commands at random moments, run them again, compare every file; full disk, lost folder (30 minutes)
 thousand a campaign of 1000 devices, 5 % of them broken, a worker killed midway (about 40 minutes)
 calibrate  ranks and coverage of 300 simulated devices, predictions and diagnosed devices (goes on where it stopped);
            the pages are kept in reports

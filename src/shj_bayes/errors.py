@@ -47,8 +47,14 @@ def shown(value: object, length: int = 80) -> str:
     return text if len(text) <= length else f"{text[:length]}..."
 
 
+class StrangeFileError(OSError):
+    """A device or a pipe where a file is needed, of which the words say what to do."""
+
+
 def system_words(error: OSError) -> str:
     """Say what the system refuses, of which file, and what to look at."""
+    if isinstance(error, StrangeFileError):
+        return f"{plain_text(PurePath(str(error.filename)).name)}: {error.strerror}"
     where = f" ({PurePath(str(error.filename)).name})" if error.filename else ""
     return f"{plain_text(error.strerror or str(error))}{where}; check the path, the rights and the free space"
 

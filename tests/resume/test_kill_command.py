@@ -1,4 +1,4 @@
-"""The whole command killed and run again; ``make kill`` does it twenty times for fits and campaigns."""
+"""The whole command killed and run again; ``make kill`` does it with others, and at more moments."""
 
 import os
 import runpy

@@ -26,7 +26,15 @@ from click.testing import CliRunner
 from shj_bayes._util.files import file_digest, plain_name, read_bytes
 from shj_bayes.cli import main
 from shj_bayes.commands.campaign import read_manifest
-from shj_bayes.errors import CampaignError, PlanError, PopulationError, PriorError, RecordingError, ShjError
+from shj_bayes.errors import (
+    CampaignError,
+    PlanError,
+    PopulationError,
+    PriorError,
+    RecordingError,
+    ShjError,
+    system_words,
+)
 from shj_bayes.inference import record as record_file
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.priors import read_priors
@@ -161,8 +169,9 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in the file system")
 def test_a_pipe_in_the_place_of_a_recording_does_not_hang_what_only_compares_it(tmp_path):
     os.mkfifo(tmp_path / "run.csv")
-    with pytest.raises(OSError, match="not an ordinary file"):
+    with pytest.raises(OSError, match="not an ordinary file") as told:
         file_digest(tmp_path / "run.csv")
+    assert system_words(told.value) == "run.csv: it is not an ordinary file; it must be a file on the disk"
 
 
 def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path, monkeypatch):

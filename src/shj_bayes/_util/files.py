@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
-from shj_bayes.errors import PopulationError, ShjError, plain_lines, plain_text
+from shj_bayes.errors import PopulationError, ShjError, StrangeFileError, plain_lines, plain_text
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
@@ -143,7 +143,7 @@ def open_ordinary(path: Path) -> BufferedReader:
     stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
-        raise OSError(errno.EINVAL, "it is not an ordinary file; it must be a file on the disk", str(path))
+        raise StrangeFileError(errno.EINVAL, "it is not an ordinary file; it must be a file on the disk", str(path))
     return stream
 
 

@@ -12,6 +12,7 @@ AMPLITUDES = (0.08, 0.15, 0.25, 0.5, 0.75, 1.0)  # of the largest displacement
 SPEEDS = (0.03, 0.1, 0.25, 0.5, 1.0)  # of the largest speed
 RESTS_S = (10.0, 30.0, 60.0, 180.0)
 MOST_BLOCKS = 10
+MOST_REPEATS = 200  # of a design, however long the rig may run
 SAMPLES = 36.0  # of a cycle, at least: reversals between few samples are not found again
 TRIANGLES, RESTING = 0.3, 0.2  # shares of drawn blocks
 SINE, TRIANGLE = Waveform.SINE, Waveform.TRIANGLE
@@ -50,7 +51,8 @@ def first_protocols(rig: Rig, rng: np.random.Generator, n_drawn: int) -> list[Pr
     for name, rows in DESIGNS.items():
         blocks = [Block(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, n, w, r) for a, v, n, w, r in rows]
         once = within(blocks, rig)
-        again = within(blocks * math.ceil(60.0 * rig.max_minutes / sum(b.duration_s for b in blocks)), rig)
+        repeats = min(MOST_REPEATS, math.ceil(60.0 * rig.max_minutes / sum(b.duration_s for b in blocks)))
+        again = within(blocks * repeats, rig)
         out += [Protocol(name, once)] if once else []
         out += [Protocol(f"{name}, again", again)] if again != once else []
     for _ in range(n_drawn):

@@ -1,6 +1,5 @@
 """What a rig can do: limits in ``rig.toml`` or in options, and whether a protocol keeps to them."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -14,6 +13,13 @@ from shj_bayes.planning.protocol import Protocol
 SCHEMA = "shj-bayes/rig/1"
 MAX_TOML = 100_000  # bytes
 LEEWAY = 1.001  # of a limit, for rounding
+BOUNDS = {  # of the limits of any rig: from a small specimen to the largest shake table, and a test of a week
+    "max_stroke_mm": (0.01, 1e4),
+    "max_speed_mm_s": (1e-3, 1e5),
+    "max_force_kN": (1e-3, 1e6),
+    "max_minutes": (1e-3, 1e4),
+    "rate_Hz": (1e-3, 1e6),
+}
 
 
 @dataclass(frozen=True)
@@ -27,10 +33,9 @@ class Rig:
     rate_Hz: float  # at which the rig takes and records displacement
 
     def __post_init__(self) -> None:
-        """Refuse limits that allow nothing."""
+        """Refuse limits that no rig has."""
         for name, value in asdict(self).items():
-            if not (math.isfinite(value) and value > 0):
-                raise PlanError(f"rig: {name} = {value:g}; allowed is a finite number above 0")
+            _refuse_beyond(name, value)
 
     def broken_by(self, protocol: Protocol) -> tuple[str, ...]:
         """Limits that a protocol does not keep, in words; its force is judged by whoever predicts it."""
@@ -71,5 +76,12 @@ def read_rig(path: Path) -> dict[str, float]:
             )
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise PlanError(f"{path.name}: {key} = {shown(value)}; a number is needed")
+        _refuse_beyond(key, value)
         out[key] = float(value)
     return out
+
+
+def _refuse_beyond(name: str, value: float) -> None:
+    least, most = BOUNDS[name]
+    if not least <= value <= most:
+        raise PlanError(f"rig: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}")

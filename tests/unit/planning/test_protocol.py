@@ -1,5 +1,6 @@
 """Protocols: smooth, within the rig, exact in their turning points; the rig and its file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from shj_bayes.margins.asked import from_file
 from shj_bayes.planning.files import history_csv
 from shj_bayes.planning.proposals import changed, first_protocols
 from shj_bayes.planning.protocol import Block, Protocol, table_1_protocol
-from shj_bayes.planning.rig import Rig, read_rig
+from shj_bayes.planning.rig import LIMITS, Rig, read_rig
 from shj_bayes.recording.protocol import table_1
 
 RIG = Rig(95.0, 40.0, 200.0, 12.0, 20.0)
@@ -92,3 +93,19 @@ def test_a_rig_file_is_read_and_mistakes_are_told(tmp_path: Path) -> None:
         read_rig(path)
     with pytest.raises(PlanError, match="max_minutes = 0"):
         Rig(95.0, 40.0, 200.0, 0.0, 20.0)
+
+
+@pytest.mark.parametrize("value", ["1" + "0" * 400, "1e308", "1e-308", "-1", "0", "nan", "-inf"])
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_limit_that_no_rig_has_is_refused(tmp_path: Path, name: str, value: str) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f'schema = "shj-bayes/rig/1"\n{name} = {value}\n', encoding="utf-8")
+    with pytest.raises(PlanError, match=rf"{name} = .*; allowed is a number from"):
+        read_rig(path)
+    with pytest.raises(PlanError, match=rf"{name} = .*; allowed is a number from"):
+        replace(RIG, **{name: float(value[:309])})
+
+
+def test_a_week_on_the_rig_is_not_filled_with_repeats() -> None:
+    rig = replace(RIG, max_stroke_mm=1.0, max_speed_mm_s=1e5, max_minutes=1e4)
+    assert max(len(one.blocks) for one in first_protocols(rig, np.random.default_rng(1), 8)) < 3000
