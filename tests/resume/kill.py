@@ -37,7 +37,10 @@ COMMAND = [sys.executable, "-c", "from shj_bayes.cli import main; main(prog_name
 DEVICES = 3
 KINDS = ("fit", "campaign", "tables", "plan", "margins")
 OUT, BASE = "{out}", "{base}"  # in arguments: the folder of the results, and that of a finished campaign
-TIME = re.compile(rb'[0-9a-f]{64}|"created": "[^"]*"|"seconds": [-+.\de]+|<dt>Made</dt><dd>[^<]*')
+# what tells when, or by which call, something was made, and the digests that tell it
+TIME = re.compile(
+    rb'[0-9a-f]{64}|"created": "[^"]*"|"seconds": [-+.\de]+|"status": "(?:done|kept)"|<dt>Made</dt><dd>[^<]*'
+)
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,7 @@ def look(out: Path) -> tuple[int, int, tuple[str, ...]]:
 
 
 def content(path: Path) -> Any:
-    """What a file holds but for the time at which it was made, and the digests of files that tell it."""
+    """What a file holds but for the time and the call that made it."""
     if path.suffix != ".nc":
         return TIME.sub(b"", path.read_bytes())
     with xr.open_datatree(path, engine="h5netcdf") as data:

@@ -32,6 +32,7 @@ ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf), "phi": (-1.0, 1.0)}
 MIN_NUMBER = 1e-30  # of what is not 0; the inverse of a smaller one overflows, and 1e-320 has four digits left
 MAX_NUMBER = 1e30  # squares and ratios of two such numbers still fit into a double
 FREE_EDGE = 8.0  # normal quantile at which the upper end of a law is still told from 1 in double precision
+MAX_GAMMA = 10.0  # s/mm, the width of its law; published ones are below 0.1
 MAX_SPREAD = 5.0  # squares of what lies 30 spreads out, as far as the sampler can step, still fit into a double
 
 
@@ -245,6 +246,11 @@ def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
     ):
         raise PriorError(
             f"{file}: [gamma] must be symmetric about 0, so that neither sign of speed dependence is favoured"
+        )
+    if name == "gamma" and numbers[1] > MAX_GAMMA:
+        raise PriorError(
+            f"{file}: [gamma] {LAWS[law][1]} = {numbers[1]:g} s/mm; at most {MAX_GAMMA:g} is allowed, at which 1 mm/s "
+            f"makes the force {1 + MAX_GAMMA:g} times as large"
         )
     try:
         prior = Prior(name, unit, law, numbers[0], numbers[1], str(entry["source"]))

@@ -84,4 +84,4 @@ def read_rig(path: Path) -> dict[str, float]:
 def _refuse_beyond(name: str, value: float) -> None:
     least, most = BOUNDS[name]
     if not least <= value <= most:
-        raise PlanError(f"rig: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}")
+        raise PlanError(f"rig: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}; state another")

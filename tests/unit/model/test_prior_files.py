@@ -181,6 +181,7 @@ def test_a_file_with_one_noise_scale_serves_for_both_parts(tmp_path: Path) -> No
         ("spread = 0.5", "spread = 5.1", "mine.toml: [K] spread = 5.1; at most 5 is allowed"),
         ('source = "test"\n[gamma]', "[gamma]", "mine.toml: [K] has no source; say in one line"),
         ("mean = 0.0", "mean = 0.01", "mine.toml: [gamma] must be symmetric about 0"),
+        ("sd = 0.02", "sd = 1e12", "mine.toml: [gamma] sd = 1e+12 s/mm; at most 10 is allowed"),
         ("[gamma]", "[gamma", "mine.toml is not valid TOML"),
     ],
 )
