@@ -294,6 +294,37 @@ def test_incomplete_checkpoint_is_refused(
         sample(small, start, path=path)
 
 
+STRANGE: dict[str, Callable[[h5py.File], object]] = {
+    "nan": lambda f: f["ensemble_0/chain"].write_direct(np.full(f["ensemble_0/chain"].shape, np.nan)),
+    "shorter": lambda f: put(f, "ensemble_1/chain", f["ensemble_0/chain"][:5]),
+    "flat": lambda f: put(f, "ensemble_0/chain", np.zeros(5)),
+    "other walkers": lambda f: put(f, "ensemble_0/accepted", np.zeros(3)),
+    "whole numbers": lambda f: put(f, "ensemble_0/accepted", np.zeros(f["ensemble_0/accepted"].shape, dtype=int)),
+    "fewer ensembles": lambda f: f.attrs.__setitem__("n_ensembles", 3),
+    "keys": lambda f: put(f, "ensemble_0/random_keys", np.arange(3, dtype=np.uint32)),
+    "position": lambda f: f["ensemble_0"].attrs.__setitem__("random_position", 10**9),  # numpy crashed on it
+    "generator": lambda f: f["ensemble_0"].attrs.__setitem__("random_name", "PCG64"),
+}
+
+
+def put(file: h5py.File, name: str, values: np.ndarray) -> None:
+    """Put other values into a file."""
+    del file[name]
+    file[name] = values
+
+
+@pytest.mark.parametrize("kind", STRANGE)
+def test_checkpoint_that_no_fit_leaves_is_refused(
+    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, kind: str
+) -> None:
+    path = tmp_path / "checkpoint.h5"
+    path.write_bytes(saved[0])
+    with changed(path) as file:
+        STRANGE[kind](file)
+    with pytest.raises(CheckpointError, match=r"that a fit leaves|those of this fit"):
+        sample(small, start, path=path)
+
+
 def test_checkpoint_of_another_version_is_refused(
     small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:

@@ -15,12 +15,13 @@ from shj_bayes.model.parameters import FloatArray
 
 SCHEMA = "shj-bayes/checkpoint/1"
 ARRAYS = ("chain", "log_posterior", "accepted")
+_KEYS = 624  # whole numbers of a Mersenne twister
 _SEAL = b"SHA-256:"  # behind the HDF5 content, before the 32 bytes of its digest
 
 
 @dataclass(frozen=True, eq=False)
 class EnsembleState:
-    """One ensemble as far as it has run."""
+    """One ensemble as far as it has run; `ValueError` where its parts do not belong together."""
 
     chain: FloatArray  # shape (n_steps, n_walkers, d): positions in the unbounded space
     log_posterior: FloatArray  # shape (n_steps, n_walkers): log posterior density of each
@@ -28,6 +29,23 @@ class EnsembleState:
     # state of the legacy Mersenne twister that emcee draws from (numpy's ``RandomState.get_state()``)
     random_state: tuple[Any, ...]
     n_failed: int  # evaluations with zero or overflowing density
+
+    def __post_init__(self) -> None:
+        """Refuse what no sampler leaves: numpy crashes on a wrong random state, and emcee passes over it in silence."""
+        name, keys, position, has_gauss, _ = self.random_state
+        parts = (self.chain, self.log_posterior, self.accepted)
+        if not (
+            self.chain.ndim == 3
+            and self.chain.shape[:2] == self.log_posterior.shape
+            and self.accepted.shape == self.chain.shape[1:2]
+            and all(part.size and part.dtype.kind == "f" and np.isfinite(part).all() for part in parts)
+            and name == "MT19937"
+            and np.asarray(keys).dtype == np.uint32
+            and np.shape(keys) == (_KEYS,)
+            and 0 <= position <= _KEYS
+            and has_gauss in (0, 1)
+        ):
+            raise ValueError("its chain or its random state is none that a fit leaves")
 
 
 def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]) -> None:
@@ -52,8 +70,11 @@ def save(path: Path, fingerprint: dict[str, str], ensembles: list[EnsembleState]
         part.write_bytes(content + _SEAL + hashlib.sha256(content).digest())
 
 
-def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
-    """Read a checkpoint of this very problem; `CheckpointError` where it is damaged, or says which fields differ."""
+def load(path: Path, fingerprint: dict[str, str], shape: tuple[int, ...] | None = None) -> list[EnsembleState]:
+    """Read a checkpoint of this very problem; `CheckpointError` where it is damaged, or says which fields differ.
+
+    `shape` is (n_ensembles, n_walkers, d), where that is known.
+    """
     try:
         # The digest comes first: a damaged file can make the HDF5 library end the process. HDF5 itself allows for bytes
         # behind its end, so other tools can open a checkpoint as it is.
@@ -73,9 +94,14 @@ def load(path: Path, fingerprint: dict[str, str]) -> list[EnsembleState]:
                     f"{path.name} belongs to another problem: its {' and '.join(strange)} differ(s) from what is asked "
                     "now; choose another output folder, or delete the checkpoint to start anew"
                 )
-            return [_read(file[f"ensemble_{number}"]) for number in range(int(file.attrs["n_ensembles"]))]
+            states = [_read(file[f"ensemble_{number}"]) for number in range(int(file.attrs["n_ensembles"]))]
+            kinds = {state.chain.shape for state in states}
+            if len(kinds) != 1 or shape not in (None, (len(states), *kinds.pop()[1:])):
+                raise ValueError("its ensembles are not those of this fit")
+            return states
     except (OSError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path.name} cannot be read ({error}); delete it to start anew") from error
+        reason = getattr(error, "strerror", None) or error
+        raise CheckpointError(f"{path.name} cannot be read ({reason}); delete it to start anew") from error
 
 
 def _read(group: h5py.Group) -> EnsembleState:

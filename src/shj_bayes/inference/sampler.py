@@ -115,7 +115,7 @@ def run_ensembles(
         proposal = fit_proposal(Shared(density, pool, n), start, stream)
     identity = dict(fingerprint or {}) | {"plan": f"seed {plan.seed}, {plan.n_ensembles} x {plan.walkers(d)} walkers"}
     if path is not None and path.exists():
-        states = checkpoint.load(path, identity)
+        states = checkpoint.load(path, identity, (plan.n_ensembles, plan.walkers(d), d))
     else:
         streams = np.random.SeedSequence(plan.seed).spawn(plan.n_ensembles)
         states = [_begin(density, start, plan.walkers(d), stream) for stream in streams]
