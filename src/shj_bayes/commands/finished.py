@@ -65,7 +65,8 @@ def kept_result(paths: Sequence[Path], folder: Path, options: Mapping[str, Any],
 
     `options` are all fields of `shj_bayes.commands.options.Options`.
     """
-    if not (folder / "fit.json").is_file() or stale(folder) or options["priors_from"] is not None:
+    there = all((folder / file).is_file() for file in ("fit.json", "report.html"))
+    if not there or options["priors_from"] is not None:
         return None
     priors = Path(options["priors"])
     priors = priors if priors.suffix == ".toml" else shipped("priors", f"{priors}.toml")
@@ -107,9 +108,3 @@ def finished_record(folder: Path, key: str) -> tuple[dict[str, Any] | None, str]
     except InferenceError as error:
         return None, f"done anew: {error}"
     return (record, "") if record.get("key") == key else (None, "")
-
-
-def stale(folder: Path) -> bool:
-    """Whether the page is missing or older than the fit, as after a process was killed between the two."""
-    page = folder / "report.html"
-    return not page.exists() or page.stat().st_mtime_ns < (folder / "fit.json").stat().st_mtime_ns

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.files import make_writable
+from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.finished import Done
 from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file
@@ -31,6 +31,7 @@ FIRST_RATE_HZ = 20.0  # where no test has been made and nothing is said
 DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 
+@alone_in("out")
 def plan_next(
     folders: Sequence[Path], out: Path, asked: Asked, *, tell: Callable[[str], None] = lambda _: None
 ) -> Done:
@@ -39,7 +40,6 @@ def plan_next(
     The devices are those of the `folders` that `shj_bayes.api.plan` takes. `tell` gets one line for each step.
     `PlanError` if a folder, a limit or a question cannot be used.
     """
-    make_writable(out)
     stored = [_read(folder) for folder in folders]
     if asked.question == FORCE:
         further = further_devices([s.Fy[0] for s in stored], [s.Fy[1] for s in stored])

@@ -9,7 +9,7 @@ from typing import Any
 
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.earlier import earlier
-from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device, stale
+from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_lines, plain_text
@@ -92,7 +92,7 @@ def fit_device(
     fresh = finished is None
     if finished is None:
         finished = _fit(runs_of(recordings), folder, model, work.plan(options), name=name, key=key)
-    if page and (fresh or stale(folder)):
+    if page and (fresh or not (folder / "report.html").exists()):
         work.tell("drawing the page")
         render_device(folder)
     return Done(finished, device_text(folder, finished, note), fresh=fresh, note=note)

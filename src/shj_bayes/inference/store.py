@@ -272,6 +272,7 @@ def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: dict
     write_text(folder / "summary.json", json.dumps({"schema": SCHEMA, "parameters": record["parameters"]}, indent=1))
     record["files"] = {name: file_digest(folder / name) for name in FILES}
     record.update(sealed(record))
+    (folder / "report.html").unlink(missing_ok=True)  # of the fit before; no clock tells which came first
     write_text(folder / "fit.json", json.dumps(record, indent=1))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes._util.files import damage_told
-from shj_bayes.errors import PopulationError
+from shj_bayes.errors import PopulationError, shown
 from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import History, histories
@@ -83,6 +83,11 @@ def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = N
     """Read a tested device from the folder of its fit, and of the fit that its diagnosis ended in (`found`), if any."""
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
         record = read_record(folder)
+        if name not in ("", record["device"]):
+            raise PopulationError(
+                f"{folder.name} holds the fit of {shown(record['device'])}, not of {shown(name)}; put the folders "
+                "of the devices back, or run shj-bayes campaign again"
+            )
         data = read_group(folder, "constant_data")
         # Fits of the first schema hold the measured force with what was observed.
         force = data["force"] if "force" in data else read_group(folder, "observed_data")["force"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from shj_bayes._util.files import write_text
+from shj_bayes._util.files import replacing, write_text
 from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import Run
@@ -43,9 +43,9 @@ class Diagnosis:
     def write(self, folder: Path) -> None:
         """Write both files, the JSON last."""
         folder.mkdir(parents=True, exist_ok=True)
-        part = folder / "diagnosis.nc.part"
-        self.channels.to_netcdf(part, engine="h5netcdf")
-        part.replace(folder / "diagnosis.nc")
+        with replacing(folder / "diagnosis.nc") as part:
+            self.channels.to_netcdf(part, engine="h5netcdf")
+        (folder / "diagnosis.html").unlink(missing_ok=True)  # of the one before; no clock tells which came first
         write_text(folder / "diagnosis.json", json.dumps(self.record, indent=1, allow_nan=False))
 
 
