@@ -12,6 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 
 import shj_bayes
 from shj_bayes._util import vetting
@@ -23,6 +24,8 @@ from shj_bayes.commands.options import Options
 from shj_bayes.errors import InferenceError, PopulationError, ReportError, ShjError
 from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
+from shj_bayes.margins.specimen import read_specimen
+from shj_bayes.mismatch.diagnosis import Diagnosis
 from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
@@ -343,6 +346,22 @@ def test_a_posterior_that_ends_the_library_is_one_line_and_the_next_one_is_read(
     one = vetting._child().pid
     assert "Fy" in record_file.read_group(fitted, "posterior")
     assert vetting._child().pid == one  # one process for all files
+
+
+def test_the_fit_of_another_device_is_not_taken_for_this_one(fitted):
+    name = record_file.read_record(fitted)["device"]
+    assert read_specimen(fitted, name, "bare").name == name
+    with pytest.raises(PopulationError, match="not of 'other'; put the folders of the devices back"):
+        read_specimen(fitted, "other", "bare")
+
+
+def test_a_diagnosis_is_not_written_through_a_link_and_its_old_page_goes(tmp_path):
+    (tmp_path / "mine").write_text("mine", encoding="utf-8")
+    (tmp_path / "diagnosis.nc.part").symlink_to(tmp_path / "mine")
+    (tmp_path / "diagnosis.html").write_text("of the one before", encoding="utf-8")
+    Diagnosis({}, xr.Dataset({"force": ("point", np.arange(3.0))})).write(tmp_path)
+    assert (tmp_path / "mine").read_text(encoding="utf-8") == "mine"
+    assert not (tmp_path / "diagnosis.html").exists()
 
 
 def test_what_a_fit_writes_is_no_window(fitted):
