@@ -26,7 +26,6 @@ from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.record import read_record, whole
 from shj_bayes.mismatch.look import Look
 from shj_bayes.planning.asked import Asked
 from shj_bayes.planning.files import read_plan
@@ -38,6 +37,10 @@ from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.report.diagnosis_words import sentences
+from shj_bayes.results.codec import to_json
+from shj_bayes.results.device import whole
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import has, read
 
 
 class _Held:
@@ -136,7 +139,7 @@ class Diagnosis(_Result):
         InferenceError
             If the diagnosis was a first look.
         """
-        return FitResult(self.folder, read_record(self.folder), self._held)
+        return FitResult(self.folder, to_json(read(FitRecord, self.folder)), self._held)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -197,8 +200,9 @@ class CampaignResult(_Result):
         for group in self.record.get("sets", ()):
             for device in group["devices"]:
                 place = self.folder / str(device["folder"])
-                if device["status"] != "failed" and (place / "fit.json").is_file():
-                    found[str(group["name"]), str(device["name"])] = FitResult(place, read_record(place), self._held)
+                if device["status"] != "failed" and has(FitRecord, place):
+                    record = to_json(read(FitRecord, place))
+                    found[str(group["name"]), str(device["name"])] = FitResult(place, record, self._held)
         return found
 
     def compare(self, set_a: str, set_b: str) -> pd.DataFrame:
@@ -311,7 +315,7 @@ def fit(
     if work.progress:
         work = replace(work, tell=step_told)
     result = fit_device(_listed(recordings, shared), folder, shared, name=name, work=work)
-    return FitResult(folder, result.record, held)
+    return FitResult(folder, to_json(result.record), held)
 
 
 def diagnose(
@@ -410,15 +414,15 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTes
         If it holds no result, or one that is damaged.
     """
     place = Path(folder)
-    for name, kind, read in (
-        ("fit", FitResult, read_record),
+    for name, kind, content in (
+        ("fit", FitResult, lambda place: to_json(read(FitRecord, place))),
         ("diagnosis", Diagnosis, diagnosis_record),
         ("campaign", CampaignResult, read_campaign),
         ("population", CampaignResult, population_record),
         ("plan", NextTest, read_plan),
     ):
         if (place / f"{name}.json").is_file():
-            return kind(place, read(place))
+            return kind(place, content(place))
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 

@@ -9,7 +9,8 @@ import pytest
 import shj_bayes
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.model.simulate import Truth
-from shj_bayes.report.residual_file import read_residual
+from shj_bayes.results.fit import LeftOver
+from shj_bayes.results.store import find
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
@@ -48,7 +49,7 @@ def test_schemas_are_sound_and_refuse_nothing_in_particular(path: Path) -> None:
 
 def test_fresh_files_are_as_described(results: Path) -> None:
     device = next(p.parent for p in (results / "out").glob("devices/*/fit.json"))
-    assert read_residual(device)
+    assert find(LeftOver, device)
     files = [device / f"{name}.json" for name in ("fit", "summary", "residual")]
     files += [
         results / "out" / "campaign.json",

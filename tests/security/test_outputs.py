@@ -19,9 +19,7 @@ from shj_bayes.commands.campaign import Device, read_manifest
 from shj_bayes.commands.margin_sheet import design_margins
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import InferenceError, PopulationError, ReportError, ShjError
-from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
-from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, safe_cell, write_population
@@ -30,6 +28,10 @@ from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.diagnosis_data import KEYS
+from shj_bayes.results import device as device_file
+from shj_bayes.results import store as store_file
+from shj_bayes.results.diagnosis import SCHEMA
+from shj_bayes.results.fit import FitRecord
 
 ANYWHERE = re.compile(
     r"""(?:src|href|action|data|poster|background)\s*=\s*["']?\s*(?!data:|#)(?:[a-z]+:)?//|url\((?!["']?(?:data:|#))|@import""",
@@ -288,7 +290,7 @@ def test_a_posterior_that_is_a_window_into_another_file_is_refused(copy, fitted,
     record = json.loads((copy / "fit.json").read_text(encoding="utf-8"))
     record["files"]["posterior.nc"] = file_digest(copy / "posterior.nc")
     (copy / "fit.json").write_text(json.dumps(sealed(record)), encoding="utf-8")
-    for reader in (lambda folder: record_file.read_group(folder, "posterior"), render_device):
+    for reader in (lambda folder: device_file.read_group(folder, "posterior"), render_device):
         with pytest.raises(InferenceError, match="is a link to somewhere else, or lies there"):
             reader(copy)
 
@@ -310,7 +312,7 @@ def test_altered_files_of_a_fit_are_named(copy, name, change):
         raw[len(raw) // 2] ^= 1
         path.write_bytes(raw)
     with pytest.raises(InferenceError, match=rf"{name} (is missing in|in .* was cut short or altered)"):
-        record_file.check_files(copy, record_file.read_record(copy))
+        store_file.check_files(copy, store_file.read(FitRecord, copy))
     with pytest.raises((InferenceError, ReportError), match=name):
         render_device(copy)
 
@@ -323,10 +325,10 @@ def test_an_altered_record_is_told(copy):
     with pytest.raises(
         InferenceError, match=r"fit\.json in .* was altered after it was written .* run the command again"
     ):
-        record_file.read_record(copy)
+        store_file.read(FitRecord, copy)
 
 
 def test_a_record_that_is_only_laid_out_anew_is_the_same(copy):
     path = copy / "fit.json"
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8"))), encoding="utf-8")
-    record_file.check_files(copy, record_file.read_record(copy))
+    store_file.check_files(copy, store_file.read(FitRecord, copy))

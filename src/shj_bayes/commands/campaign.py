@@ -39,12 +39,12 @@ from shj_bayes.commands.finished import Done, kept_result
 from shj_bayes.commands.mistaken import repeated
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown, system_words
-from shj_bayes.inference.record import is_simulated
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.report.campaign_file import WITH_SET, WORDS
-from shj_bayes.report.residual_file import DIAGNOSIS
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import DIAGNOSIS
 
 SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
@@ -281,7 +281,7 @@ def _kept(device: Device, folder: Path) -> Outcome | None:
     result = kept_result(device.recordings, place, asdict(device.options), device.name)
     if result is None:
         return None
-    known = "off" if device.diagnose == "off" else _kept_diagnosis(device, place, result.record["key"])
+    known = "off" if device.diagnose == "off" else _kept_diagnosis(device, place, result.record.key)
     return None if known is None else replace(_outcome(device, result), diagnosis=known)
 
 
@@ -372,7 +372,7 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
     outcome = _outcome(device, result)
     if off:
         return replace(outcome, diagnosis="off")
-    outcome = _diagnosed(device, place, outcome, result.record["key"])
+    outcome = _diagnosed(device, place, outcome, result.record.key)
     page = _tried(lambda: render_device(place))  # now, since it says what the diagnosis found
     return replace(outcome, status=FAILED, reason=page) if isinstance(page, str) else outcome
 
@@ -407,14 +407,14 @@ def _tried(job: Callable[[], Result]) -> Result | str:
 
 def _outcome(device: Device, result: Done) -> Outcome:
     """Outcome of a device that has a result."""
-    inputs = result.record["inputs"]
+    record: FitRecord = result.record
     return Outcome(
         device,
         "done" if result.fresh else "kept",
         result.note,
-        result.record["verdict"],
-        any(map(is_simulated, inputs)),
-        tuple((source["name"], source["sha256"]) for source in inputs),
+        record.verdict,
+        any(source.simulated for source in record.inputs),
+        tuple((source.name, source.sha256 or "") for source in record.inputs),
     )
 
 

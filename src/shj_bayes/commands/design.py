@@ -10,7 +10,6 @@ import numpy as np
 
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.inference.record import USABLE
 from shj_bayes.margins.asked import LEEWAY, asked_for
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
@@ -25,7 +24,6 @@ from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import Specimen, largest_ranges, read_specimen, specimens_of_table
 from shj_bayes.margins.trial import try_all
-from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.results import load_population
 from shj_bayes.report.campaign_file import WITH_SET, read_campaign
@@ -33,6 +31,8 @@ from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 from shj_bayes.report.words import digits
+from shj_bayes.results.diagnosis import Verdict
+from shj_bayes.results.fit import USABLE
 
 TABLES_NAME = "Published tables"
 MOST_DRAWN = 100  # devices whose loops are drawn and written

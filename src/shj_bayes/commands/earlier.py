@@ -13,12 +13,14 @@ from pathlib import Path
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import damage_told, file_digest
 from shj_bayes.errors import PriorError
-from shj_bayes.inference.record import Trust, read_group, read_record
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.quantities import band_of
 from shj_bayes.recording.recording import Finding, Recording
 from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.results.device import read_group
+from shj_bayes.results.fit import FitRecord, Trust
+from shj_bayes.results.store import has, read
 
 LAW = ("K", "Fy", "gamma", "ratio")
 NINETY = 3.289707  # standard deviations from 5 to 95 % of a normal law
@@ -79,7 +81,7 @@ def earlier(where: str) -> Earlier:
     """
     name, _, chosen = where.partition("#")
     folder = Path(name)
-    if (folder / "fit.json").is_file():
+    if has(FitRecord, folder):
         if chosen:
             raise PriorError(
                 f"--priors-from {where}: {name} is the fit of one device and has no sets; leave #{chosen} out"
@@ -91,13 +93,13 @@ def earlier(where: str) -> Earlier:
 
 
 def _of_device(folder: Path) -> Earlier:
-    record, draws = read_record(folder), read_group(folder, "posterior")
-    if record["verdict"] == Trust.UNUSABLE:
+    record, draws = read(FitRecord, folder), read_group(folder, "posterior")
+    if record.verdict == Trust.UNUSABLE:
         raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
     names = [name for name in draws if name in LAW or name.startswith("ratio_")]
     bands = {name: band_of(draws[name]) for name in names}
-    inputs = frozenset(str(entry["sha256"]) for entry in record["inputs"])
-    return Earlier(f"device {record['device']}", bands, str(record.get("digest", "")), inputs)
+    inputs = frozenset(map(str, record.sha256_of_inputs))
+    return Earlier(f"device {record.device}", bands, record.digest, inputs)
 
 
 def _of_set(folder: Path, chosen: str) -> Earlier:
@@ -127,8 +129,8 @@ def _recordings(folder: Path, name: str) -> frozenset[str]:
         return frozenset()
     groups = [group for group in read_campaign(folder)["sets"] if group["name"] == name]
     fits = [folder / d["folder"] for group in groups for d in group["devices"]]
-    records = [read_record(fit) for fit in fits if (fit / "fit.json").is_file()]
-    return frozenset(str(entry["sha256"]) for one in records for entry in one["inputs"])
+    records = [read(FitRecord, fit) for fit in fits if has(FitRecord, fit)]
+    return frozenset(str(sha256) for one in records for sha256 in one.sha256_of_inputs)
 
 
 def _law(own: Prior, band: Sequence[float], statement: str) -> Prior:

@@ -14,7 +14,6 @@ from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, rema
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_lines, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
-from shj_bayes.inference.record import Trust, read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import LIBRARY, Plan
 from shj_bayes.mismatch.look import Look
@@ -24,6 +23,9 @@ from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.runs import settle
 from shj_bayes.report.device import render_device
+from shj_bayes.results.device import read_group
+from shj_bayes.results.fit import FitRecord, Trust
+from shj_bayes.results.store import has, written_ns
 
 
 def diagnosis_text(record: dict[str, Any], page: Path) -> str:
@@ -68,7 +70,7 @@ class Work:
         return Plan(options.seed, max_steps=options.max_steps, tops=tops, threads=self.threads, progress=self.progress)
 
 
-@alone_in("folder", kept="fit.json")
+@alone_in("folder", kept=FitRecord.FILE)
 def fit_device(
     paths: Sequence[Path | Recording],
     folder: Path,
@@ -98,16 +100,16 @@ def fit_device(
     return Done(finished, device_text(folder, finished, note), fresh=fresh, note=note)
 
 
-def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, name: str, key: str) -> dict[str, Any]:
+def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, name: str, key: str) -> FitRecord:
     """Fit and write the files; give the record."""
     sampled = partial(fit, runs, model, name=name, key=key, plan=plan, folder=folder)
-    finished, checkpoint = folder / "fit.json", folder / CHECKPOINT
+    checkpoint = folder / CHECKPOINT
     try:
         result = sampled()
     except StrangeCheckpointError:
         # One that an earlier fit left when it was finished goes with its result; one of a fit that was interrupted
         # stays.
-        if not finished.exists() or checkpoint.stat().st_mtime_ns > finished.stat().st_mtime_ns:
+        if checkpoint.stat().st_mtime_ns > written_ns(FitRecord, folder):
             raise
         checkpoint.unlink()
         result = sampled()
@@ -144,7 +146,7 @@ def diagnose_device(
         if record is None:
             record = _fit(runs, folder, model, work.plan(options, (top,)), name=name, key=key)
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
-        return draws, {"how": f"{LIBRARY}; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
+        return draws, {"how": f"{LIBRARY}; {'; '.join(record.reasons)}", "verdict": record.verdict}
 
     given = options.device_model(len(runs), priors)
     diagnosis = diagnose(runs, given, replace(look, name=name), seed=options.seed, sample=sample, tell=work.tell)
@@ -153,7 +155,7 @@ def diagnose_device(
     diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings, "key": key})
     diagnosis.write(folder)
     work.tell("drawing the pages")
-    if (folder / "fit.json").exists():  # its page repeats the verdict
+    if has(FitRecord, folder):  # its page repeats the verdict
         render_device(folder)
     return Done(diagnosis.record, diagnosis_text(diagnosis.record, render_diagnosis(folder)))
 

@@ -12,10 +12,10 @@ from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import FAILED, Outcome
 from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
-from shj_bayes.inference.record import Trust
 from shj_bayes.population.published import Claim
 from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.campaign_physics import statements
+from shj_bayes.results.fit import Trust
 
 WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 

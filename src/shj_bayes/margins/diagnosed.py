@@ -12,8 +12,9 @@ from typing import Any
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import InferenceError, PopulationError
-from shj_bayes.inference.record import read_record
-from shj_bayes.mismatch.schema import NOTHING_MISSING, READ, Verdict
+from shj_bayes.results.diagnosis import NOTHING_MISSING, READ, Verdict
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import has, read
 
 PLACES = ("diagnosis.json", "diagnosis/diagnosis.json")
 Key = tuple[str, str]
@@ -41,7 +42,7 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
         if record["schema"] not in READ:
             return None, f"its diagnosis has the schema {record['schema']!r}; run shj-bayes diagnose again"
         digests = [str(entry["sha256"]) for entry in record["inputs"]]
-        fitted = [str(entry["sha256"]) for entry in read_record(folder)["inputs"]]
+        fitted = [str(sha256) for sha256 in read(FitRecord, folder).sha256_of_inputs]
         result = _diagnosed(record, path.parent)
     except (ValueError, KeyError, TypeError, AttributeError, InferenceError, PopulationError) as error:
         return None, f"its diagnosis cannot be read ({error}); run shj-bayes diagnose again"
@@ -56,7 +57,7 @@ def _diagnosed(record: Mapping[str, Any], place: Path) -> Diagnosed:
     if any(not one["classes"] for one in record.get("sets", ())):
         family.append(NOTHING_MISSING)
     verdict = Verdict(record["verdict"])
-    fitted = None if record.get("quick") or not (place / "fit.json").is_file() else place
+    fitted = None if record.get("quick") or not has(FitRecord, place) else place
     return Diagnosed(verdict, tuple(family if verdict is Verdict.FAMILY else titles), fitted)
 
 

@@ -16,7 +16,6 @@ from shj_bayes.mismatch.hypothesis import TEETH
 from shj_bayes.mismatch.proven import Proven
 from shj_bayes.mismatch.regions import Region, run_of
 from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.schema import SCHEMA, Verdict
 from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State, drawn_from
@@ -25,6 +24,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.measured import Measured, coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
+from shj_bayes.results.diagnosis import SCHEMA, Verdict
 
 Draws = Mapping[str, FloatArray]
 

@@ -12,7 +12,6 @@ import xarray as xr
 
 from shj_bayes._util.files import write_text
 from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
@@ -24,11 +23,12 @@ from shj_bayes.mismatch.missed import beside_missed
 from shj_bayes.mismatch.proven import Proven, proven
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.scene import Metric, scene_of
-from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.mismatch.search import search
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import SCHEMA
+from shj_bayes.results.fit import Trust
 
 Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], dict[str, Any]]]
 

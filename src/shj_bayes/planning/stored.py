@@ -9,15 +9,16 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError
-from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.inference.run import Run
-from shj_bayes.margins.specimen import model_of, read_specimen
+from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import effects_named
 from shj_bayes.model.measured import coordinate_of
-from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.planning.known import Key, Subject
 from shj_bayes.recording.recording import Extra, Recording, Source
+from shj_bayes.results.device import model_of, read_group
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import has, read
 
 ODDS_IN_FILES = 1e-6  # probabilities below it are left out
 
@@ -35,20 +36,20 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
 
     `PlanError` if there is no fit, or the diagnosis states no probabilities.
     """
-    if diagnosis is not None and not (folder / "fit.json").is_file():
+    if diagnosis is not None and not has(FitRecord, folder):
         raise PlanError(
             f"{folder.name} holds a first look, which keeps no recordings; run shj-bayes diagnose without --quick"
         )
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PlanError):
-        record = read_record(folder)
-        specimen = read_specimen(folder, str(record["device"]), "")
+        record = read(FitRecord, folder)
+        specimen = read_specimen(folder, record.device, "")
         data, draws = read_group(folder, "constant_data"), read_group(folder, "posterior")
         runs = []
         for i, history in enumerate(specimen.histories):
-            entry, own = record["inputs"][i], data["run"] == i + 1
-            motion = replace(history.motion, noise_mm=float(entry["displacement_noise_mm"]))
-            source = Source(str(entry["name"]), str(entry["sha256"]), str(entry["format"]))
-            named = {coordinate_of(name): name for name in entry.get("extras", {})}
+            entry, own = record.inputs[i], data["run"] == i + 1
+            motion = replace(history.motion, noise_mm=entry.displacement_noise_mm)
+            source = Source(entry.name, str(entry.sha256), entry.format)
+            named = {coordinate_of(name): name for name in entry.extras}
             recording = Recording(
                 data["time_s"][own],
                 motion.displacement_mm,
@@ -64,7 +65,7 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
     effects = model.effects if diagnosis is None else effects_named([str(word) for word in said.get("given", ())])
     without = tuple(said.get("without", ()))
     speed = model.speed and "velocity" not in without
-    device = replace(model, priors=_priors(record), effects=effects, speed=speed)
+    device = replace(model, effects=effects, speed=speed)
     sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)
     if diagnosis is not None:
         rows = diagnosis.get("sets") or ()
@@ -73,13 +74,5 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
-    tested = Subject(str(record["device"]), tuple(runs), device, sets, Look(without).hidden(device))
+    tested = Subject(record.device, tuple(runs), device, sets, Look(without).hidden(device))
     return Stored(tested, spread)
-
-
-def _priors(record: Mapping[str, Any]) -> Priors:
-    """Priors that a fit used, from its record."""
-    laws = {str(entry["name"]): Prior.of_record(entry) for entry in record["prior_laws"] if "." not in entry["name"]}
-    model = record["model"]
-    laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
-    return Priors(str(model["priors"]), str(model.get("priors_statement", "")), laws, str(model["priors_sha256"]))

@@ -5,9 +5,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from shj_bayes._util.files import read_json
-from shj_bayes.errors import ReportError
-from shj_bayes.inference.record import USABLE
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.published import Claim, Held
@@ -17,8 +14,9 @@ from shj_bayes.report.campaign_file import WITH_SET, WORDS, read_campaign
 from shj_bayes.report.campaign_physics import rows_of, statements, table
 from shj_bayes.report.diagnosis_words import percent
 from shj_bayes.report.page import PAGE, write_page
-from shj_bayes.report.residual_file import DIAGNOSIS, read_residual
 from shj_bayes.report.sets_page import population_content, tested_motion
+from shj_bayes.results.fit import USABLE, LeftOver, SummaryRecord
+from shj_bayes.results.store import DIAGNOSIS, find
 
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
@@ -98,21 +96,11 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
             folder / place / page
         ).exists():
             row[key] = quote(f"{place}/{page}")
-    for parameter in _parameters(folder / place):
-        row["intervals"][parameter["name"]] = (parameter["q05"], parameter["q50"], parameter["q95"])
-        row["numbers"][parameter["name"]] = parameter
-    left = read_residual(folder / place)
+    table = find(SummaryRecord, folder / place)
+    for parameter in table.parameters if table else ():
+        row["intervals"][parameter.name] = (parameter.q05, parameter.q50, parameter.q95)
+        row["numbers"][parameter.name] = parameter
+    left = find(LeftOver, folder / place)
     if left:
         row["grade"], row["residual"] = left.grade, words.left_cell(left)
     return row
-
-
-def _parameters(place: Path) -> list[dict[str, Any]]:
-    """Rows of ``summary.json``; none where it cannot be read."""
-    try:
-        rows = read_json(place / "summary.json", ReportError)["parameters"]
-        for row in rows:
-            row.update({key: float(row[key]) for key in ("sd", "q05", "q50", "q95")}, name=str(row["name"]))
-        return list(rows)
-    except (ReportError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
-        return []

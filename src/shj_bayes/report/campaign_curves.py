@@ -8,7 +8,6 @@ import numpy as np
 
 from shj_bayes._util.files import read_json
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.model.curve import curve_named
@@ -18,7 +17,9 @@ from shj_bayes.report.diagnosis_words import along_words
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
-from shj_bayes.report.residual_file import DIAGNOSIS
+from shj_bayes.results.device import read_group
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import DIAGNOSIS, read
 
 PLACES = 61  # of a curve
 MOST = 40  # curves in a panel, and panels in a picture
@@ -64,7 +65,7 @@ def _curve(place: Path, row: Row, i: int, with_set: bool) -> DeviceCurve | None:
 def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
     """Curve of a device's fit with what its set has, from its posterior; None where that does not hold it."""
     curve, fit = curve_named(effect), place / WITH_SET
-    held = {str(word) for word in read_record(fit)["model"]["effects"]}
+    held = read(FitRecord, fit).model.effects
     if curve is None or curve.sides or effect not in held:
         return None
     history = read_specimen(place, "", "").histories[0]

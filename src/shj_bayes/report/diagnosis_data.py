@@ -10,10 +10,10 @@ import numpy as np
 
 from shj_bayes._util.files import read_json, refuse_windows
 from shj_bayes.errors import ReportError, shown
-from shj_bayes.mismatch.schema import READ, Verdict
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.data import BoolArray, IntArray
 from shj_bayes.report.force_unit import ForceUnit, unit_for
+from shj_bayes.results.device import BoolArray, IntArray
+from shj_bayes.results.diagnosis import READ, Verdict
 
 KEYS = (
     "p_value", "effects", "family", "location", "before", "after", "heldout", "shift", "aliases", "candidates",

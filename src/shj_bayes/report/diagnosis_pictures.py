@@ -6,10 +6,10 @@ import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import diagnosis_words as say
-from shj_bayes.report.data import BoolArray
 from shj_bayes.report.diagnosis_data import Channels, DiagnosisData, number
 from shj_bayes.report.diagnosis_numbers import N_BINS, position_travel, profile, shown_cycle, travel_bins
 from shj_bayes.report.figures import diagnosis as draw_
+from shj_bayes.results.device import BoolArray
 
 FIRST = 2  # loops on the first screen
 MOST = 6  # runs that are drawn

@@ -9,7 +9,6 @@ import numpy as np
 
 from shj_bayes.errors import ModelError
 from shj_bayes.mismatch.class_id import ClassId
-from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
@@ -19,7 +18,8 @@ from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
 from shj_bayes.report.force_unit import ForceUnit, unit_for
-from shj_bayes.report.residual_file import FEWEST_CYCLES
+from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, Verdict
+from shj_bayes.results.fit import FEWEST_CYCLES
 
 # Word and sign first; the colour only repeats them.
 VERDICTS = {
@@ -335,7 +335,7 @@ def shift_rows(data: DiagnosisData) -> dict[str, dict[str, Any]]:
     """Give unit, before and after of each parameter, in the units that are shown."""
     return {
         name: {"unit": data.force.of(unit(name))[0]}
-        | {stage: data.force.row({"unit": unit(name), **row[stage]}) for stage in ("before", "after")}
+        | {stage: data.force.table({"unit": unit(name), **row[stage]}) for stage in ("before", "after")}
         for name, row in data.record["shift"].items()
     }
 
@@ -343,7 +343,7 @@ def shift_rows(data: DiagnosisData) -> dict[str, dict[str, Any]]:
 def parameter_rows(data: DiagnosisData, effect: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Give the parameters of an effect in the units that are shown; an empty unit where it has none."""
     units = {name: "" if row.get("unit") in (None, "1") else row["unit"] for name, row in effect["parameters"].items()}
-    return {name: data.force.row({**row, "unit": units[name]}) for name, row in effect["parameters"].items()}
+    return {name: data.force.table({**row, "unit": units[name]}) for name, row in effect["parameters"].items()}
 
 
 def span_words(where: Mapping[str, Any]) -> str:
@@ -441,7 +441,7 @@ def dep(row: Mapping[str, Any]) -> str:
         low, high = mean - SIGMA_90 * sd, mean + SIGMA_90 * sd
     if not (math.isfinite(low) and math.isfinite(high)):
         return "dep not known"
-    return words.dep_words({"q05": low, "q95": high})
+    return words.dep_words(low, high)
 
 
 def _card(what: str, before: str, after: str, unit: str, note: str) -> dict[str, str]:

@@ -1,17 +1,21 @@
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from page_tools import read_old
 
 from shj_bayes.commands import design
-from shj_bayes.inference.record import KINDS, SCHEMA
 from shj_bayes.margins.diagnosed import Diagnosed, find_diagnosis, words_of
-from shj_bayes.mismatch.schema import Verdict
+from shj_bayes.results import store
+from shj_bayes.results.diagnosis import Verdict
+
+SHA256 = "00" * 32
 
 
 def write(folder, **change):
     folder.mkdir(parents=True, exist_ok=True)
-    inputs = [{"name": "a.csv", "sha256": "00"}]
+    inputs = [{"name": "a.csv", "sha256": SHA256}]
     record = {
         "schema": "shj-bayes/diagnosis/1",
         "verdict": "named",
@@ -26,9 +30,8 @@ def write(folder, **change):
 
 @pytest.fixture
 def fitted(tmp_path):
-    record = {key: kind() for key, kind in KINDS.items()}
-    record |= {"schema": SCHEMA, "inputs": [{"name": "a.csv", "sha256": "00"}]}
-    (tmp_path / "fit.json").write_text(json.dumps(record), encoding="utf-8")
+    record = read_old()
+    store.write(replace(record, inputs=(replace(record.inputs[0], sha256=SHA256),)), tmp_path)
     return tmp_path
 
 

@@ -1,20 +1,27 @@
-"""The files of a fit as plain values for the page."""
+"""``posterior.nc``: draws, channels and predictions of a fitted device, and its model rebuilt from the record."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.inference.record import EXTRA, read_record, whole
+from shj_bayes._util.files import refuse_windows
+from shj_bayes.errors import InferenceError
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.noise.catalogue import noise_model
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import check_files, has, read
 
+EXTRA = "extra_"  # before the names of further channels
+OLD = ("posterior_predictive", "observed_data")  # groups with every sample in files of shj-bayes/fit/1
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-OLD = ("posterior_predictive", "observed_data")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,7 @@ class RunData:
 class DeviceData:
     """One device: its record, its draws and its runs."""
 
-    record: Mapping[str, Any]  # content of ``fit.json``
+    record: FitRecord
     # shape (n_ensembles, n_draws): posterior in natural units, in the order of the record
     draws: Mapping[str, FloatArray] = field(repr=False)
     prior: Mapping[str, FloatArray] = field(repr=False)  # shape (n,): prior draws
@@ -72,11 +79,54 @@ class DeviceData:
     @property
     def name(self) -> str:
         """Name of the device, as given."""
-        return str(self.record["device"])
+        return self.record.device
 
-    def parameter(self, name: str) -> dict[str, Any]:
-        """Row of the parameter table."""
-        return next(dict(row) for row in self.record["parameters"] if row["name"] == name)
+
+def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
+    """Read the arrays of one group of ``posterior.nc``, by variable in the shape in which they are stored.
+
+    A campaign's summary asks three times for a little of every device; all groups with their coordinates through
+    xarray took a third of a second each time. `InferenceError` where the file is missing or damaged.
+    """
+    import h5py  # noqa: PLC0415
+
+    with whole(folder) as path, h5py.File(path, "r") as file:
+        return {name: np.asarray(part) for name, part in file[group].items() if isinstance(part, h5py.Dataset)}
+
+
+@contextmanager
+def whole(folder: Path) -> Iterator[Path]:
+    """Give ``posterior.nc`` to read; a damaged one is told in one line."""
+    if has(FitRecord, folder):
+        check_files(folder, read(FitRecord, folder))
+    try:
+        refuse_windows(folder / "posterior.nc")
+        yield folder / "posterior.nc"
+    except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
+        raise InferenceError(
+            f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
+        ) from error
+
+
+def model_of(record: FitRecord) -> DeviceModel:
+    """Rebuild the model of a fit with the priors that it was fitted with."""
+    said = record.model
+    return DeviceModel(
+        len(record.inputs),
+        priors_of(record),
+        effects=effects_named(said.effects),
+        noise=noise_model(said.noise),
+        free=said.free_between_runs,
+        variant=said.variant,
+        speed=said.speed,
+    )
+
+
+def priors_of(record: FitRecord) -> Priors:
+    """Priors that a fit used."""
+    laws = {law.name: law for law in record.prior_laws if "." not in law.name}
+    laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
+    return Priors(record.model.priors, record.model.priors_statement, laws, str(record.model.priors_sha256))
 
 
 def read_device(folder: Path) -> DeviceData:
@@ -84,11 +134,12 @@ def read_device(folder: Path) -> DeviceData:
 
     `InferenceError` if a file is missing or damaged, or the posterior lacks what a page needs.
     """
-    record = read_record(folder)
-    names = [row["name"] for row in record["parameters"]]
+    import h5py  # noqa: PLC0415
+
+    record = read(FitRecord, folder)
+    names = [row.name for row in record.parameters]
     # Of a dozen groups four are drawn; all of them through xarray took as long as drawing a fifth of the page.
     with whole(folder) as path, h5py.File(path, "r") as file:
-        # Files of shj-bayes/fit/1 hold every sample, in groups of ArviZ.
         loops, measured = (file[name] for name in (("loops", "constant_data") if "loops" in file else OLD))
         force = _values(measured["force"])
         constant = {name: _values(part) for name, part in file["constant_data"].items() if part.shape == force.shape}

@@ -1,0 +1,190 @@
+"""Records to JSON and back by the types of their fields, and the JSON Schema of a record from the same types.
+
+A record is a frozen dataclass of texts, numbers, truth values, literals, enumerations of texts, tuples, mappings from
+texts, other records, ``None`` and ``Any``. ``Annotated[kind, {"minimum": 0}]`` bounds a value, in the words of JSON
+Schema. A field with a default may be missing in a file, one with ``metadata={"stored": False}`` is in none; what a
+file holds beside the fields is passed over.
+"""
+
+import re
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from enum import StrEnum
+from functools import cache
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from shj_bayes.errors import shown
+
+LARGEST = 2**1000  # of whole numbers in the place of a number: larger ones are none in double precision
+Probability = Annotated[float, {"minimum": 0, "maximum": 1}]
+KINDS: dict[Any, tuple[str, str]] = {  # in words, and as JSON Schema says it
+    str: ("a text", "string"),
+    int: ("a whole number", "integer"),
+    float: ("a number", "number"),
+    bool: ("true or false", "boolean"),
+    tuple: ("a list", "array"),
+    Mapping: ("a table", "object"),
+}
+Record = TypeVar("Record")
+
+
+class WrongValueError(ValueError):
+    """A value of a file is not what its field may hold; the message names both."""
+
+
+def to_json(value: Any) -> Any:
+    """Record as values that JSON holds, its fields in their order."""
+    if is_dataclass(value):
+        return {key: to_json(getattr(value, name)) for key, name, *_ in _stored(value.__class__)}
+    if isinstance(value, Mapping):
+        return {key: to_json(part) for key, part in value.items()}
+    if isinstance(value, tuple | list):
+        return [to_json(part) for part in value]
+    return value.value if isinstance(value, StrEnum) else value
+
+
+def from_json(kind: type[Record], content: Any) -> Record:
+    """Record from values that JSON holds; `WrongValueError` names the field, what it holds and what it may hold."""
+    return _value(kind, content, "")  # type: ignore[no-any-return]
+
+
+def schema_of(kind: Any) -> dict[str, Any]:
+    """JSON Schema of what `from_json` reads as this kind; a description is the one of a field's ``Annotated``."""
+    form, args = _form(kind)
+    return _SCHEMAS[form](kind, args) if form in _SCHEMAS else {"type": KINDS[kind][1]}
+
+
+def _form(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Which way a kind is read, and the kinds within it; ``Literal`` and enumerations are alike."""
+    origin, args = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return Literal, tuple(one.value for one in kind)
+    if is_dataclass(kind):
+        return "record", ()
+    return (Union if origin is types.UnionType else origin or kind), args
+
+
+def _value(kind: Any, value: Any, at: str) -> Any:
+    """Value of a kind; `at` says which part of the record it is."""
+    form, args = _form(kind)
+    if form in _READERS:
+        return _READERS[form](kind, args, value, at)
+    if kind is float and type(value) is int and abs(value) < LARGEST:
+        return float(value)
+    return _of(kind, kind, value, at)
+
+
+def _of(kind: Any, named: Any, value: Any, at: str) -> Any:
+    if type(value) is not kind:
+        raise _wrong(value, KINDS[named][0], at)
+    return value
+
+
+def _wrong(value: Any, allowed: str, at: str) -> WrongValueError:
+    return WrongValueError(f"{at or 'it'} is {shown(value)}; it must be {allowed}")
+
+
+@cache
+def _stored(kind: Any) -> tuple[tuple[str, Any, bool, Any], ...]:
+    """Fields that files hold: key (a field ``class_`` is ``class`` there), name, whether it must be there, type."""
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple(
+        (f.name.rstrip("_"), f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name])
+        for f in fields(kind)
+        if f.metadata.get("stored", True)
+    )
+
+
+def _record(kind: Any, _: Any, value: Any, at: str) -> Any:
+    content, given = _of(dict, Mapping, value, at), {}
+    for key, name, needed, hint in _stored(kind):
+        if key in content:
+            given[name] = _value(hint, content[key], f"{at}.{key}" if at else key)
+        elif needed:
+            raise WrongValueError(f"{at or 'it'} lacks {key}")
+    return kind(**given)
+
+
+def _one_of(kind: Any, words: tuple[str, ...], value: Any, at: str) -> Any:
+    if not isinstance(value, str) or value not in words:
+        raise _wrong(value, f"one of {', '.join(words) or 'none'}", at)
+    return kind(value) if isinstance(kind, type) else value
+
+
+def _any_of(_: Any, kinds: tuple[Any, ...], value: Any, at: str) -> Any:
+    if value is None and types.NoneType in kinds:
+        return None
+    *others, last = (one for one in kinds if one is not types.NoneType)
+    for one in others:
+        try:
+            return _value(one, value, at)
+        except WrongValueError:
+            continue
+    return _value(last, value, at)
+
+
+def _items(_: Any, args: tuple[Any, ...], value: Any, at: str) -> Any:
+    values = _of(list, tuple, value, at)
+    kinds = (args[0],) * len(values) if args[-1] is Ellipsis else args
+    if len(values) != len(kinds):
+        raise _wrong(values, f"a list of {len(kinds)}", at)
+    return tuple(_value(one, part, f"{at}[{i}]") for i, (one, part) in enumerate(zip(kinds, values, strict=True)))
+
+
+def _table(_: Any, args: tuple[Any, ...], value: Any, at: str) -> Any:
+    return {key: _value(args[1], part, f"{at}.{key}") for key, part in _of(dict, Mapping, value, at).items()}
+
+
+def _bounded(_: Any, args: tuple[Any, ...], given: Any, at: str) -> Any:
+    value, bounds = _value(args[0], given, at), args[1]
+    for word, (allowed, kept) in _BOUNDS.items():
+        if value is not None and word in bounds and not kept(value, bounds[word]):
+            raise _wrong(given, allowed.format(bounds[word]), at)
+    return value
+
+
+def _record_schema(kind: Any, _: Any) -> dict[str, Any]:
+    stored = _stored(kind)
+    needed = [key for key, _, needed, _ in stored if needed or key == "schema"]
+    return {"type": "object", "required": needed, "properties": {key: schema_of(hint) for key, *_, hint in stored}}
+
+
+def _union_schema(_: Any, kinds: tuple[Any, ...]) -> dict[str, Any]:
+    own = [schema_of(one) for one in kinds if one is not types.NoneType]
+    if types.NoneType not in kinds:
+        return {"anyOf": own}
+    plain = len(own) == 1 and "type" in own[0]
+    return own[0] | {"type": [own[0]["type"], "null"]} if plain else {"anyOf": [*own, {"type": "null"}]}
+
+
+def _list_schema(_: Any, args: tuple[Any, ...]) -> dict[str, Any]:
+    if args[-1] is Ellipsis:
+        return {"type": "array", "items": schema_of(args[0])}
+    return {"type": "array", "items": schema_of(args[0]), "minItems": len(args), "maxItems": len(args)}
+
+
+_BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "minimum": ("at least {}", lambda value, least: value >= least),
+    "maximum": ("at most {}", lambda value, most: value <= most),
+    "minItems": ("a list of {} or more", lambda value, n: len(value) >= n),
+    "pattern": ("a text like {}", lambda value, pattern: re.search(pattern, value) is not None),
+}
+_READERS: dict[Any, Callable[..., Any]] = {
+    Any: lambda _kind, _args, value, _at: value,
+    Annotated: _bounded,
+    Union: _any_of,
+    Literal: _one_of,
+    tuple: _items,
+    Mapping: _table,
+    "record": _record,
+}
+_SCHEMAS: dict[Any, Callable[..., dict[str, Any]]] = {
+    Any: lambda _kind, _args: {},
+    Annotated: lambda _, args: schema_of(args[0]) | args[1],
+    Union: _union_schema,
+    Literal: lambda _, words: {"enum": [*words]},
+    tuple: _list_schema,
+    Mapping: lambda _, args: {"type": "object", "additionalProperties": schema_of(args[1])},
+    "record": _record_schema,
+}
