@@ -34,11 +34,11 @@ from shj_bayes.population.results import population_record
 from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
-from shj_bayes.report.campaign_file import read_campaign
-from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.report.diagnosis_words import sentences
-from shj_bayes.results.codec import to_json
+from shj_bayes.results.campaign import read_campaign
+from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.device import whole
+from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import has, read
 
@@ -161,7 +161,7 @@ class Diagnosis(_Result):
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def _repr_html_(self) -> str:
-        words = " ".join(sentences(self.record))
+        words = " ".join(sentences(from_json(DiagnosisRecord, self.record)))
         table = self.shift.to_html(float_format="{:.5g}".format)
         return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b>. {escape(words)}</p>{table}"
 
@@ -344,7 +344,7 @@ def diagnose(
     folder, held = _place(out)
     shared, work, look = _sorted(options, Options, Work, Look)
     result = diagnose_device(_listed(recordings, shared), folder, shared, look, name=name, work=work)
-    return Diagnosis(folder, result.record, held)
+    return Diagnosis(folder, to_json(result.record), held)
 
 
 def plan(
@@ -416,8 +416,8 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTes
     place = Path(folder)
     for name, kind, content in (
         ("fit", FitResult, lambda place: to_json(read(FitRecord, place))),
-        ("diagnosis", Diagnosis, diagnosis_record),
-        ("campaign", CampaignResult, read_campaign),
+        ("diagnosis", Diagnosis, lambda place: to_json(read(DiagnosisRecord, place))),
+        ("campaign", CampaignResult, lambda place: to_json(read_campaign(place))),
         ("population", CampaignResult, population_record),
         ("plan", NextTest, read_plan),
     ):

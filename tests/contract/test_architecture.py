@@ -18,6 +18,7 @@ ROOMS = (
     "_util",
     "recording",
     "model",
+    "results",
     "inference",
     "mismatch",
     "population",

@@ -9,7 +9,7 @@ import pytest
 import shj_bayes
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.model.simulate import Truth
-from shj_bayes.results.fit import LeftOver
+from shj_bayes.results.diagnosis import LeftOver
 from shj_bayes.results.store import find
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")

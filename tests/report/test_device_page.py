@@ -21,7 +21,8 @@ from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.numbers import left_over, numbers_of
 from shj_bayes.report.words import CONVERGENCE, rounded
 from shj_bayes.results.device import read_device
-from shj_bayes.results.fit import LeftOver, Remark, RemarkRecord, Trust
+from shj_bayes.results.diagnosis import LeftOver
+from shj_bayes.results.fit import Remark, RemarkRecord, Trust
 
 
 @pytest.fixture(scope="module")

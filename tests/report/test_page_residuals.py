@@ -1,12 +1,12 @@
 """What the model leaves over: its size, and nothing that the fit and the diagnosis do not say too."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from made_diagnosis import made
 from page_tools import read_old
 from scipy.signal import lfilter
 
@@ -15,8 +15,8 @@ from shj_bayes.report import words
 from shj_bayes.report.binned import N_STROKE, stroke_profiles
 from shj_bayes.report.numbers import left_over
 from shj_bayes.results.device import DeviceData, RunData
-from shj_bayes.results.diagnosis import Verdict
-from shj_bayes.results.fit import CyclesRecord, FitRecord, LeftOver, Remark, RemarkRecord, Trust
+from shj_bayes.results.diagnosis import Input, LeftOver, Verdict
+from shj_bayes.results.fit import CyclesRecord, FitRecord, Remark, RemarkRecord, Trust
 from shj_bayes.results.store import diagnosis_in, find, read, write
 
 
@@ -76,9 +76,9 @@ def test_the_page_repeats_the_fit_and_the_diagnosis_and_tests_nothing_itself(tmp
     record = replace(device.record, cycles=CyclesRecord(widening={"K": 1.0, "Fy": 2.1}))
     device = replace(device, record=record)
     for digest, said in (("", "named"), ("b", "")):
-        diagnosis = {"verdict": "named", "inputs": [{"sha256": digest}] * len(record.inputs)}
+        inputs = (Input(name="run", sha256=digest),) * len(record.inputs)
         (tmp_path / below).mkdir(exist_ok=True)
-        (tmp_path / below / "diagnosis.json").write_text(json.dumps(diagnosis), encoding="utf-8")
+        write(replace(made("named"), inputs=inputs), tmp_path / below)
         found = left_over(device, tmp_path)
         assert (found.widening, found.diagnosed, found.grade) == (2.1, said, "fair")
         write(found, tmp_path)

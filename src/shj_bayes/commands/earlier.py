@@ -17,7 +17,7 @@ from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.quantities import band_of
 from shj_bayes.recording.recording import Finding, Recording
-from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.device import read_group
 from shj_bayes.results.fit import FitRecord, Trust
 from shj_bayes.results.store import has, read
@@ -125,10 +125,9 @@ def _of_set(folder: Path, chosen: str) -> Earlier:
 
 def _recordings(folder: Path, name: str) -> frozenset[str]:
     """Digests of the recordings of a set; none where the population rests on published tables."""
-    if not (folder / "campaign.json").is_file():
+    if not has(CampaignRecord, folder):
         return frozenset()
-    groups = [group for group in read_campaign(folder)["sets"] if group["name"] == name]
-    fits = [folder / d["folder"] for group in groups for d in group["devices"]]
+    fits = [folder / device.folder for set_name, device in read_campaign(folder).devices if set_name == name]
     records = [read(FitRecord, fit) for fit in fits if has(FitRecord, fit)]
     return frozenset(str(sha256) for one in records for sha256 in one.sha256_of_inputs)
 

@@ -16,7 +16,8 @@ from shj_bayes.model.parameters import BASE, base_of
 from shj_bayes.recording.formats.catalogue import by_ending
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
-from shj_bayes.results.fit import FitRecord, LeftOver
+from shj_bayes.results.diagnosis import LeftOver
+from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import check_files, find, has, read, written_ns
 
 

@@ -23,8 +23,9 @@ from shj_bayes.planning.protocol import Protocol, table_1_protocol
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rig import Rig
 from shj_bayes.planning.stored import Stored, read_device
-from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.report.plan_page import plan_text, render_plan
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.store import has, read
 
 HEADROOM = 1.3  # of the largest force so far, that a rig is taken to bear where nothing is said
 FIRST_RATE_HZ = 20.0  # where no test has been made and nothing is said
@@ -84,8 +85,7 @@ def _written(out: Path, record: dict[str, Any], plan: Plan | None) -> Done:
 def _read(folder: Path) -> Stored:
     if not folder.is_dir():
         raise PlanError(f"{folder} is not a folder of results; run shj-bayes diagnose first, or plan from --priors")
-    diagnosed = (folder / "diagnosis.json").is_file()
-    return read_device(folder, diagnosis_record(folder) if diagnosed else None)
+    return read_device(folder, read(DiagnosisRecord, folder) if has(DiagnosisRecord, folder) else None)
 
 
 def _rig(tested: Sequence[Subject], base: DeviceModel, limits: Mapping[str, float]) -> Rig:

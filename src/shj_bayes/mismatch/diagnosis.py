@@ -1,6 +1,5 @@
 """The diagnosis: find what the force depends on, show the curve, name the physics, model it."""
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from shj_bayes._util.files import write_text
 from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
@@ -27,17 +25,19 @@ from shj_bayes.mismatch.search import search
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.results.diagnosis import SCHEMA
+from shj_bayes.results.codec import to_json
+from shj_bayes.results.diagnosis import DiagnosedModel, DiagnosisRecord, Input, Sampled
 from shj_bayes.results.fit import Trust
+from shj_bayes.results.store import write
 
-Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], dict[str, Any]]]
+Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], Sampled]]
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """A finished diagnosis."""
 
-    record: dict[str, Any]  # content of ``diagnosis.json``
+    record: DiagnosisRecord
     channels: xr.Dataset  # content of ``diagnosis.nc``: measured and modelled force, before and after
 
     def write(self, folder: Path) -> None:
@@ -46,7 +46,12 @@ class Diagnosis:
         part = folder / "diagnosis.nc.part"
         self.channels.to_netcdf(part, engine="h5netcdf")
         part.replace(folder / "diagnosis.nc")
-        write_text(folder / "diagnosis.json", json.dumps(self.record, indent=1, allow_nan=False))
+        write(self.record, folder)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """Content of ``diagnosis.json``, as plain values."""
+        return dict(to_json(self.record))
 
 
 @one_blas_thread
@@ -90,30 +95,29 @@ def diagnose(
     models = _models(shown, seed)
     if sample is None or look.quick:
         draws: content.Draws = models.draws_after
-        how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": Trust.TENTATIVE}
+        how = Sampled(how="Gaussian around the most probable parameters (first look)", verdict=Trust.TENTATIVE)
     else:
         tell("sampling the posterior")
         draws, how = sample(answer.shown.state.model, answer.shown.state.z)
-    record: dict[str, Any] = {
-        "schema": SCHEMA,
-        "device": look.name,
+    record = DiagnosisRecord(
+        device=look.name,
         **_said(shown, models, draws),
-        "channels": content.further(runs),
-        "next_test": content.next_test(shown, quick=look.quick),
-        "seed": seed,
-        "quick": look.quick,
-        "sampling": how,
-        "model": {
-            "variant": device.variant,
-            "priors": device.priors.family,
-            "noise": device.noise.id,
-            "given": [effect.id for effect in device.effects],
-            "without": list(look.without),
-        },
-        "inputs": [{"name": r.recording.source.name, "sha256": r.recording.source.sha256} for r in runs],
-        "versions": versions(),
-    }
-    record["seconds"] = time.perf_counter() - begin
+        channels=content.further(runs),
+        next_test=content.next_test(shown, quick=look.quick),
+        seed=seed,
+        quick=look.quick,
+        sampling=how,
+        model=DiagnosedModel(
+            variant=device.variant,
+            priors=device.priors.family,
+            noise=device.noise.id,
+            given=tuple(effect.id for effect in device.effects),
+            without=tuple(look.without),
+        ),
+        inputs=tuple(Input(name=r.recording.source.name, sha256=r.recording.source.sha256) for r in runs),
+        versions=versions(),
+        seconds=time.perf_counter() - begin,
+    )
     return Diagnosis(record, content.channels(shown.fine, shown.before, shown.after))
 
 
@@ -144,12 +148,12 @@ def _models(shown: Proven, seed: int) -> _Models:
 
 
 def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any]:
-    """Give the findings of a search as they stand in ``diagnosis.json``."""
+    """Give what a search found, as fields of the record."""
     out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
     noise = float(np.sqrt(np.mean(shown.after.residual[fine.used > 0] ** 2)))
     regions = regions_of(out.scene, Metric(out.scene, out.metric.setting, models.law.slope), models.law)
     return {
-        "verdict": answer.verdict.value,
+        "verdict": answer.verdict,
         "reason": answer.reason.value,
         "p_value": answer.p_value,
         "coordinates": content.coordinates(out, answer),
@@ -165,7 +169,7 @@ def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any
         "after": content.quality(fine, shown.after, noise, shown.held[1]),
         "heldout": content.heldout(shown),
         "shift": content.shift(models.draws_before, draws),
-        "aliases": content.alias_rows(aliases_of(out.scene)),
+        "aliases": tuple(aliases_of(out.scene)),
         "candidates": content.candidates(shown),
         "energy": content.energy(fine, *both),
         "fy_kN": out.scene.scale_kN,

@@ -12,12 +12,12 @@ import pandas as pd
 from shj_bayes._util.files import read_json, write_text
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.store import versions
-from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.planning.devices import Further
 from shj_bayes.planning.known import Known, mechanisms_of
 from shj_bayes.planning.plan import Plan, Row
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.planning.rig import LEEWAY, Rig
+from shj_bayes.results.diagnosis import ClassId
 
 SCHEMA = "shj-bayes/plan/1"
 PLAN = "plan.json"

@@ -1,9 +1,7 @@
 """A diagnosed or fitted device as its folder holds it: the runs, the base model, and what it may be."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from shj_bayes.model.measured import coordinate_of
 from shj_bayes.planning.known import Key, Subject
 from shj_bayes.recording.recording import Extra, Recording, Source
 from shj_bayes.results.device import model_of, read_group
+from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import has, read
 
@@ -31,7 +30,7 @@ class Stored:
     Fy: tuple[float, float]  # sliding force, kN, and the standard deviation of its logarithm
 
 
-def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
+def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
     """Read a device from the files of its fit and of its diagnosis; a fit without one is taken for what it is.
 
     `PlanError` if there is no fit, or the diagnosis states no probabilities.
@@ -61,15 +60,14 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
             runs.append(Run(recording, motion))
         logs = np.log(draws["Fy"].ravel())
     model = model_of(record)
-    said = {} if diagnosis is None else diagnosis.get("model") or {}
-    effects = model.effects if diagnosis is None else effects_named([str(word) for word in said.get("given", ())])
-    without = tuple(said.get("without", ()))
+    said = diagnosis.model if diagnosis else None
+    effects = model.effects if diagnosis is None else effects_named(said.given if said else ())
+    without = said.without if said else ()
     speed = model.speed and "velocity" not in without
     device = replace(model, effects=effects, speed=speed)
     sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)
     if diagnosis is not None:
-        rows = diagnosis.get("sets") or ()
-        sets = tuple((frozenset(row["classes"]), float(row["probability"])) for row in rows)
+        sets = tuple((frozenset(row.classes), row.probability) for row in diagnosis.sets)
         sets = tuple(pair for pair in sets if pair[1] > ODDS_IN_FILES)
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")

@@ -21,7 +21,8 @@ from shj_bayes.report.numbers import Numbers, left_over, numbers_of
 from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.viewer import device_viewer, thinning_words
 from shj_bayes.results.device import DeviceData, RunData, read_device
-from shj_bayes.results.fit import FitRecord, LeftOver, ParameterRow, RunInput, Trust, ZeroError
+from shj_bayes.results.diagnosis import LeftOver
+from shj_bayes.results.fit import FitRecord, ParameterRow, RunInput, Trust, ZeroError
 from shj_bayes.results.store import diagnosis_in, write
 
 

@@ -1,14 +1,14 @@
 """The unit in which pages and terminal show the forces of a device."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from shj_bayes.recording import force_unit as rule
 from shj_bayes.report.words import short
+from shj_bayes.results.diagnosis import EffectParameter
 from shj_bayes.results.fit import FitRecord, ParameterRow
 
-Row = TypeVar("Row", bound=ParameterRow)
+Row = TypeVar("Row", ParameterRow, EffectParameter)
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,6 @@ class ForceUnit:
     def shown(self, kN: float) -> str:
         """Write a force of so many kN, with its unit."""
         return f"{short(kN * self.factor)} {self.name}"
-
-    def table(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        """Row of a parameter table in the unit that is shown."""
-        unit, factor = self.of(str(row["unit"]))
-        keys = ("mean", "sd", "q05", "q50", "q95")
-        return {**row, "unit": unit} | {k: row[k] * factor for k in keys if row.get(k) is not None}
 
     def row(self, row: Row) -> Row:
         """Row of a parameter table in the unit that is shown."""

@@ -9,16 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from shj_bayes._util.files import read_json
-from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.population.quantities import LEVELS, band_of
 from shj_bayes.report.beforehand import Beforehand, beforehand
 from shj_bayes.report.binned import StrokeProfile, residual, stroke_profiles
 from shj_bayes.results.device import DeviceData, RunData
-from shj_bayes.results.diagnosis import Verdict
-from shj_bayes.results.fit import LeftOver
-from shj_bayes.results.store import diagnosis_in
+from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver, Verdict
+from shj_bayes.results.store import diagnosis_in, find
 
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
@@ -277,9 +274,5 @@ def left_over(device: DeviceData, folder: Path | None = None) -> LeftOver:
 
 def _diagnosed(device: DeviceData, folder: Path) -> Literal[""] | Verdict:
     """Verdict of ``diagnosis.json``; empty where it is missing, unreadable, or of other recordings."""
-    try:
-        record = read_json(folder / diagnosis_in(folder) / "diagnosis.json", ReportError)
-        same = [i["sha256"] for i in record["inputs"]] == list(device.record.sha256_of_inputs)
-        return Verdict(record["verdict"]) if same and record["verdict"] in tuple(Verdict) else ""
-    except (ReportError, KeyError, TypeError):
-        return ""
+    record = find(DiagnosisRecord, folder / diagnosis_in(folder))
+    return record.verdict if record and record.sha256_of_inputs == device.record.sha256_of_inputs else ""

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 from shj_bayes.model.parameters import base_of
-from shj_bayes.results.diagnosis import Verdict
-from shj_bayes.results.fit import FAIR_PERCENT, FEWEST_CYCLES, LeftOver, ParameterRow, Remark, RemarkRecord, Trust
+from shj_bayes.results.diagnosis import FAIR_PERCENT, FEWEST_CYCLES, LeftOver, Verdict
+from shj_bayes.results.fit import ParameterRow, Remark, RemarkRecord, Trust
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
 CONVERGENCE: dict[str, tuple[str, str, str]] = {

@@ -16,8 +16,10 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from shj_bayes.errors import shown
 
+EARLIER = {"earlier": True}  # metadata of a field that files of earlier schemas hold: it is written only if it is set
 LARGEST = 2**1000  # of whole numbers in the place of a number: larger ones are none in double precision
 Probability = Annotated[float, {"minimum": 0, "maximum": 1}]
+ProbabilityOrNone = Annotated[float | None, {"minimum": 0, "maximum": 1}]
 KINDS: dict[Any, tuple[str, str]] = {  # in words, and as JSON Schema says it
     str: ("a text", "string"),
     int: ("a whole number", "integer"),
@@ -36,7 +38,8 @@ class WrongValueError(ValueError):
 def to_json(value: Any) -> Any:
     """Record as values that JSON holds, its fields in their order."""
     if is_dataclass(value):
-        return {key: to_json(getattr(value, name)) for key, name, *_ in _stored(value.__class__)}
+        own = ((key, getattr(value, name), bare) for key, name, _, _, bare in _stored(value.__class__))
+        return {key: to_json(part) for key, part, bare in own if part or not bare}
     if isinstance(value, Mapping):
         return {key: to_json(part) for key, part in value.items()}
     if isinstance(value, tuple | list):
@@ -86,19 +89,23 @@ def _wrong(value: Any, allowed: str, at: str) -> WrongValueError:
 
 
 @cache
-def _stored(kind: Any) -> tuple[tuple[str, Any, bool, Any], ...]:
-    """Fields that files hold: key (a field ``class_`` is ``class`` there), name, whether it must be there, type."""
+def _stored(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
+    """Fields that files hold: key (a field ``class_`` is ``class`` there), name, whether it must be there, type.
+
+    Last stands whether it is of an earlier schema.
+    """
     hints = get_type_hints(kind, include_extras=True)
     return tuple(
-        (f.name.rstrip("_"), f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name])
+        (key, f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name], "earlier" in f.metadata)
         for f in fields(kind)
+        for key in [f.name.rstrip("_")]
         if f.metadata.get("stored", True)
     )
 
 
-def _record(kind: Any, _: Any, value: Any, at: str) -> Any:
+def _record(kind: Any, _args: Any, value: Any, at: str) -> Any:
     content, given = _of(dict, Mapping, value, at), {}
-    for key, name, needed, hint in _stored(kind):
+    for key, name, needed, hint, _ in _stored(kind):
         if key in content:
             given[name] = _value(hint, content[key], f"{at}.{key}" if at else key)
         elif needed:
@@ -146,8 +153,9 @@ def _bounded(_: Any, args: tuple[Any, ...], given: Any, at: str) -> Any:
 
 def _record_schema(kind: Any, _: Any) -> dict[str, Any]:
     stored = _stored(kind)
-    needed = [key for key, _, needed, _ in stored if needed or key == "schema"]
-    return {"type": "object", "required": needed, "properties": {key: schema_of(hint) for key, *_, hint in stored}}
+    required = [key for key, _, needed, *_ in stored if needed or key == "schema"]
+    of_fields = {key: schema_of(hint) for key, _, _, hint, _ in stored}
+    return {"type": "object", "required": required, "properties": of_fields}
 
 
 def _union_schema(_: Any, kinds: tuple[Any, ...]) -> dict[str, Any]:
@@ -168,6 +176,7 @@ _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "minimum": ("at least {}", lambda value, least: value >= least),
     "maximum": ("at most {}", lambda value, most: value <= most),
     "minItems": ("a list of {} or more", lambda value, n: len(value) >= n),
+    "enum": ("one of {}", lambda value, words: value in words),
     "pattern": ("a text like {}", lambda value, pattern: re.search(pattern, value) is not None),
 }
 _READERS: dict[Any, Callable[..., Any]] = {

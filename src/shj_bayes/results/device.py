@@ -1,4 +1,4 @@
-"""``posterior.nc``: draws, channels and predictions of a fitted device, and its model rebuilt from the record."""
+"""``posterior.nc`` and ``diagnosis.nc``: draws, channels and predictions of a device, and its model rebuilt."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes._util.files import refuse_windows
-from shj_bayes.errors import InferenceError
+from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.catalogue import noise_model
 from shj_bayes.model.parameters import FloatArray
@@ -19,6 +19,7 @@ from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import check_files, has, read
 
 EXTRA = "extra_"  # before the names of further channels
+FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
 OLD = ("posterior_predictive", "observed_data")  # groups with every sample in files of shj-bayes/fit/1
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -170,3 +171,52 @@ def _values(part: Any) -> NDArray[Any]:
     """Array of a netCDF variable, unpacked where it is stored in whole numbers (netCDF attribute ``scale_factor``)."""
     scale = part.attrs.get("scale_factor")
     return np.asarray(part) if scale is None else np.asarray(part, dtype=np.float32) * np.float32(np.squeeze(scale))
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Samples of all runs, one after the other; arrays have shape (n,)."""
+
+    # time_s to travel_m: time, displacement from mid-stroke, speed, distance since the last reversal, distance in all
+    time_s: FloatArray = field(repr=False)
+    position_mm: FloatArray = field(repr=False)
+    speed_mm_s: FloatArray = field(repr=False)
+    slip_mm: FloatArray = field(repr=False)
+    travel_m: FloatArray = field(repr=False)
+    direction: IntArray = field(repr=False)  # +1 while displacement grows (push), -1 while it falls
+    run: IntArray = field(repr=False)  # number of the run
+    used: BoolArray = field(repr=False)  # samples that are evidence
+    # force_kN to after_kN: measured, modelled by the base law, modelled by the law with what was found
+    force_kN: FloatArray = field(repr=False)
+    before_kN: FloatArray = field(repr=False)
+    after_kN: FloatArray = field(repr=False)
+
+    @property
+    def changed(self) -> bool:
+        """True when something was added to the base law."""
+        return not np.array_equal(self.before_kN, self.after_kN)
+
+    @property
+    def residuals(self) -> tuple[FloatArray, FloatArray]:
+        """Measured less modelled force, before and after, kN."""
+        return self.force_kN - self.before_kN, self.force_kN - self.after_kN
+
+
+def read_channels(folder: Path) -> Channels:
+    """Read ``diagnosis.nc``; `ReportError` where it is missing or damaged."""
+    import xarray as xr  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
+
+    try:
+        refuse_windows(folder / "diagnosis.nc")
+        with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
+            channels = Channels(
+                **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
+                direction=np.sign(data["direction"].to_numpy()).astype(np.int64),
+                run=data["run"].to_numpy().astype(np.int64),
+                used=np.asarray(data["weight"].to_numpy() > 0),
+            )
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise ReportError(f"diagnosis.nc in {folder.name} cannot be read: {error}; run the diagnosis again") from error
+    if not channels.used.any():
+        raise ReportError(f"diagnosis.nc in {folder.name} holds no sample that is evidence")
+    return channels

@@ -8,12 +8,8 @@ from typing import Annotated, ClassVar, Literal
 from shj_bayes.errors import InferenceError, ReportError, ShjError
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.recording import Finding
-from shj_bayes.results.diagnosis import Verdict
 
 SCHEMA: Literal["shj-bayes/fit/2"] = "shj-bayes/fit/2"
-FEWEST_CYCLES = 3  # what comes again twice may be shape; what is there once or twice may be chance
-FAIR_PERCENT = 2.0  # of Fy: a load cell's own drift stays below
-POOR_PERCENT = 5.0  # of Fy: more than nominally identical devices differ by
 Sha256 = Annotated[str | None, {"pattern": "^([0-9a-f]{64})?$"}]
 
 
@@ -214,37 +210,3 @@ class SummaryRecord:
 
     schema: Literal["shj-bayes/fit/1", "shj-bayes/fit/2"] = SCHEMA
     parameters: Annotated[tuple[ParameterRow, ...], {"minItems": 1}]
-
-
-@dataclass(frozen=True)
-class LeftOver:
-    """Content of ``residual.json``: how much of the force the model leaves unexplained.
-
-    A size, not a test. Whether the cycles scatter more than the model allows is judged by the fit, and whether physics
-    is missing by the diagnosis; what they found is repeated here, so that no page says anything else.
-    """
-
-    FILE: ClassVar[str] = "residual.json"
-    ERROR: ClassVar[type[ShjError]] = ReportError
-    MISSING: ClassVar[str] = "holds no residual.json"
-    AGAIN: ClassVar[str] = "run the fit again"
-
-    schema: Literal["shj-bayes/residual/1", "shj-bayes/residual/2"] = field(
-        default="shj-bayes/residual/2", kw_only=True
-    )
-    # root mean square of the residual beyond the scatter from one sample to the next, per cent of the sliding force
-    unexplained_percent: Annotated[float, {"minimum": 0}]
-    n_cycles: Annotated[int, {"minimum": 0}]  # full cycles of all runs
-    # largest factor by which the fit widened an interval since the cycles scatter more than the model and its noise
-    # allow; 1 where they do not
-    widening: Annotated[float, {"minimum": 1}] = 1.0
-    diagnosed: Literal[""] | Verdict = ""  # verdict of the diagnosis of the same recordings; empty where there is none
-    # of the model: ``good``, ``fair``, ``poor``, or ``undecided`` where there are too few cycles to say
-    grade: Literal["", "good", "fair", "poor", "undecided"] = ""
-
-    def __post_init__(self) -> None:
-        """Grade the model."""
-        fair = self.widening > 1.0 or self.unexplained_percent > FAIR_PERCENT
-        poor = self.unexplained_percent > POOR_PERCENT
-        grade = "undecided" if self.n_cycles < FEWEST_CYCLES else "poor" if poor else "fair" if fair else "good"
-        object.__setattr__(self, "grade", grade)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_type_hints
 
 from shj_bayes._util.files import check_seal, file_digest, read_json, sealed, write_text
 from shj_bayes.errors import InferenceError, ShjError
-from shj_bayes.results.codec import WrongValueError, from_json, to_json
+from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.fit import FitRecord
 
 DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
@@ -48,7 +48,7 @@ def read(kind: type[Kind], folder: Path) -> Kind:
     check_seal(content, path, kind.ERROR)
     try:
         return from_json(kind, content)
-    except (WrongValueError, ShjError) as error:
+    except (ValueError, ShjError) as error:
         raise kind.ERROR(f"{kind.FILE} in {folder.name}: {error}; {kind.AGAIN}") from error
 
 
