@@ -28,14 +28,14 @@ from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.mismatch.look import Look
 from shj_bayes.planning.asked import Asked
-from shj_bayes.planning.files import read_plan
+from shj_bayes.planning.files import PlanRecord
 from shj_bayes.planning.rig import stated_limits
-from shj_bayes.population.results import population_record
+from shj_bayes.population.results import PopulationRecord
 from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.diagnosis_words import sentences
-from shj_bayes.results.campaign import read_campaign
+from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.device import whole
 from shj_bayes.results.diagnosis import DiagnosisRecord
@@ -381,7 +381,7 @@ def plan(
     limits = stated_limits(Path(rig) if rig is not None else None, options)
     folder, held = _place(out)
     folders = [Path(devices)] if isinstance(devices, str | Path) else [Path(one) for one in devices]
-    return NextTest(folder, plan_next(folders, folder, Asked(**asked, limits=limits)).record, held)
+    return NextTest(folder, to_json(plan_next(folders, folder, Asked(**asked, limits=limits)).record), held)
 
 
 def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:
@@ -414,15 +414,15 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTes
         If it holds no result, or one that is damaged.
     """
     place = Path(folder)
-    for name, kind, content in (
-        ("fit", FitResult, lambda place: to_json(read(FitRecord, place))),
-        ("diagnosis", Diagnosis, lambda place: to_json(read(DiagnosisRecord, place))),
-        ("campaign", CampaignResult, lambda place: to_json(read_campaign(place))),
-        ("population", CampaignResult, population_record),
-        ("plan", NextTest, read_plan),
+    for kind, result in (
+        (FitRecord, FitResult),
+        (DiagnosisRecord, Diagnosis),
+        (CampaignRecord, CampaignResult),
+        (PopulationRecord, CampaignResult),
+        (PlanRecord, NextTest),
     ):
-        if (place / f"{name}.json").is_file():
-            return kind(place, content(place))
+        if has(kind, place):
+            return result(place, to_json(read_campaign(place) if kind is CampaignRecord else read(kind, place)))
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 

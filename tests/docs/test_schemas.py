@@ -1,5 +1,6 @@
 """Files of results are what their JSON Schemas in docs/schemas say."""
 
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,16 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     device = next(p.parent for p in (folder / "out").glob("devices/*/fit.json"))
     shj_bayes.plan([device, device], folder / "next", question="force")
     return folder
+
+
+def test_schemas_are_those_of_the_records() -> None:
+    """`python docs/schemas/make.py` writes them anew."""
+    spec = importlib.util.spec_from_file_location("schemas_make", SCHEMAS / "make.py")
+    assert spec is not None
+    assert spec.loader is not None
+    make = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    assert {p.name: p.read_text(encoding="utf-8") for p in SCHEMAS.glob("*.json")} == make.texts()
 
 
 @pytest.mark.parametrize("path", sorted(SCHEMAS.glob("*.json")), ids=lambda p: p.stem)

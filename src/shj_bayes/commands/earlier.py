@@ -103,11 +103,11 @@ def _of_device(folder: Path) -> Earlier:
 
 
 def _of_set(folder: Path, chosen: str) -> Earlier:
-    from shj_bayes.population.results import population_record  # noqa: PLC0415  (needs half of scipy)
+    from shj_bayes.population.results import PopulationRecord  # noqa: PLC0415  (needs half of scipy)
 
-    document = population_record(folder)
+    record = read(PopulationRecord, folder)
     with damage_told(f"population.json in {folder.name}", PriorError):
-        sets = {str(one["name"]): one for one in document["sets"] if one["name"] != ANY_SET}
+        sets = {one.name: one for one in record.sets if one.name != ANY_SET}
         names = list(sets)
         if not chosen and len(names) == 1:
             chosen = names[0]
@@ -117,9 +117,9 @@ def _of_set(folder: Path, chosen: str) -> Earlier:
             hint = did_you_mean(chosen, names) if chosen else f"; write {folder}#SET"
             raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(names)}{hint}")
         name = chosen if chosen in sets else alike[0]
-        bands = sets[name]["new_device"]
+        bands = sets[name].new_device
         known = {q: tuple(float(bands[q][key]) for key in ("q05", "q50", "q95")) for q in LAW if q in bands}
-        digest = file_digest(folder / "population.json")
+        digest = file_digest(folder / PopulationRecord.FILE)
         return Earlier(f"a new device of set {name}", known, digest, _recordings(folder, name))
 
 

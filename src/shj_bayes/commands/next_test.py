@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.asked import Asked
 from shj_bayes.planning.candidates import Candidates, proposals
 from shj_bayes.planning.devices import further_devices
-from shj_bayes.planning.files import force_record, plan_record, write_plan
+from shj_bayes.planning.files import PlanRecord, force_record, plan_record, write_plan
 from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know
 from shj_bayes.planning.plan import FORCE, WHICH, Plan, Question, make_plan
 from shj_bayes.planning.protocol import Protocol, table_1_protocol
@@ -76,7 +75,7 @@ def _known(
     return [know(one, common_scales(one.runs, candidates), tell) for one in tested]
 
 
-def _written(out: Path, record: dict[str, Any], plan: Plan | None) -> Done:
+def _written(out: Path, record: PlanRecord, plan: Plan | None) -> Done:
     """Write the files and the page of a plan; what a question about further devices gives has no protocol."""
     write_plan(out, record, plan)
     return Done(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")

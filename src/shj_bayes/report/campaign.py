@@ -8,7 +8,7 @@ from urllib.parse import quote
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.published import Claim, Held
-from shj_bayes.population.results import load_population
+from shj_bayes.population.results import PopulationRecord, load_population
 from shj_bayes.report import words
 from shj_bayes.report.campaign_physics import holders, statements, table
 from shj_bayes.report.diagnosis_words import percent
@@ -17,7 +17,7 @@ from shj_bayes.report.sets_page import population_content, tested_motion
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, DeviceEntry, read_campaign
 from shj_bayes.results.diagnosis import LeftOver
 from shj_bayes.results.fit import SummaryRecord
-from shj_bayes.results.store import DIAGNOSIS, find
+from shj_bayes.results.store import DIAGNOSIS, find, has
 
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
@@ -31,7 +31,7 @@ def render_campaign(
     `curves` are comparisons of curves of its sets. `ReportError` if the folder holds no readable ``campaign.json``.
     """
     record = read_campaign(folder)
-    if population is None and (folder / "population.json").exists():
+    if population is None and has(PopulationRecord, folder):
         population = load_population(folder)
     devices = [device_row(folder, set_name, device) for set_name, device in record.devices]
     done = [d for d in devices if d["status"] != "failed"]

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from shj_bayes.errors import shown
 
-EARLIER = {"earlier": True}  # metadata of a field that files of earlier schemas hold: it is written only if it is set
+IF_KNOWN = {"if_known": True}  # metadata of a field that is written only where it is not None
 LARGEST = 2**1000  # of whole numbers in the place of a number: larger ones are none in double precision
 Probability = Annotated[float, {"minimum": 0, "maximum": 1}]
 ProbabilityOrNone = Annotated[float | None, {"minimum": 0, "maximum": 1}]
@@ -39,7 +39,7 @@ def to_json(value: Any) -> Any:
     """Record as values that JSON holds, its fields in their order."""
     if is_dataclass(value):
         own = ((key, getattr(value, name), bare) for key, name, _, _, bare in _stored(value.__class__))
-        return {key: to_json(part) for key, part, bare in own if part or not bare}
+        return {key: to_json(part) for key, part, bare in own if part is not None or not bare}
     if isinstance(value, Mapping):
         return {key: to_json(part) for key, part in value.items()}
     if isinstance(value, tuple | list):
@@ -92,11 +92,11 @@ def _wrong(value: Any, allowed: str, at: str) -> WrongValueError:
 def _stored(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
     """Fields that files hold: key (a field ``class_`` is ``class`` there), name, whether it must be there, type.
 
-    Last stands whether it is of an earlier schema.
+    Last stands whether it is written only where it is not None.
     """
     hints = get_type_hints(kind, include_extras=True)
     return tuple(
-        (key, f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name], "earlier" in f.metadata)
+        (key, f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name], "if_known" in f.metadata)
         for f in fields(kind)
         for key in [f.name.rstrip("_")]
         if f.metadata.get("stored", True)

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 from shj_bayes.errors import ReportError, ShjError
 from shj_bayes.recording.further import Refusal
-from shj_bayes.results.codec import EARLIER, Probability, ProbabilityOrNone
+from shj_bayes.results.codec import IF_KNOWN, Probability, ProbabilityOrNone
 from shj_bayes.results.fit import Trust
 
 SCHEMA: Literal["shj-bayes/diagnosis/2"] = "shj-bayes/diagnosis/2"
@@ -193,8 +193,9 @@ class Unknown:
     formula: str | None = None
     period: Period | None = None
     size_kN: float | None = None
-    words: str = field(default="", metadata=EARLIER)
-    formula_words: str = field(default="", metadata=EARLIER)
+    # in files of the first schema
+    words: str | None = field(default=None, metadata=IF_KNOWN)
+    formula_words: str | None = field(default=None, metadata=IF_KNOWN)
 
 
 @dataclass(frozen=True, kw_only=True)

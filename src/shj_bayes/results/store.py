@@ -65,12 +65,13 @@ def diagnosis_in(folder: Path) -> str:
     return "." if (folder / "diagnosis.json").is_file() else DIAGNOSIS
 
 
-def write(record: Any, folder: Path, *, allow_nan: bool = False) -> dict[str, Any]:
+def write(record: Any, folder: Path, *, allow_nan: bool = False, ascii_only: bool = True) -> dict[str, Any]:
     """Write a record whole or not at all, and give its content; one that has a digest is sealed."""
     content: dict[str, Any] = to_json(record)
     if any(f.name == "digest" for f in fields(record)):
         content = sealed(content)
-    write_text(folder / record.FILE, json.dumps(content, indent=1, allow_nan=allow_nan))
+    text = json.dumps(content, indent=1, allow_nan=allow_nan, ensure_ascii=ascii_only)
+    write_text(folder / record.FILE, text if ascii_only else f"{text}\n")
     return content
 
 
