@@ -13,7 +13,7 @@ from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, riv
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, cycles_of
 from shj_bayes.mismatch.hypothesis import TEETH
 from shj_bayes.mismatch.proven import Proven
-from shj_bayes.mismatch.regions import Region, run_of
+from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
@@ -36,7 +36,6 @@ from shj_bayes.results.diagnosis import (
     EnergyRecord,
     FitQuality,
     HeldOutRecord,
-    Location,
     Member,
     Period,
     SetProbability,
@@ -244,26 +243,6 @@ def fluctuation(out: Search) -> Dependence:
         size_percent=100 * size,
         matches=tuple(e.id for e in catalogue().values() if TEETH in e.acts and e.id not in out.hidden),
     )
-
-
-def locations(regions: list[Region]) -> tuple[Location, ...]:
-    """Where the base law fails."""
-    return tuple(
-        Location(
-            coordinate=WORDS.get(r.coordinate, r.coordinate),
-            interval=(r.low, r.high),
-            unit=r.unit,
-            direction=r.direction,
-            runs=r.runs,
-            size_kN=r.size_kN,
-            share=r.share,
-            p_value=r.p_value,
-        )
-        for r in regions
-    )
-
-
-WORDS = {"slip": "slip since reversal"}
 
 
 def unknown(out: Search, answer: Answer) -> Unknown | None:

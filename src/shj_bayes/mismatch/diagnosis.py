@@ -162,7 +162,7 @@ def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any
         "effects": content.effects(out, answer, draws),
         "modelled": content.modelled(answer, draws),
         "family": content.family(out, answer),
-        "location": content.locations(regions),
+        "location": tuple(regions),
         "unknown": content.unknown(out, answer),
         "left_over_percent": 100 * answer.left_over,
         "before": content.quality(fine, shown.before, noise, shown.held[0]),

@@ -94,27 +94,6 @@ class RankedProtocol:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FurtherRow:
-    """Further devices, and half the width of what is then known of the force."""
-
-    n_further: int
-    half_width_expected: float
-    half_width_assured: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class FurtherRecord:
-    """How many further devices make the force known; `Further` explains the fields."""
-
-    n_tested: int
-    force_kN: float
-    spread: float
-    half_width_now: float
-    n_further: int | None
-    table: tuple[FurtherRow, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class PlanRecord:
     """Content of ``plan.json``."""
 
@@ -133,7 +112,7 @@ class PlanRecord:
     worth: Worth
     candidates: Annotated[tuple[RankedProtocol, ...], {"description": "within the limits, best first"}] = ()
     compared: Annotated[tuple[RankedProtocol, ...], {"description": "Table 1, and the files given"}] = ()
-    further_devices: FurtherRecord | None = None
+    further_devices: Further | None = None
 
 
 def plan_record(plan: Plan) -> PlanRecord:
@@ -158,7 +137,6 @@ def plan_record(plan: Plan) -> PlanRecord:
 
 def force_record(further: Further, names: tuple[str, ...], seed: int) -> PlanRecord:
     """Say how many further devices are needed, where they are asked for, not a protocol."""
-    table = tuple(FurtherRow(n_further=n, half_width_expected=a, half_width_assured=b) for n, a, b in further.table)
     return PlanRecord(
         question="force",
         rig=None,
@@ -167,7 +145,7 @@ def force_record(further: Further, names: tuple[str, ...], seed: int) -> PlanRec
         devices=tuple(PlannedDevice(name=name, n_runs=None, sets=()) for name in names),
         now=Now(force_kN=further.force_kN, half_width=further.half_width_now),
         worth=Worth.YES if further.n_further else Worth.DECIDED if further.n_further == 0 else Worth.LITTLE,
-        further_devices=FurtherRecord(**{**vars(further), "table": table}),
+        further_devices=further,
     )
 
 

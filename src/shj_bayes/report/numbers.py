@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from shj_bayes.population.quantities import LEVELS, band_of
 from shj_bayes.report.beforehand import Beforehand, beforehand
 from shj_bayes.report.binned import StrokeProfile, residual, stroke_profiles
 from shj_bayes.results.device import DeviceData, RunData
-from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver, Verdict
+from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
 from shj_bayes.results.store import diagnosis_in, find
 
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
@@ -272,7 +271,7 @@ def left_over(device: DeviceData, folder: Path | None = None) -> LeftOver:
     )
 
 
-def _diagnosed(device: DeviceData, folder: Path) -> Literal[""] | Verdict:
+def _diagnosed(device: DeviceData, folder: Path) -> str:
     """Verdict of ``diagnosis.json``; empty where it is missing, unreadable, or of other recordings."""
     record = find(DiagnosisRecord, folder / diagnosis_in(folder))
     return record.verdict if record and record.sha256_of_inputs == device.record.sha256_of_inputs else ""

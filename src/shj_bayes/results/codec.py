@@ -1,9 +1,9 @@
-"""Records to JSON and back by the types of their fields, and the JSON Schema of a record from the same types.
+"""Records to JSON and back by the types of their fields.
 
 A record is a frozen dataclass of texts, numbers, truth values, literals, enumerations of texts, tuples, mappings from
-texts, other records, ``None`` and ``Any``. ``Annotated[kind, {"minimum": 0}]`` bounds a value, in the words of JSON
-Schema. A field with a default may be missing in a file, one with ``metadata={"stored": False}`` is in none; what a
-file holds beside the fields is passed over.
+texts, other records, each of them ``| None``, and ``Any``. ``Annotated[kind, {"minimum": 0}]`` bounds a value, in the
+words of JSON Schema. A field with a default may be missing in a file, one with ``metadata={"stored": False}`` is in
+none; what a file holds beside the fields is passed over.
 """
 
 import re
@@ -20,13 +20,9 @@ IF_KNOWN = {"if_known": True}  # metadata of a field that is written only where 
 LARGEST = 2**1000  # of whole numbers in the place of a number: larger ones are none in double precision
 Probability = Annotated[float, {"minimum": 0, "maximum": 1}]
 ProbabilityOrNone = Annotated[float | None, {"minimum": 0, "maximum": 1}]
-KINDS: dict[Any, tuple[str, str]] = {  # in words, and as JSON Schema says it
-    str: ("a text", "string"),
-    int: ("a whole number", "integer"),
-    float: ("a number", "number"),
-    bool: ("true or false", "boolean"),
-    tuple: ("a list", "array"),
-    Mapping: ("a table", "object"),
+WORDS: dict[Any, str] = {
+    **{str: "a text", int: "a whole number", float: "a number", bool: "true or false"},
+    **{list: "a list", dict: "a table"},
 }
 Record = TypeVar("Record")
 
@@ -38,7 +34,7 @@ class WrongValueError(ValueError):
 def to_json(value: Any) -> Any:
     """Record as values that JSON holds, its fields in their order."""
     if is_dataclass(value):
-        own = ((key, getattr(value, name), bare) for key, name, _, _, bare in _stored(value.__class__))
+        own = ((key, getattr(value, name), bare) for key, name, _, _, bare in fields_of(value.__class__))
         return {key: to_json(part) for key, part, bare in own if part is not None or not bare}
     if isinstance(value, Mapping):
         return {key: to_json(part) for key, part in value.items()}
@@ -52,13 +48,7 @@ def from_json(kind: type[Record], content: Any) -> Record:
     return _value(kind, content, "")  # type: ignore[no-any-return]
 
 
-def schema_of(kind: Any) -> dict[str, Any]:
-    """JSON Schema of what `from_json` reads as this kind; a description is the one of a field's ``Annotated``."""
-    form, args = _form(kind)
-    return _SCHEMAS[form](kind, args) if form in _SCHEMAS else {"type": KINDS[kind][1]}
-
-
-def _form(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+def form_of(kind: Any) -> tuple[Any, tuple[Any, ...]]:
     """Which way a kind is read, and the kinds within it; ``Literal`` and enumerations are alike."""
     origin, args = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and issubclass(kind, StrEnum):
@@ -70,17 +60,17 @@ def _form(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 
 def _value(kind: Any, value: Any, at: str) -> Any:
     """Value of a kind; `at` says which part of the record it is."""
-    form, args = _form(kind)
+    form, args = form_of(kind)
     if form in _READERS:
         return _READERS[form](kind, args, value, at)
     if kind is float and type(value) is int and abs(value) < LARGEST:
         return float(value)
-    return _of(kind, kind, value, at)
+    return _of(kind, value, at)
 
 
-def _of(kind: Any, named: Any, value: Any, at: str) -> Any:
+def _of(kind: Any, value: Any, at: str) -> Any:
     if type(value) is not kind:
-        raise _wrong(value, KINDS[named][0], at)
+        raise _wrong(value, WORDS[kind], at)
     return value
 
 
@@ -89,7 +79,7 @@ def _wrong(value: Any, allowed: str, at: str) -> WrongValueError:
 
 
 @cache
-def _stored(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
+def fields_of(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
     """Fields that files hold: key (a field ``class_`` is ``class`` there), name, whether it must be there, type.
 
     Last stands whether it is written only where it is not None.
@@ -104,8 +94,8 @@ def _stored(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
 
 
 def _record(kind: Any, _args: Any, value: Any, at: str) -> Any:
-    content, given = _of(dict, Mapping, value, at), {}
-    for key, name, needed, hint, _ in _stored(kind):
+    content, given = _of(dict, value, at), {}
+    for key, name, needed, hint, _ in fields_of(kind):
         if key in content:
             given[name] = _value(hint, content[key], f"{at}.{key}" if at else key)
         elif needed:
@@ -119,20 +109,12 @@ def _one_of(kind: Any, words: tuple[str, ...], value: Any, at: str) -> Any:
     return kind(value) if isinstance(kind, type) else value
 
 
-def _any_of(_: Any, kinds: tuple[Any, ...], value: Any, at: str) -> Any:
-    if value is None and types.NoneType in kinds:
-        return None
-    *others, last = (one for one in kinds if one is not types.NoneType)
-    for one in others:
-        try:
-            return _value(one, value, at)
-        except WrongValueError:
-            continue
-    return _value(last, value, at)
+def _optional(_: Any, kinds: tuple[Any, ...], value: Any, at: str) -> Any:
+    return None if value is None else _value(kinds[0], value, at)
 
 
 def _items(_: Any, args: tuple[Any, ...], value: Any, at: str) -> Any:
-    values = _of(list, tuple, value, at)
+    values = _of(list, value, at)
     kinds = (args[0],) * len(values) if args[-1] is Ellipsis else args
     if len(values) != len(kinds):
         raise _wrong(values, f"a list of {len(kinds)}", at)
@@ -140,36 +122,16 @@ def _items(_: Any, args: tuple[Any, ...], value: Any, at: str) -> Any:
 
 
 def _table(_: Any, args: tuple[Any, ...], value: Any, at: str) -> Any:
-    return {key: _value(args[1], part, f"{at}.{key}") for key, part in _of(dict, Mapping, value, at).items()}
+    return {key: _value(args[1], part, f"{at}.{key}") for key, part in _of(dict, value, at).items()}
 
 
 def _bounded(_: Any, args: tuple[Any, ...], given: Any, at: str) -> Any:
     value, bounds = _value(args[0], given, at), args[1]
     for word, (allowed, kept) in _BOUNDS.items():
-        if value is not None and word in bounds and not kept(value, bounds[word]):
-            raise _wrong(given, allowed.format(bounds[word]), at)
+        bound = bounds.get(word)
+        if None not in (value, bound) and not kept(value, bound):
+            raise _wrong(given, allowed.format(", ".join(bound) if isinstance(bound, tuple) else bound), at)
     return value
-
-
-def _record_schema(kind: Any, _: Any) -> dict[str, Any]:
-    stored = _stored(kind)
-    required = [key for key, _, needed, *_ in stored if needed or key == "schema"]
-    of_fields = {key: schema_of(hint) for key, _, _, hint, _ in stored}
-    return {"type": "object", "required": required, "properties": of_fields}
-
-
-def _union_schema(_: Any, kinds: tuple[Any, ...]) -> dict[str, Any]:
-    own = [schema_of(one) for one in kinds if one is not types.NoneType]
-    if types.NoneType not in kinds:
-        return {"anyOf": own}
-    plain = len(own) == 1 and "type" in own[0]
-    return own[0] | {"type": [own[0]["type"], "null"]} if plain else {"anyOf": [*own, {"type": "null"}]}
-
-
-def _list_schema(_: Any, args: tuple[Any, ...]) -> dict[str, Any]:
-    if args[-1] is Ellipsis:
-        return {"type": "array", "items": schema_of(args[0])}
-    return {"type": "array", "items": schema_of(args[0]), "minItems": len(args), "maxItems": len(args)}
 
 
 _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
@@ -182,18 +144,9 @@ _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
 _READERS: dict[Any, Callable[..., Any]] = {
     Any: lambda _kind, _args, value, _at: value,
     Annotated: _bounded,
-    Union: _any_of,
+    Union: _optional,
     Literal: _one_of,
     tuple: _items,
     Mapping: _table,
     "record": _record,
-}
-_SCHEMAS: dict[Any, Callable[..., dict[str, Any]]] = {
-    Any: lambda _kind, _args: {},
-    Annotated: lambda _, args: schema_of(args[0]) | args[1],
-    Union: _union_schema,
-    Literal: lambda _, words: {"enum": [*words]},
-    tuple: _list_schema,
-    Mapping: lambda _, args: {"type": "object", "additionalProperties": schema_of(args[1])},
-    "record": _record_schema,
 }

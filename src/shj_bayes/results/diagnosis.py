@@ -168,11 +168,13 @@ class Location:
     coordinate: str
     interval: tuple[float, float]
     unit: str
+    # half-cycles it is about; ``both`` signs the residual with the direction of motion, so that friction too high in
+    # push and pull alike shows as one number
     direction: Direction
-    runs: tuple[int, ...]
-    size_kN: float
-    share: float  # of the residual's sum of squares
-    p_value: float
+    runs: tuple[int, ...]  # runs in which it is seen
+    size_kN: float  # mean residual there
+    share: float  # part of the residual's sum of squares that lies there
+    p_value: float  # chance of such a mean if nothing were missing, times the number of regions that were looked at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,7 +382,8 @@ class LeftOver:
     # largest factor by which the fit widened an interval since the cycles scatter more than the model and its noise
     # allow; 1 where they do not
     widening: Annotated[float, {"minimum": 1}] = 1.0
-    diagnosed: Literal[""] | Verdict = ""  # verdict of the diagnosis of the same recordings; empty where there is none
+    # verdict of the diagnosis of the same recordings; empty where there is none
+    diagnosed: Annotated[str, {"enum": ("", *Verdict)}] = ""
     # of the model: ``good``, ``fair``, ``poor``, or ``undecided`` where there are too few cycles to say
     grade: Literal["", "good", "fair", "poor", "undecided"] = ""
 
