@@ -37,6 +37,7 @@ from shj_bayes.results.fit import (
     FitRecord,
     ModelRecord,
     ParameterRow,
+    PriorRecord,
     Reduction,
     RunInput,
     SamplingRecord,
@@ -229,7 +230,10 @@ def fit_record(
             coordinate: ChannelScale(unit=one.unit, low=one.low, high=one.high, reference=one.reference)
             for coordinate, one in measured_of(posterior.runs)[0].items()
         },
-        prior_laws=tuple(replace(p, name=n) for n, p in zip(posterior.names, model.laws_of_parameters, strict=True)),
+        prior_laws=tuple(
+            PriorRecord(name=n, unit=p.unit, law=p.law, a=p.a, b=p.b, source=p.source)
+            for n, p in zip(posterior.names, model.laws_of_parameters, strict=True)
+        ),
         inputs=tuple(_input(run, *zero) for run, zero in zip(posterior.runs, zeros, strict=True)),
         sampling=SamplingRecord(
             n_ensembles=int(figures.acceptance.shape[0]),

@@ -48,8 +48,7 @@ class Prior:
     a: float
     b: float
     source: str  # why this law
-    # whether it is the result of an earlier test; a fit does not store it
-    earlier: bool = field(default=False, metadata={"stored": False})
+    earlier: bool = False  # whether it is the result of an earlier test
 
     def __post_init__(self) -> None:
         """Refuse laws that are no probability laws."""

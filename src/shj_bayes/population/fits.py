@@ -24,7 +24,7 @@ def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS
     """
     record = read(FitRecord, folder)
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
-        laws = {law.name: law for law in record.prior_laws}
+        laws = {law.name: Prior(**vars(law)) for law in record.prior_laws}
         posterior = read_group(folder, "posterior")
         draws = {q: posterior[q].ravel() for q in QUANTITIES if q in posterior}
         log_prior = {q: _pooled_log_density(laws[q], values) for q, values in draws.items()}

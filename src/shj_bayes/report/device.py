@@ -13,7 +13,6 @@ from shj_bayes.errors import ReportError
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.parameters import base_of
-from shj_bayes.model.priors import Prior
 from shj_bayes.population.quantities import LEVELS
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import ForceUnit, force_unit
@@ -22,7 +21,7 @@ from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.viewer import device_viewer, thinning_words
 from shj_bayes.results.device import DeviceData, RunData, read_device
 from shj_bayes.results.diagnosis import LeftOver
-from shj_bayes.results.fit import FitRecord, ParameterRow, RunInput, Trust, ZeroError
+from shj_bayes.results.fit import FitRecord, ParameterRow, PriorRecord, RunInput, Trust, ZeroError
 from shj_bayes.results.store import diagnosis_in, write
 
 
@@ -155,7 +154,7 @@ def parameter_row(row: ParameterRow, unknown: bool) -> dict[str, Any]:
     return vars(row) | {"meaning": meaning_of(row.name).meaning, "unknown": unknown, "speed": speed}
 
 
-def prior_row(device: DeviceData, law: Prior, unit: ForceUnit) -> dict[str, str]:
+def prior_row(device: DeviceData, law: PriorRecord, unit: ForceUnit) -> dict[str, str]:
     """One parameter before and after the test."""
     shown, factor = unit.of(law.unit)
     low, middle, high = factor * np.quantile(device.prior[law.name], LEVELS)

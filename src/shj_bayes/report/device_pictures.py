@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.model.parameters import NOISE_PARAMETERS, FloatArray, base_and_run
+from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
 from shj_bayes.report.figures import loops, posterior
 from shj_bayes.report.force_unit import ForceUnit, force_unit
@@ -93,7 +94,8 @@ def _shown(device: DeviceData, unit: ForceUnit) -> tuple[dict[str, FloatArray], 
 
 def _densities(device: DeviceData, unit: ForceUnit, draws: dict[str, FloatArray], units: dict[str, str]) -> str:
     parts = {}
-    for law in device.record.prior_laws:
+    for row in device.record.prior_laws:
+        law = Prior(**vars(row))
         factor = unit.of(law.unit)[1]
         values = draws[law.name].ravel()
         low, high = np.quantile(values, (0.001, 0.999))

@@ -2,8 +2,7 @@
 
 A record is a frozen dataclass of texts, numbers, truth values, literals, enumerations of texts, tuples, mappings from
 texts, other records, each of them ``| None``, and ``Any``. ``Annotated[kind, {"minimum": 0}]`` bounds a value, in the
-words of JSON Schema. A field with a default may be missing in a file, one with ``metadata={"stored": False}`` is in
-none; what a file holds beside the fields is passed over.
+words of JSON Schema. A field with a default may be missing in a file; what a file holds beside the fields is no fault.
 """
 
 import re
@@ -89,7 +88,6 @@ def fields_of(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
         (key, f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name], "if_known" in f.metadata)
         for f in fields(kind)
         for key in [f.name.rstrip("_")]
-        if f.metadata.get("stored", True)
     )
 
 

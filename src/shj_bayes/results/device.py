@@ -125,7 +125,7 @@ def model_of(record: FitRecord) -> DeviceModel:
 
 def priors_of(record: FitRecord) -> Priors:
     """Priors that a fit used."""
-    laws = {law.name: law for law in record.prior_laws if "." not in law.name}
+    laws = {law.name: Prior(**vars(law)) for law in record.prior_laws if "." not in law.name}
     laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
     return Priors(record.model.priors, record.model.priors_statement, laws, str(record.model.priors_sha256))
 

@@ -6,7 +6,6 @@ from enum import StrEnum
 from typing import Annotated, ClassVar, Literal
 
 from shj_bayes.errors import InferenceError, ReportError, ShjError
-from shj_bayes.model.priors import Prior
 from shj_bayes.recording.recording import Finding
 
 SCHEMA: Literal["shj-bayes/fit/2"] = "shj-bayes/fit/2"
@@ -46,6 +45,18 @@ class ParameterRow:
     ess_bulk: float | None
     ess_tail: float | None
     rhat: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorRecord:
+    """Prior law of a parameter; `Prior` is its mathematics, and needs scipy."""
+
+    name: str
+    unit: str
+    law: str
+    a: float
+    b: float
+    source: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +180,7 @@ class FitRecord:
     versions: Mapping[str, str]
     model: ModelRecord
     channels: Mapping[str, ChannelScale] = field(default_factory=dict)
-    prior_laws: tuple[Prior, ...]
+    prior_laws: tuple[PriorRecord, ...]
     inputs: Annotated[tuple[RunInput, ...], {"minItems": 1}]
     sampling: SamplingRecord
     cycles: CyclesRecord = CyclesRecord()
