@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_type_hints
 from shj_bayes._util.files import check_seal, file_digest, read_json, sealed, write_text
 from shj_bayes.errors import InferenceError, ShjError
 from shj_bayes.results.codec import from_json, to_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 
 DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
@@ -62,7 +63,7 @@ def find(kind: type[Kind], folder: Path) -> Kind | None:
 
 def diagnosis_in(folder: Path) -> str:
     """Where the diagnosis of a device lies, below the folder of its fit: beside a fit that it ended in, or alone."""
-    return "." if (folder / "diagnosis.json").is_file() else DIAGNOSIS
+    return "." if has(DiagnosisRecord, folder) else DIAGNOSIS
 
 
 def write(record: Any, folder: Path, *, allow_nan: bool = False, ascii_only: bool = True) -> dict[str, Any]:
