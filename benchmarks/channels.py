@@ -57,7 +57,7 @@ def main() -> None:
     kind, first, n = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     for seed in range(first, first + n):
         runs = runs_of(device(seed, kind))
-        record = diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True)).record
+        record = diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True)).content
         likely = [f"{c['action']} over {c['coordinate']}" for c in record["coordinates"] if c["probability"] > 0.5]
         print(seed, record["verdict"], "; ".join(likely), flush=True)
 

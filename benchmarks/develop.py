@@ -101,7 +101,7 @@ def trial(key: Key) -> dict[str, Any]:
     try:
         runs = runs_of([one.recording for one in made])
         device = DeviceModel(len(runs), read_priors("afc"), variant=key.reversal)
-        record = diagnose(runs, device, Look(quick=True)).record
+        record = diagnose(runs, device, Look(quick=True)).content
     except (ShjError, ArithmeticError, ValueError) as error:
         row |= {"outcome": "failed", "right": False, "verdict": "failed", "reason": f"{type(error).__name__}: {error}"}
         return row | {"seconds": time.process_time() - begin}

@@ -101,7 +101,7 @@ def said(given: list[Any], rule: str, priors: str, without: tuple[str, ...] = ()
     try:
         runs = runs_of(given)
         model = DeviceModel(len(runs), read_priors(priors), variant=rule)
-        record = diagnose(runs, model, Look(without, quick=True)).record
+        record = diagnose(runs, model, Look(without, quick=True)).content
     except (ShjError, ArithmeticError, ValueError) as error:
         return {"verdict": f"failed: {type(error).__name__}: {error}"}
     kept = {"verdict": record["verdict"], "heldout": record["heldout"]}

@@ -88,7 +88,7 @@ def look(recordings: list[Recording], without: tuple[str, ...] = ()) -> Diagnosi
 
 def _verdict(recordings: list[Recording], truth: tuple[str, ...]) -> str:
     """Outcome of a quick diagnosis in a few words: right name, right family, wrong, unknown, adequate."""
-    record = look(recordings).record
+    record = look(recordings).content
     found = {effect["id"] for effect in record["effects"]}
     members = {member["id"] for member in record["family"]}
     if not truth:

@@ -37,7 +37,7 @@ def table_trial(row: PublishedRow, seed: int) -> str:
     values = row.values
     truth = Truth(values["K", 1], values["Fy", 1], values["beta", 1], row.gamma, row.ratio)
     diagnosis = look(list(simulate_device(truth, seed=seed, rate_Hz=RATE_HZ)), ("velocity",))
-    record = diagnosis.record
+    record = diagnosis.content
     names = (
         ", ".join(f"{effect['id']} ({100 * effect['probability']:.0f} %)" for effect in record["effects"]) or "nothing"
     )
@@ -59,7 +59,7 @@ def located(diagnosis: Diagnosis) -> str:
     """Largest region over speed and over position, and what the law leaves along the motion at mid-stroke."""
     out = []
     for coordinate, unit in (("speed", "mm/s"), ("position", "mm")):
-        own = [where for where in diagnosis.record["location"] if where["coordinate"] == coordinate]
+        own = [where for where in diagnosis.content["location"] if where["coordinate"] == coordinate]
         if own:
             top = max(own, key=lambda where: abs(where["size_kN"]))
             low, high = top["interval"]
@@ -94,7 +94,7 @@ def flagship_trial(
     effects: dict[str, dict[str, float]], gamma: float, without: tuple[str, ...], seed: int
 ) -> dict[str, Any]:
     """Diagnose one device and keep what matters."""
-    record = look(simulate(effects, seed, gamma=gamma), without).record
+    record = look(simulate(effects, seed, gamma=gamma), without).content
     known = {effect["id"]: effect["family"] for effect in record["effects"]}
     members = {member["id"] for member in record["family"]}
     even = {"prying", "centre_wear"} & (set(known) | members)

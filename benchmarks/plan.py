@@ -217,7 +217,7 @@ class Diagnosed:
 
 
 def _diagnosed(recordings: Sequence[Recording], device: DeviceModel, truth: set[str]) -> Diagnosed:
-    record = diagnose(runs_of(list(recordings)), replace(device, n_runs=len(recordings)), Look(quick=True)).record
+    record = diagnose(runs_of(list(recordings)), replace(device, n_runs=len(recordings)), Look(quick=True)).content
     sets = tuple((frozenset(s["classes"]), float(s["probability"])) for s in record["sets"])
     return Diagnosed(str(record["verdict"]), sets or ((frozenset(), 1.0),), frozenset(truth))
 

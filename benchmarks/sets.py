@@ -25,6 +25,8 @@ from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.sets import common_to, device_evidence
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.diagnosis import EvidenceRecord
 from shj_validation.proof.cases import Key, stated_key
 from shj_validation.proof.make import make
 from shj_validation.proof.truth import fit_perfect
@@ -93,7 +95,7 @@ def looked_at(key: Key) -> dict[str, Any]:
     runs = runs_of([one.recording for one in make(key)])
     device = DeviceModel(len(runs), read_priors("afc"), variant=key.reversal)
     begin = time.process_time()
-    record = diagnose(runs, device, Look(quick=True)).record
+    record = diagnose(runs, device, Look(quick=True)).content
     seconds = time.process_time() - begin
     kept = {name: record[name] for name in ("verdict", "evidence")}
     return {"key": key.to_dict(), "seconds": seconds, **kept}
@@ -109,7 +111,7 @@ def show(path: Path, which: tuple[int, bool]) -> None:
     rig = f"{key['protocol']} {key['rate_Hz']:g} Hz {key['reversal']}, noise {noise} of Fy"
     seconds = np.median([row["seconds"] for row in rows])
     print(f"set {which[0]} {'with' if which[1] else 'without'}: {rig}; {seconds:.1f} s; alone: {', '.join(alone)}")
-    for one in common_to([device_evidence(row["evidence"]) for row in rows]).shared:
+    for one in common_to([device_evidence(from_json(EvidenceRecord, row["evidence"])) for row in rows]).shared:
         if one.probability >= 0.05:
             sizes = [row["evidence"]["size_percent"].get(one.id, 0.0) for row in rows]
             each = " ".join(f"{p:.2f}" for p in one.devices)

@@ -106,7 +106,7 @@ def main() -> None:
             low, high = np.quantile(draws[name].to_numpy(), [0.05, 0.95])
             inside.setdefault(name, []).append(bool(low <= value <= high))
             outside += [] if inside[name][-1] else [name]
-        record = diagnose(runs, model, Look(quick=True)).record
+        record = diagnose(runs, model, Look(quick=True)).content
         said = [e["id"] for e in record["effects"]] + [f"{m['id']}?" for m in record["family"]]
         constant += any("load_offset" in word for word in said)
         alarms += record["verdict"] != "adequate"

@@ -26,18 +26,21 @@ from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.record import read_record, whole
 from shj_bayes.mismatch.look import Look
 from shj_bayes.planning.asked import Asked
-from shj_bayes.planning.files import read_plan
+from shj_bayes.planning.files import PlanRecord
 from shj_bayes.planning.rig import stated_limits
-from shj_bayes.population.results import population_record
+from shj_bayes.population.results import PopulationRecord
 from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
-from shj_bayes.report.campaign_file import read_campaign
-from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.report.diagnosis_words import sentences
+from shj_bayes.results.campaign import CampaignRecord, read_campaign
+from shj_bayes.results.codec import from_json, to_json
+from shj_bayes.results.device import whole
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import has, read
 
 
 class _Held:
@@ -136,7 +139,7 @@ class Diagnosis(_Result):
         InferenceError
             If the diagnosis was a first look.
         """
-        return FitResult(self.folder, read_record(self.folder), self._held)
+        return FitResult(self.folder, to_json(read(FitRecord, self.folder)), self._held)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -158,7 +161,7 @@ class Diagnosis(_Result):
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def _repr_html_(self) -> str:
-        words = " ".join(sentences(self.record))
+        words = " ".join(sentences(from_json(DiagnosisRecord, self.record)))
         table = self.shift.to_html(float_format="{:.5g}".format)
         return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b>. {escape(words)}</p>{table}"
 
@@ -197,8 +200,9 @@ class CampaignResult(_Result):
         for group in self.record.get("sets", ()):
             for device in group["devices"]:
                 place = self.folder / str(device["folder"])
-                if device["status"] != "failed" and (place / "fit.json").is_file():
-                    found[str(group["name"]), str(device["name"])] = FitResult(place, read_record(place), self._held)
+                if device["status"] != "failed" and has(FitRecord, place):
+                    record = to_json(read(FitRecord, place))
+                    found[str(group["name"]), str(device["name"])] = FitResult(place, record, self._held)
         return found
 
     def compare(self, set_a: str, set_b: str) -> pd.DataFrame:
@@ -311,7 +315,7 @@ def fit(
     if work.progress:
         work = replace(work, tell=step_told)
     result = fit_device(_listed(recordings, shared), folder, shared, name=name, work=work)
-    return FitResult(folder, result.record, held)
+    return FitResult(folder, to_json(result.record), held)
 
 
 def diagnose(
@@ -340,7 +344,7 @@ def diagnose(
     folder, held = _place(out)
     shared, work, look = _sorted(options, Options, Work, Look)
     result = diagnose_device(_listed(recordings, shared), folder, shared, look, name=name, work=work)
-    return Diagnosis(folder, result.record, held)
+    return Diagnosis(folder, to_json(result.record), held)
 
 
 def plan(
@@ -377,7 +381,7 @@ def plan(
     limits = stated_limits(Path(rig) if rig is not None else None, options)
     folder, held = _place(out)
     folders = [Path(devices)] if isinstance(devices, str | Path) else [Path(one) for one in devices]
-    return NextTest(folder, plan_next(folders, folder, Asked(**asked, limits=limits)).record, held)
+    return NextTest(folder, to_json(plan_next(folders, folder, Asked(**asked, limits=limits)).record), held)
 
 
 def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:
@@ -410,15 +414,15 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTes
         If it holds no result, or one that is damaged.
     """
     place = Path(folder)
-    for name, kind, read in (
-        ("fit", FitResult, read_record),
-        ("diagnosis", Diagnosis, diagnosis_record),
-        ("campaign", CampaignResult, read_campaign),
-        ("population", CampaignResult, population_record),
-        ("plan", NextTest, read_plan),
+    for kind, result in (
+        (FitRecord, FitResult),
+        (DiagnosisRecord, Diagnosis),
+        (CampaignRecord, CampaignResult),
+        (PopulationRecord, CampaignResult),
+        (PlanRecord, NextTest),
     ):
-        if (place / f"{name}.json").is_file():
-            return kind(place, read(place))
+        if has(kind, place):
+            return result(place, to_json(read_campaign(place) if kind is CampaignRecord else read(kind, place)))
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 

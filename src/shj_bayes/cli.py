@@ -18,6 +18,7 @@ from shj_bayes._util.files import make_writable, need_files, need_population
 from shj_bayes._util.interrupts import no_interrupt_lost
 from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, plain_lines, system_words
+from shj_bayes.results.codec import to_json
 
 Command = Callable[..., Any]
 PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
@@ -49,7 +50,7 @@ class Output:
     def show(self, record: Any, text: str) -> None:
         """Print a result."""
         if self.as_json:
-            _say(json.dumps(record, indent=1))
+            _say(json.dumps(to_json(record), indent=1))
         elif not self.quiet:
             _say(text)
 
@@ -270,7 +271,7 @@ def fit(
     """
     need_files(recordings, RecordingError)
     from shj_bayes.commands.finished import kept_result
-    from shj_bayes.inference.record import Trust
+    from shj_bayes.results.fit import Trust
 
     options = _reading(**options)
     result = kept_result(recordings, out, options, name)
@@ -282,8 +283,8 @@ def fit(
         work = Work(speak, workers or 0, force, step_told if speak else Work.tell)
         result = fit_device(recordings, out, Options(**options), name=name, work=work)
     output.show(result.record, result.text)
-    if result.record["verdict"] == Trust.UNUSABLE:
-        raise ShjError(f"{result.record['device']}: the posterior is unusable: {result.record['reasons'][0]}")
+    if result.record.verdict == Trust.UNUSABLE:
+        raise ShjError(f"{result.record.device}: the posterior is unusable: {result.record.reasons[0]}")
 
 
 @main.command()

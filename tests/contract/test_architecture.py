@@ -18,6 +18,7 @@ ROOMS = (
     "_util",
     "recording",
     "model",
+    "results",
     "inference",
     "mismatch",
     "population",
@@ -27,7 +28,7 @@ ROOMS = (
     "commands",
 )
 FACE = ("__main__", "api", "cli")
-EXPLAINED = ("_util", "recording", "model", "inference")
+EXPLAINED = ("_util", "recording", "model", "results", "inference")
 DOOR = PACKAGE / "commands" / "validation.py"  # alone leads to what validates
 
 

@@ -9,7 +9,6 @@ from scipy.ndimage import gaussian_filter1d
 
 import shj_bayes
 from shj_bayes.errors import ModelError
-from shj_bayes.inference.record import read_record
 from shj_bayes.inference.run import runs_of
 from shj_bayes.margins.following import following_of
 from shj_bayes.margins.specimen import read_specimen
@@ -25,6 +24,8 @@ from shj_bayes.planning.stored import read_device
 from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
+from shj_bayes.results import store
+from shj_bayes.results.fit import FitRecord
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")
 CURVE = Curve("capacity", "measured_tension", 0.5)
@@ -124,12 +125,12 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
 
 def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) -> None:
     paths, out = fitted
-    record = read_record(out)
-    assert list(record["channels"]) == ["measured_tension"]
+    record = store.read(FitRecord, out)
+    assert list(record.channels) == ["measured_tension"]
     specimen = read_specimen(out, "d", "s", out)
     (one,) = following_of(specimen)
-    said = record["channels"]["measured_tension"]
-    assert (one.unit, one.low, one.reference, one.high) == ("kN", said["low"], said["reference"], said["high"])
+    said = record.channels["measured_tension"]
+    assert (one.unit, one.low, one.reference, one.high) == ("kN", said.low, said.reference, said.high)
     assert len(specimen.beliefs) == 2
     runs = runs_of([read(path, columns=COLUMNS) for path in paths])
     for run, stored in zip(runs, specimen.histories, strict=True):

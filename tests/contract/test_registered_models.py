@@ -209,7 +209,7 @@ def test_a_noise_parameter_that_no_search_names_begins_at_its_prior(
     posterior, start = find_start(make_posterior(small_device.runs, device))
     values = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
     assert values["sigma"] == pytest.approx(1.0, rel=0.3)  # the root of 0.8^2 + 0.6^2
-    assert diagnose(small_device.runs, device, Look(quick=True)).record["verdict"] == "adequate"
+    assert diagnose(small_device.runs, device, Look(quick=True)).content["verdict"] == "adequate"
 
 
 def test_values_survive_pickling(small_device: Posterior, as_vector: Callable[..., np.ndarray]) -> None:

@@ -1,5 +1,6 @@
 """Files of results are what their JSON Schemas in docs/schemas say."""
 
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,8 @@ import pytest
 import shj_bayes
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.model.simulate import Truth
-from shj_bayes.report.residual_file import read_residual
+from shj_bayes.results.diagnosis import LeftOver
+from shj_bayes.results.store import find
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
@@ -39,6 +41,16 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_schemas_are_those_of_the_records() -> None:
+    """`python docs/schemas/make.py` writes them anew."""
+    spec = importlib.util.spec_from_file_location("schemas_make", SCHEMAS / "make.py")
+    assert spec is not None
+    assert spec.loader is not None
+    make = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    assert {p.name: p.read_text(encoding="utf-8") for p in SCHEMAS.glob("*.json")} == make.texts()
+
+
 @pytest.mark.parametrize("path", sorted(SCHEMAS.glob("*.json")), ids=lambda p: p.stem)
 def test_schemas_are_sound_and_refuse_nothing_in_particular(path: Path) -> None:
     found = schema(path.name.partition(".")[0])
@@ -48,7 +60,7 @@ def test_schemas_are_sound_and_refuse_nothing_in_particular(path: Path) -> None:
 
 def test_fresh_files_are_as_described(results: Path) -> None:
     device = next(p.parent for p in (results / "out").glob("devices/*/fit.json"))
-    assert read_residual(device)
+    assert find(LeftOver, device)
     files = [device / f"{name}.json" for name in ("fit", "summary", "residual")]
     files += [
         results / "out" / "campaign.json",

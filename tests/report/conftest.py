@@ -16,7 +16,7 @@ from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.recording import Recording
-from shj_bayes.report.data import DeviceData, read_device
+from shj_bayes.results.device import DeviceData, read_device
 
 HOSTILE = "<script>alert('x')</script> \"q\" ../../etc/passwd & {{ 7*7 }}"
 QUICK = Plan(max_steps=200, round_steps=200)

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
+
 FY, HALF = 80.0, 95.0
 
 
@@ -47,6 +50,11 @@ def channels(*, found: bool, n_runs: int = 2) -> xr.Dataset:
     return xr.Dataset({k: ("sample", np.concatenate([p[k] for p in parts])) for k in parts[0]})
 
 
+def made(verdict: str, **change: Any) -> DiagnosisRecord:
+    """The record of a diagnosis with other fields."""
+    return from_json(DiagnosisRecord, record(verdict, "device") | change)
+
+
 def record(verdict: str, name: str) -> dict[str, Any]:
     """Content of diagnosis.json for one verdict."""
     found = verdict in ("named", "family")
@@ -64,7 +72,7 @@ def record(verdict: str, name: str) -> dict[str, Any]:
     }
     unknown = {
         "coordinate": "position",
-        "shape": [{"centre": float(c), "push_kN": np.sin(c), "pull_kN": None} for c in range(8)],
+        "shape": [{"centre": float(c), "push_kN": float(np.sin(c)), "pull_kN": None} for c in range(8)],
         "formula": None,
         "period": {"coordinate": "position", "length": 17.3, "unit": "mm", "share": 0.6},
         "size_kN": 4.321,

@@ -7,6 +7,16 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import read
+
+OLD = Path(__file__).resolve().parents[1] / "fixtures" / "fit-0.1"
+
+
+def read_old() -> FitRecord:
+    """The record of a fit, to be changed."""
+    return read(FitRecord, OLD)
+
 
 class Page(HTMLParser):
     """Tags, texts and attributes of a page."""

@@ -19,7 +19,9 @@ from shj_bayes.report.page import is_ours
 @pytest.fixture
 def campaign_page(tmp_path: Path) -> Path:
     """A page that was written by this tool."""
-    (tmp_path / "campaign.json").write_text('{"name": "x", "sets": []}', encoding="utf-8")
+    (tmp_path / "campaign.json").write_text(
+        '{"schema": "shj-bayes/campaign/1", "name": "x", "sets": []}', encoding="utf-8"
+    )
     return render_campaign(tmp_path)
 
 

@@ -13,8 +13,8 @@ from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import new_device_table
 from shj_bayes.report import sets
 from shj_bayes.report.campaign import render_campaign, render_tables
-from shj_bayes.report.campaign_file import safe_folder
 from shj_bayes.report.figures import population as figures
+from shj_bayes.results.campaign import safe_folder
 from shj_validation.paper_claims import paper_claims
 
 
@@ -74,10 +74,10 @@ def test_campaign_without_a_population(campaign: Path) -> None:
 
 
 def test_no_campaign_is_one_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(ShjError, match=r"cannot read campaign\.json"):
+    with pytest.raises(ShjError, match=r"holds no campaign\.json"):
         render_campaign(tmp_path)
     (tmp_path / "campaign.json").write_text('{"name": "x", "sets": [{"name": 3}]}', encoding="utf-8")
-    with pytest.raises(ShjError, match=r"no readable campaign\.json"):
+    with pytest.raises(ShjError, match=r"campaign\.json in .* has none of the schemas"):
         render_campaign(tmp_path)
 
 

@@ -5,11 +5,15 @@ from pathlib import Path
 
 import pytest
 from made_campaign import make_campaign, population
+from made_diagnosis import made
 from page_tools import Page, check_safe
 
 from shj_bayes.errors import ReportError
 from shj_bayes.report.campaign import render_campaign
-from shj_bayes.report.campaign_physics import rows_of, statements, table
+from shj_bayes.report.campaign_physics import holders, statements, table
+from shj_bayes.results.campaign import SetTogether, read_campaign
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.store import write
 
 FOLDERS = [f"devices/d{i}" for i in range(4)]
 WEAR = {
@@ -27,8 +31,14 @@ WEAR = {
 }
 
 
-def record(*classes, name="bare", folders=FOLDERS):
-    return {"together": [{"set": name, "devices": list(folders), "classes": list(classes)}]}
+def group(*classes, name="bare", folders=FOLDERS):
+    """What a set has in common, as it stands in the file."""
+    return {"set": name, "devices": list(folders), "classes": list(classes)}
+
+
+def record(*classes, **change):
+    """What a set has in common, as it is read."""
+    return [from_json(SetTogether, group(*classes, **change))]
 
 
 def test_a_loss_of_force_is_said_with_its_size_and_who_shows_it():
@@ -64,8 +74,8 @@ def test_what_is_not_certain_is_not_said_and_nothing_in_common_is():
     assert statements(record(folders=["devices/d0"])) == ()
     lone = {key: value[:1] if isinstance(value, list) else value for key, value in WEAR.items()}
     assert statements(record(lone, folders=FOLDERS[:1])) == ()
-    assert statements({}) == ()
-    assert table({}) is None
+    assert statements(()) == ()
+    assert table(()) is None
 
 
 def test_the_table_holds_what_is_not_excluded():
@@ -74,7 +84,7 @@ def test_the_table_holds_what_is_not_excluded():
     assert content["sets"] == [{"name": "bare", "n": 4}]
     assert [c["words"] for c in content["classes"]] == ["sliding force over the distance slid"]
     cell = content["classes"][0]["cells"][0]
-    assert (len(cell.holders), len(cell.folders), sum(cell.alone)) == (3, 4, 1)
+    assert (len(holders(cell)), len(cell.of_devices), sum(cell.alone)) == (3, 4, 1)
     assert content["excluded"] == {"Sliding force": ["the speed"]}
 
 
@@ -87,11 +97,12 @@ def test_the_table_holds_what_is_not_excluded():
         {"size_percent": [[]] * 4},
     ],
 )
-def test_damage_is_one_clear_error(change):
-    with pytest.raises(ReportError, match="what sets have in common cannot be read"):
-        rows_of(record(WEAR | change))
-    with pytest.raises(ReportError, match="cannot be read"):
-        rows_of(record(WEAR, folders=["../../etc", *FOLDERS[1:]]))
+def test_damage_is_one_clear_error(change, tmp_path):
+    for told in (group(WEAR | change), group(WEAR, folders=["../../etc", *FOLDERS[1:]])):
+        content = {"schema": "shj-bayes/campaign/1", "name": "c", "sets": [], "together": [told]}
+        (tmp_path / "campaign.json").write_text(json.dumps(content), encoding="utf-8")
+        with pytest.raises(ReportError, match=r"campaign\.json in .*; restore it, or run"):
+            read_campaign(tmp_path)
 
 
 def test_the_page_says_it_and_stays_safe(tmp_path: Path, fitted: Path, hostile_name: str) -> None:
@@ -99,7 +110,7 @@ def test_the_page_says_it_and_stays_safe(tmp_path: Path, fitted: Path, hostile_n
     path = root / "campaign.json"
     held = json.loads(path.read_text(encoding="utf-8"))
     places = [d["folder"] for group in held["sets"] for d in group["devices"]]
-    held |= record(WEAR, name=hostile_name, folders=places)
+    held["together"] = [group(WEAR, name=hostile_name, folders=places)]
     held["sets"][0]["devices"][0] |= {"diagnosis": "adequate", "with_set": "reliable", "diagnosis_reason": ""}
     path.write_text(json.dumps(held), encoding="utf-8")
     page = Page(render_campaign(root, population((hostile_name, "other"))))
@@ -114,12 +125,12 @@ def test_curves_of_a_diagnosis_are_drawn(tmp_path: Path, fitted: Path) -> None:
     path = root / "campaign.json"
     held = json.loads(path.read_text(encoding="utf-8"))
     places = [d["folder"] for group in held["sets"] for d in group["devices"]]
-    held |= record(WEAR, folders=places)
+    held["together"] = [group(WEAR, folders=places)]
     path.write_text(json.dumps(held), encoding="utf-8")
     curve = {"at": [0.0, 1.0], "mean": [0.0, -3.0], "q05": [-0.1, -4.0], "q95": [0.1, -2.0], "unit": "% of Fy"}
-    rows = [{"action": "capacity", "coordinate": "travel", "curve": curve}]
+    rows = [{"action": "capacity", "coordinate": "travel", "unit": "m", "probability": 1.0, "curve": curve}]
     (root / places[0] / "diagnosis").mkdir()
-    (root / places[0] / "diagnosis" / "diagnosis.json").write_text(json.dumps({"coordinates": rows}), encoding="utf-8")
+    write(made("named", coordinates=rows), root / places[0] / "diagnosis")
     page = Page(render_campaign(root))
     check_safe(page)
     assert "Change of the sliding force over the distance slid" in page.text

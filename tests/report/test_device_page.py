@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.figure import Figure
-from page_tools import Page, check_safe, folded
+from page_tools import Page, check_safe, folded, read_old
 
 from shj_bayes.commands.finished import device_text
 from shj_bayes.errors import ShjError
-from shj_bayes.report.data import read_device
 from shj_bayes.report.device import badges, content, render_device
 from shj_bayes.report.device_pictures import draw as draw_page
 from shj_bayes.report.figures import canvas
-from shj_bayes.report.force_unit import force_unit
-from shj_bayes.report.numbers import numbers_of
-from shj_bayes.report.residual_file import LeftOver, left_over
+from shj_bayes.report.force_unit import ForceUnit, force_unit
+from shj_bayes.report.numbers import left_over, numbers_of
 from shj_bayes.report.words import CONVERGENCE, rounded
+from shj_bayes.results.device import read_device
+from shj_bayes.results.diagnosis import LeftOver
+from shj_bayes.results.fit import Remark, RemarkRecord, Trust
 
 
 @pytest.fixture(scope="module")
@@ -47,11 +48,11 @@ def test_first_screen_holds_verdict_numbers_and_one_picture(page: Page, fitted: 
 
 
 def test_a_tentative_verdict_of_a_converged_fit_is_told_on_the_first_screen() -> None:
-    record = {"convergence": "reliable", "verdict": "tentative", "model": {}}
+    record = replace(read_old(), convergence=Trust.RELIABLE, verdict=Trust.TENTATIVE)
     told = badges(record, LeftOver(24.0, 12, 3.2))[0]
     assert told["name"] == "converged"
     assert "The verdict is tentative" in told["words"]
-    assert "tentative" not in badges(record | {"verdict": "reliable"}, LeftOver(1.0, 12))[0]["words"]
+    assert "tentative" not in badges(replace(record, verdict=Trust.RELIABLE), LeftOver(1.0, 12))[0]["words"]
 
 
 def test_what_is_not_looked_at_first_is_folded_away(page: Page) -> None:
@@ -64,20 +65,18 @@ def test_what_is_not_looked_at_first_is_folded_away(page: Page) -> None:
 def test_a_small_device_is_shown_in_newton(copy_of: Path) -> None:
     """0.26 kN is no number that a laboratory reads off its load cell."""
     device = read_device(copy_of)
-    record = json.loads(json.dumps(device.record))
-    factor = {"kN": 0.002, "kN/mm": 0.002}
-    for row in record["parameters"]:
-        for key in ("mean", "sd", "q05", "q50", "q95"):
-            row[key] *= factor.get(row["unit"], 1.0)
-    unit = force_unit(record)
-    capacity = next(row for row in record["parameters"] if row["name"] == "Fy")
-    assert (unit.name, unit.row(capacity)["unit"]) == ("N", "N")
-    assert unit.row(capacity)["q50"] == pytest.approx(1000 * capacity["q50"])
+    small = ForceUnit("kN", 0.002)
+    rows = [replace(small.row(row), unit=row.unit) for row in device.record.parameters]
+    record = replace(device.record, parameters=tuple(rows))
+    unit, capacity = force_unit(record), record.parameter("Fy")
+    assert capacity is not None
+    assert (unit.name, unit.row(capacity).unit) == ("N", "N")
+    assert unit.row(capacity).q50 == pytest.approx(1000 * capacity.q50)
     assert unit.of("kN/mm") == ("N/mm", 1000.0)
     assert unit.of("s/mm") == ("s/mm", 1.0)
     assert force_unit(device.record).name == "kN"
-    small = replace(device, record=record)
-    told = content(small, numbers_of(small), left_over(small))
+    shown = replace(device, record=record)
+    told = content(shown, numbers_of(shown), left_over(shown))
     assert {card["unit"] for card in told["cards"]} == {"N/mm", "N", "", "s/mm"}
     assert told["force_unit"] == "N"
 
@@ -85,8 +84,8 @@ def test_a_small_device_is_shown_in_newton(copy_of: Path) -> None:
 def test_what_the_data_do_not_determine_is_no_number(fitted: Path) -> None:
     """K 3678 +- 660 000 is no stiffness: neither the first screen, nor the table, nor the terminal prints it."""
     device = read_device(fitted)
-    remark = {"parameter": "K", "kind": "undetermined", "q50": 3678.0, "prior_q05": 5.0, "prior_q95": 60.0}
-    record = dict(device.record) | {"remarks": [remark]}
+    remark = RemarkRecord(parameter="K", kind=Remark.UNDETERMINED, q50=3678.0, prior_q05=5.0, prior_q95=60.0)
+    record = replace(device.record, remarks=(remark,))
     changed = replace(device, record=record)
     told = content(changed, numbers_of(changed), left_over(changed))
     assert told["remarks"][0].startswith("K is not determined by this recording: it may lie almost anywhere")
@@ -143,8 +142,8 @@ def test_nothing_stands_beyond_the_edge_of_a_picture(copy_of: Path, monkeypatch:
     device = read_device(copy_of)
     numbers = numbers_of(device)
     for factor in (1.0, 0.001):  # of Fy: a small device is drawn in newton, whose numbers are long
-        rows = [row | {"q50": row["q50"] * factor} for row in device.record["parameters"]]
-        shown = replace(device, record=dict(device.record) | {"parameters": rows})
+        rows = tuple(replace(row, q50=row.q50 * factor) for row in device.record.parameters)
+        shown = replace(device, record=replace(device.record, parameters=rows))
         draw_page(shown, numbers)
     assert beyond == []
 

@@ -2,12 +2,13 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from made_diagnosis import record, write
+from made_diagnosis import made, record, write
 from markupsafe import Markup
 from page_tools import Page, check_safe, folded
 
@@ -31,6 +32,8 @@ from shj_bayes.report.diagnosis_words import (
     verdict_words,
 )
 from shj_bayes.report.page import kept_together
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.diagnosis import Dependence, DiagnosisRecord, Member, SetProbability, Shift, Spread
 
 
 @pytest.fixture(scope="module")
@@ -84,12 +87,12 @@ def test_two_cycles_that_show_nothing_do_not_show_that_all_is_well(
 ) -> None:
     folder = write(tmp_path, "adequate", hostile_name)
     told = record("adequate", hostile_name) | {
-        "heldout": {"elpd_gain": 0.0, "se": 0.0, "n_blocks": n_cycles},
+        "heldout": {"scheme": "x", "elpd_gain": 0.0, "se": 0.0, "n_blocks": n_cycles},
         "modelled": {},
     }
     (folder / "diagnosis.json").write_text(json.dumps(told), encoding="utf-8")
     page = Page(render_diagnosis(folder))
-    for text in (page.text, diagnosis_text(told, folder / "diagnosis.html")):
+    for text in (page.text, diagnosis_text(from_json(DiagnosisRecord, told), folder / "diagnosis.html")):
         assert ("2 cycles are too few to say that nothing is missing" in text) == (n_cycles == 2)
         assert ("The model describes these recordings" in text) == (n_cycles == 3)
 
@@ -118,13 +121,14 @@ def test_family_and_unknown_say_their_own(pages: dict[str, Page]) -> None:
 
 
 def test_a_family_that_may_be_nothing_says_so() -> None:
-    held = {"verdict": "family", "effects": [], "family": [{"id": "drift", "probability": 0.92}], "shift": {}}
-    held |= {"heldout": {"n_blocks": 9}, "sets": [{"classes": ["added over time"], "probability": 0.92}]}
+    member, one = Member(id="drift", probability=0.92), SetProbability(classes=("added over time",), probability=0.92)
+    held = replace(made("family"), effects=(), family=(member,), shift={}, sets=(one,), next_test=None)
     sure = verdict_words(held)[2]
     assert sentences(held) == [f"These recordings cannot tell: {title_of('drift').lower()} (92 %)."]
-    same = {"before": {"mean": -4e-5}, "after": {"mean": 4e-5}}
-    assert not any("gamma" in line for line in sentences(held | {"modelled": {"drift": {}}, "shift": {"gamma": same}}))
-    held["sets"].append({"classes": [], "probability": 0.08})
+    same = Shift(before=Spread(mean=-4e-5, sd=1e-4), after=Spread(mean=4e-5, sd=1e-4))
+    said = sentences(replace(held, modelled={"drift": {}}, shift={"gamma": same}))
+    assert not any("gamma" in line for line in said)
+    held = replace(held, sets=(one, SetProbability(classes=(), probability=0.08)))
     assert verdict_words(held)[2] != sure == VERDICTS["family"][2]
     assert sentences(held)[0].endswith("(92 %), or nothing of a size that matters (8 %).")
 
@@ -187,7 +191,7 @@ def test_sizes_and_shapes() -> None:
         "centre": [1, 2],
         "push_kN": [2, 4],
     }
-    assert shape_columns(rows[:1]) == shape_columns(None) == {}
+    assert shape_columns(rows[:1]) == shape_columns(()) == {}
 
 
 @pytest.mark.parametrize(
@@ -196,7 +200,7 @@ def test_sizes_and_shapes() -> None:
         (lambda r: r.update(schema="other"), "schema"),
         (lambda r: r.update(verdict="sure"), "verdict"),
         (lambda r: r.pop("candidates"), "lacks candidates"),
-        (lambda r: r.update(location=[{}]), "cannot be shown"),
+        (lambda r: r.update(location=[{}]), r"location\[0\] lacks coordinate"),
     ],
 )
 def test_damaged_record_is_one_clear_error(tmp_path: Path, change: Any, message: str) -> None:
@@ -240,14 +244,16 @@ def test_a_curve_of_push_over_time_is_known_while_the_device_pushes(tmp_path: Pa
 
 
 def test_a_period_and_a_fluctuation_are_sentences() -> None:
-    period = {"action": "added", "coordinate": "time", "unit": "s", "period": 15.564, "range_percent": 3.86}
+    period = Dependence(
+        action="added", coordinate="time", unit="s", period=15.564, range_percent=3.86, probability=1.0
+    )  # fmt: skip
     told = "An added force depends on the time: it changes by 3.9 % of Fy every 15.6 s, again and again."
     assert curve_words(period) == told
-    row = {"action": "motion", "coordinate": "stick-slip", "size_percent": 23.4, "matches": ["stick_slip"]}
-    (told,) = fluctuation_words({"verdict": "unknown", "coordinates": [row]})
+    row = replace(period, action="motion", coordinate="stick-slip", size_percent=23.4, matches=("stick_slip",))
+    (told,) = fluctuation_words(replace(made("unknown"), coordinates=(row,)))
     assert told.startswith("The force fluctuates within a stroke by 23 % of the sliding force")
-    assert fluctuation_words({"verdict": "named", "coordinates": [row]}) == []
-    (told,) = fluctuation_words({"verdict": "unknown", "coordinates": [row | {"size_percent": 160.3}]})
+    assert fluctuation_words(replace(made("named"), coordinates=(row,))) == []
+    (told,) = fluctuation_words(replace(made("unknown"), coordinates=(replace(row, size_percent=160.3),)))
     assert "by 160 % of the sliding force" in told
 
 
@@ -258,14 +264,14 @@ def test_a_chance_that_did_not_decide_is_not_told_beside_the_verdict(tmp_path: P
         changed = record("unknown", hostile_name) | {"p_value": p, "reason": why, "modelled": {}}
         (folder / "diagnosis.json").write_text(json.dumps(changed), encoding="utf-8")
         page = Page(render_diagnosis(folder))
-        first = diagnosis_text(changed, folder / "diagnosis.html").splitlines()[0]
+        first = diagnosis_text(from_json(DiagnosisRecord, changed), folder / "diagnosis.html").splitlines()[0]
         assert ("if nothing were missing" in page.text) == ("if nothing were missing" in first) == told
         assert (why in first) != told
 
 
 def test_what_is_not_determined_and_what_does_not_carry_over_is_said(tmp_path: Path) -> None:
     changed = record("named", "seal") | {"modelled": {}}
-    changed["modelled"] = {"effects": ["prying"]}
+    changed["modelled"] = {"prying": {"size": 0.15}}
     changed["shift"] = {
         "Fy": {"before": {"mean": 0.0053, "sd": 0.0002}, "after": {"mean": 0.0046, "sd": 0.0003}},
         "K": {"before": {"mean": 5e5, "sd": 1.6e7}, "after": {"mean": 0.12, "sd": 0.02}},
@@ -274,7 +280,7 @@ def test_what_is_not_determined_and_what_does_not_carry_over_is_said(tmp_path: P
     changed["heldout"] = changed["heldout"] | {"elpd_gain": -76.0}
     folder = write(tmp_path, "named", "seal")
     (folder / "diagnosis.json").write_text(json.dumps(changed), encoding="utf-8")
-    told = diagnosis_text(changed, folder / "diagnosis.html")
+    told = diagnosis_text(from_json(DiagnosisRecord, changed), folder / "diagnosis.html")
     page = Page(render_diagnosis(folder)).text
     (stiffness,) = [line for line in told.splitlines() if line.startswith("  K ")]
     assert "not determined" in stiffness

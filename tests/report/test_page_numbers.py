@@ -9,9 +9,9 @@ import pytest
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.report import numbers, sets_page, words
-from shj_bayes.report.data import RunData
 from shj_bayes.report.device import freed_words
 from shj_bayes.report.figures import loops
+from shj_bayes.results.device import RunData
 
 K, FY, AMPLITUDE = 20.0, 80.0, 40.0
 
@@ -129,11 +129,11 @@ def test_backbone_is_the_force_where_cycles_turn() -> None:
     ],
 )
 def test_dep_is_said_beside_gamma(low: float, high: float, expected: str) -> None:
-    assert expected in words.dep_words({"q05": low, "q95": high})
+    assert expected in words.dep_words(low, high)
 
 
 def test_unbounded_dep_says_where_it_could_be() -> None:
-    assert "below -1000 or above +500 mm/s" in words.dep_words({"q05": -0.001, "q95": 0.002})
+    assert "below -1000 or above +500 mm/s" in words.dep_words(-0.001, 0.002)
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,23 @@
 """What the model leaves over: its size, and nothing that the fit and the diagnosis do not say too."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from made_diagnosis import made
+from page_tools import read_old
 from scipy.signal import lfilter
 
 from shj_bayes.commands.finished import device_text
 from shj_bayes.report import words
 from shj_bayes.report.binned import N_STROKE, stroke_profiles
-from shj_bayes.report.data import DeviceData, RunData
-from shj_bayes.report.residual_file import (
-    DIAGNOSED,
-    LeftOver,
-    diagnosis_in,
-    left_over,
-    read_residual,
-    write_residual,
-)
+from shj_bayes.report.numbers import left_over
+from shj_bayes.results.device import DeviceData, RunData
+from shj_bayes.results.diagnosis import Input, LeftOver, Verdict
+from shj_bayes.results.fit import CyclesRecord, FitRecord, Remark, RemarkRecord, Trust
+from shj_bayes.results.store import diagnosis_in, find, read, write
 
 
 def toy(rng: np.random.Generator, *, phi: float, shape_kN: float = 0.0, fitted_phi: float | None = None) -> DeviceData:
@@ -41,7 +39,7 @@ def toy(rng: np.random.Generator, *, phi: float, shape_kN: float = 0.0, fitted_p
     law = np.zeros((60, n))
     run = RunData(1, time, x, np.abs(np.gradient(x, time)), force, np.ones(n, bool), half, law, noise(60, model))
     draws = {"Fy": np.full((4, 10), 80.0), "phi": np.full((4, 10), model)}
-    return DeviceData({"device": "toy"}, draws, draws, (run,))
+    return DeviceData(read_old(), draws, draws, (run,))
 
 
 def test_a_right_model_follows_the_force_and_a_wrong_one_does_not(
@@ -75,16 +73,16 @@ def test_a_fit_that_a_diagnosis_ended_in_is_told_by_that_one(tmp_path: Path) -> 
 def test_the_page_repeats_the_fit_and_the_diagnosis_and_tests_nothing_itself(tmp_path: Path, below: str) -> None:
     """What the fit found from cycle to cycle and what the diagnosis says of the same files; of others nothing."""
     device = toy(np.random.default_rng(3), phi=0.0)
-    record = {"device": "toy", "inputs": [{"sha256": "a"}], "cycles": {"widening": {"K": 1.0, "Fy": 2.1}}}
+    record = replace(device.record, cycles=CyclesRecord(widening={"K": 1.0, "Fy": 2.1}))
     device = replace(device, record=record)
-    for digest, said in (("a", "named"), ("b", "")):
-        diagnosis = {"verdict": "named", "inputs": [{"sha256": digest}]}
+    for digest, said in (("", "named"), ("b", "")):
+        inputs = (Input(name="run", sha256=digest),) * len(record.inputs)
         (tmp_path / below).mkdir(exist_ok=True)
-        (tmp_path / below / "diagnosis.json").write_text(json.dumps(diagnosis), encoding="utf-8")
+        write(replace(made("named"), inputs=inputs), tmp_path / below)
         found = left_over(device, tmp_path)
         assert (found.widening, found.diagnosed, found.grade) == (2.1, said, "fair")
-        write_residual(tmp_path, found)
-        assert read_residual(tmp_path) == found
+        write(found, tmp_path)
+        assert find(LeftOver, tmp_path) == found
     assert "cycles scatter more" in words.left_words(found)
     assert "cycles scatter" in words.left_cell(found)
 
@@ -107,21 +105,22 @@ def test_a_headline_holds_no_nonsense(percent: float, said: str) -> None:
 
 
 def test_the_word_of_the_calculation_does_not_stand_alone(tmp_path: Path, fitted: Path) -> None:
-    record = json.loads((fitted / "fit.json").read_text(encoding="utf-8")) | {"verdict": "reliable"}
-    write_residual(tmp_path, LeftOver(310.0, 9))
+    record = replace(read(FitRecord, fitted), verdict=Trust.RELIABLE)
+    write(LeftOver(310.0, 9), tmp_path)
     first = device_text(tmp_path, record).splitlines()[0]
     assert first.endswith(": reliable; poor fit: more than 100 % of Fy unexplained")
 
 
 def test_a_prior_that_the_data_contradict_is_told_with_what_to_do() -> None:
     """No advice to take the priors that were taken, and none on the unit of what has none."""
-    far = {"parameter": "beta", "kind": "against-prior", "q50": 1.0, "prior_q05": 1.36, "prior_q95": 366.0}
+    far = RemarkRecord(parameter="beta", kind=Remark.AGAINST_PRIOR, q50=1.0, prior_q05=1.36, prior_q95=366.0)
+    of_force = replace(far, parameter="Fy")
     told = words.remark(far, "1", family="general")
     assert "--units" not in told
     assert "--priors general" not in told
-    assert "Check the units" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
-    assert "--priors general" in words.remark(far | {"parameter": "Fy"}, "kN", family="afc")
-    earlier = words.remark(far | {"parameter": "Fy", "kind": "against-earlier"}, "kN", family="afc")
+    assert "Check the units" in words.remark(of_force, "kN", family="afc")
+    assert "--priors general" in words.remark(of_force, "kN", family="afc")
+    earlier = words.remark(replace(of_force, kind=Remark.AGAINST_EARLIER), "kN", family="afc")
     assert "--priors-from" in earlier
     assert "--priors general" not in earlier
 
@@ -129,8 +128,8 @@ def test_a_prior_that_the_data_contradict_is_told_with_what_to_do() -> None:
 @pytest.mark.parametrize("n_cycles", [2, 8])
 @pytest.mark.parametrize("percent", [1.0, 4.0, 33.0, 273.0])
 @pytest.mark.parametrize("widening", [1.0, 3.0])
-@pytest.mark.parametrize("diagnosed", ["", *DIAGNOSED])
-def test_badge_sentence_and_table_say_the_same(n_cycles: int, percent: float, widening: float, diagnosed: str) -> None:
+@pytest.mark.parametrize("diagnosed", ["", *Verdict])
+def test_badge_sentence_and_table_say_the_same(n_cycles: int, percent: float, widening: float, diagnosed: Any) -> None:
     """Over all verdicts: no green beside a large misfit or scatter, no judgement on two cycles, one diagnosis."""
     found = LeftOver(percent, n_cycles, widening, diagnosed)
     sentence, (name, colour), cell = words.left_words(found), words.FIT[found.grade], words.left_cell(found)

@@ -27,10 +27,11 @@ import h5py
 import numpy as np
 import xarray as xr
 
-from shj_bayes.inference.record import check_files, read_record
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import check_files, read
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 COMMAND = [sys.executable, "-c", "from shj_bayes.cli import main; main(prog_name='shj-bayes')"]
@@ -135,7 +136,7 @@ def look(out: Path) -> tuple[int, int, tuple[str, ...]]:
                     steps += int(file["ensemble_0/chain"].shape[0]) - 1
                     np.asarray(file["ensemble_3/chain"])
             if (folder / "fit.json").exists():
-                check_files(folder, read_record(folder))
+                check_files(folder, read(FitRecord, folder))
                 finished += 1
         except Exception as error:  # whatever cannot be read is what is looked for
             half.append(f"{folder.name}: {error}")

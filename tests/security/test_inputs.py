@@ -35,7 +35,6 @@ from shj_bayes.errors import (
     ShjError,
     system_words,
 )
-from shj_bayes.inference import record as record_file
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.rig import stated_limits
@@ -43,6 +42,8 @@ from shj_bayes.recording import numerals, tables
 from shj_bayes.recording.formats import hdf5, text
 from shj_bayes.recording.formats.catalogue import read_table
 from shj_bayes.recording.reader import read
+from shj_bayes.results import store as store_file
+from shj_bayes.results.fit import FitRecord
 
 TOP = Path(__file__).resolve().parents[2]
 SOURCES = [*(TOP / "src").rglob("*.py"), *(TOP / "validation").rglob("*.py")]
@@ -163,7 +164,7 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
     if kind == "device":
         (tmp_path / "fit.json").symlink_to("/dev/zero")
         with pytest.raises(ShjError, match="not an ordinary file"):
-            record_file.read_record(tmp_path)
+            store_file.read(FitRecord, tmp_path)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in the file system")

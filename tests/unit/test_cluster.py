@@ -18,10 +18,10 @@ from shj_bayes._util import dask_cluster
 from shj_bayes.cli import main
 from shj_bayes.commands.campaign import Manifest, _fit_one, read_manifest, run_campaign
 from shj_bayes.errors import CampaignError
-from shj_bayes.inference.record import read_group
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
+from shj_bayes.results.device import read_group
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))

@@ -10,11 +10,13 @@ from scipy import stats
 
 from shj_bayes.api import load
 from shj_bayes.errors import ShjError
-from shj_bayes.inference import record as record_file
 from shj_bayes.model.priors import LAWS
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.fits import device_from_fit
 from shj_bayes.report.device import render_device
+from shj_bayes.results import device as device_file
+from shj_bayes.results import store as store_file
+from shj_bayes.results.fit import FitRecord
 
 OLD = Path(__file__).resolve().parents[1] / "fixtures" / "fit-0.1"
 
@@ -31,16 +33,16 @@ def test_it_is_an_old_one():
 
 
 def test_it_opens_pools_and_reports(old):
-    record = record_file.read_record(old)
-    record_file.check_files(old, record)
-    assert set(record_file.read_group(old, "posterior")) >= {row["name"] for row in record["parameters"]}
+    record = store_file.read(FitRecord, old)
+    store_file.check_files(old, record)
+    assert set(device_file.read_group(old, "posterior")) >= {row.name for row in record.parameters}
     assert device_from_fit(old, "old device", "set").name == "old device"
     page = render_device(old).read_text(encoding="utf-8")
     assert "old device" in page
-    assert record["model"]["variant"] == "seed"
+    assert record.model.variant == "seed"
     assert "variant “published”" in page
-    for row in record["parameters"]:
-        assert row["name"] in page
+    for row in record.parameters:
+        assert row.name in page
 
 
 def test_a_damaged_posterior_is_told_in_one_line(old):
@@ -72,7 +74,7 @@ def test_a_fit_under_any_law_of_a_prior_can_be_pooled(old, monkeypatch, name, la
     densities = {}
     monkeypatch.setattr(DeviceEstimate, "from_posterior", lambda *given: densities.update(given[3]))
     device_from_fit(old, "old", "set")
-    draws = record_file.read_group(old, "posterior")[name].ravel()
+    draws = device_file.read_group(old, "posterior")[name].ravel()
     known = {
         "normal": stats.norm(a, b), "cauchy": stats.cauchy(a, b), "lognormal": stats.lognorm(b, scale=a),
         "uniform": stats.uniform(a, b - a), "loguniform": stats.loguniform(a, b),

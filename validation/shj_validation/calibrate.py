@@ -41,7 +41,6 @@ from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan, run_ensembles
 from shj_bayes.inference.shared import Density
@@ -53,6 +52,7 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.protocol import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
+from shj_bayes.results.fit import Trust
 from shj_validation.calibrate_noise import draw_noise, tables
 from shj_validation.calibrate_parts import N_RANKS, draw_margins, ranks_of
 

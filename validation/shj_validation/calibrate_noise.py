@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import Plan
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -25,6 +24,7 @@ from shj_bayes.model.parameters import LAW_PARAMETERS, base_and_run
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.protocol import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
+from shj_bayes.results.fit import Trust
 
 Floats = NDArray[np.float64]
 # Those that the default noise model holds exactly come first.

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.inference.record import Trust
 from shj_bayes.population.hierarchy import Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood
 from shj_bayes.population.priors import PopulationPrior, population_prior
+from shj_bayes.results.fit import Trust
 
 Floats = NDArray[np.float64]
 N_RANKS = 99  # nearly independent posterior draws for each rank

@@ -7,7 +7,6 @@ take it.
 
 from __future__ import annotations
 
-import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,11 +26,8 @@ from shj_bayes._util.files import (
     folder_name,
     make_writable,
     plain_name,
-    read_json,
     read_toml,
-    sealed,
     toml_line,
-    write_text,
 )
 from shj_bayes._util.lock import alone_in
 from shj_bayes._util.made import digests, made
@@ -39,14 +35,15 @@ from shj_bayes.commands.finished import Done, kept_result
 from shj_bayes.commands.mistaken import repeated
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import CampaignError, ShjError, plain_text, shown, system_words
-from shj_bayes.inference.record import is_simulated
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.report.campaign_file import WITH_SET, WORDS
-from shj_bayes.report.residual_file import DIAGNOSIS
+from shj_bayes.results.campaign import SCHEMA, WITH_SET, CampaignRecord, DeviceEntry, SetEntry, SetTogether
+from shj_bayes.results.codec import from_json, to_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import DIAGNOSIS, find, write
 
-SCHEMA = "shj-bayes/campaign/1"
 MAX_DEVICES = 100_000
 OPTION_KINDS: dict[str, Any] = {
     "columns": str,
@@ -191,17 +188,16 @@ def run_campaign(
     crew = _Crew(folder, workers or os.cpu_count() or 1, cluster, progress)
     outcomes, together, enter = _together(crew.run("fits", devices), folder)
     outcomes = _fitted_with_sets(crew, outcomes, enter)
-    record = campaign_record(manifest, outcomes, together)
-    write_text(folder / "campaign.json", json.dumps(record, indent=1))
+    write(campaign_record(manifest, outcomes, together), folder)
     return outcomes
 
 
 def _together(
     outcomes: Sequence[Outcome], folder: Path
-) -> tuple[list[Outcome], Sequence[dict[str, Any]], Mapping[str, Sequence[str]]]:
+) -> tuple[list[Outcome], Sequence[SetTogether], Mapping[str, Sequence[str]]]:
     """Add up what the diagnosed devices of each set, and all of them, have in common.
 
-    Outcomes; what is common, as it stands in ``campaign.json``; and by device what of it enters its model.
+    Outcomes; what is common; and by device what of it enters its model.
     """
     diagnosed = [o for o in outcomes if o.status != FAILED and o.diagnosis not in ("off", FAILED)]
     if not diagnosed:
@@ -219,16 +215,19 @@ def _together(
                 failed[place] = str(error)
         groups = together(devices)
         enter = {place: effects for one in groups if one.set_name for place, effects in one.effects.items()}
-        return {"together": [one.to_dict() for one in groups], "enter": enter, "unread": failed}
+        return {"together": [to_json(one.record) for one in groups], "enter": enter, "unread": failed}
 
-    files = [(o.device.set_name, digests(folder, [f"{o.device.folder}/{DIAGNOSIS}/diagnosis.json"])) for o in diagnosed]
+    files = [
+        (o.device.set_name, digests(folder, [f"{o.device.folder}/{DIAGNOSIS}/{DiagnosisRecord.FILE}"]))
+        for o in diagnosed
+    ]
     said = made(folder, "together", files, (), add_up)
     unread = said["unread"]
     out = [
         replace(o, diagnosis=FAILED, diagnosis_reason=unread[o.device.folder]) if o.device.folder in unread else o
         for o in outcomes
     ]
-    return out, said["together"], said["enter"]
+    return out, [from_json(SetTogether, one) for one in said["together"]], said["enter"]
 
 
 def _fitted_with_sets(crew: _Crew, outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]]) -> list[Outcome]:
@@ -281,7 +280,7 @@ def _kept(device: Device, folder: Path) -> Outcome | None:
     result = kept_result(device.recordings, place, asdict(device.options), device.name)
     if result is None:
         return None
-    known = "off" if device.diagnose == "off" else _kept_diagnosis(device, place, result.record["key"])
+    known = "off" if device.diagnose == "off" else _kept_diagnosis(device, place, result.record.key)
     return None if known is None else replace(_outcome(device, result), diagnosis=known)
 
 
@@ -290,14 +289,12 @@ def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
 
     A full one does where a quick one is asked for.
     """
-    files = [place / DIAGNOSIS / name for name in ("diagnosis.json", "diagnosis.html")]
-    try:
-        record = read_json(files[0], CampaignError)
-        same = record["key"] == key and not record["model"]["without"]
-        enough = device.diagnose == "quick" or not record["quick"]
-        return str(record["verdict"]) if same and enough and files[1].exists() else None
-    except (CampaignError, OSError, KeyError, TypeError):
+    folder = place / DIAGNOSIS
+    record = find(DiagnosisRecord, folder)
+    if record is None or record.key != key or record.model is None or record.model.without:
         return None
+    enough = device.diagnose == "quick" or not record.quick
+    return record.verdict if enough and (folder / "diagnosis.html").is_file() else None
 
 
 def _in_processes(devices: Sequence[Device], folder: Path, workers: int) -> Iterator[Outcome]:
@@ -371,7 +368,7 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
     outcome = _outcome(device, result)
     if off:
         return replace(outcome, diagnosis="off")
-    outcome = _diagnosed(device, place, outcome, result.record["key"])
+    outcome = _diagnosed(device, place, outcome, result.record.key)
     page = _tried(lambda: render_device(place))  # now, since it says what the diagnosis found
     return replace(outcome, status=FAILED, reason=page) if isinstance(page, str) else outcome
 
@@ -387,7 +384,7 @@ def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outco
     found = _tried(lambda: diagnose_device(*given, name=device.name, work=Work(threads=1)))
     if isinstance(found, str):
         return replace(outcome, status="done", diagnosis=FAILED, diagnosis_reason=found)
-    return replace(outcome, status="done", diagnosis=str(found.record["verdict"]))
+    return replace(outcome, status="done", diagnosis=found.record.verdict)
 
 
 def _tried(job: Callable[[], Result]) -> Result | str:
@@ -406,36 +403,34 @@ def _tried(job: Callable[[], Result]) -> Result | str:
 
 def _outcome(device: Device, result: Done) -> Outcome:
     """Outcome of a device that has a result."""
-    inputs = result.record["inputs"]
+    record: FitRecord = result.record
     return Outcome(
         device,
         "done" if result.fresh else "kept",
         result.note,
-        result.record["verdict"],
-        any(map(is_simulated, inputs)),
-        tuple((source["name"], source["sha256"]) for source in inputs),
+        record.verdict,
+        any(source.simulated for source in record.inputs),
+        tuple((source.name, source.sha256 or "") for source in record.inputs),
     )
 
 
 def campaign_record(
-    manifest: Manifest, outcomes: Sequence[Outcome], together: Sequence[dict[str, Any]] = ()
-) -> dict[str, Any]:
-    """Content of ``campaign.json``."""
-    sets: dict[str, list[dict[str, str]]] = {}
+    manifest: Manifest, outcomes: Sequence[Outcome], together: Sequence[SetTogether] = ()
+) -> CampaignRecord:
+    """Say what became of the devices of each set."""
+    told = ("status", "reason", "verdict", "diagnosis", "diagnosis_reason", "with_set", "with_set_reason")
+    sets: dict[str, list[DeviceEntry]] = {}
     for o in outcomes:
-        entry = {"name": o.device.name, "folder": o.device.folder} | {word: getattr(o, word) for word in WORDS[2:]}
+        words = {word: getattr(o, word) for word in told}
+        entry = DeviceEntry(name=o.device.name, folder=o.device.folder, **words)
         sets.setdefault(o.device.set_name, []).append(entry)
-    return sealed(
-        {
-            "schema": SCHEMA,
-            "name": manifest.name,
-            "simulated": manifest.simulated or any(o.simulated for o in outcomes),
-            "warnings": repeated(
-                (f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs
-            ),
-            "sets": [{"name": name, "devices": devices} for name, devices in sets.items()],
-            "together": list(together),
-        }
+    inputs = ((f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs)
+    return CampaignRecord(
+        name=manifest.name,
+        simulated=manifest.simulated or any(o.simulated for o in outcomes),
+        warnings=tuple(repeated(inputs)),
+        sets=tuple(SetEntry(name=name, devices=tuple(devices)) for name, devices in sets.items()),
+        together=tuple(together),
     )
 
 

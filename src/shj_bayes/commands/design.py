@@ -10,7 +10,6 @@ import numpy as np
 
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.inference.record import USABLE
 from shj_bayes.margins.asked import LEEWAY, asked_for
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
@@ -25,14 +24,15 @@ from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import Specimen, largest_ranges, read_specimen, specimens_of_table
 from shj_bayes.margins.trial import try_all
-from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.results import load_population
-from shj_bayes.report.campaign_file import WITH_SET, read_campaign
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 from shj_bayes.report.words import digits
+from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
+from shj_bayes.results.diagnosis import Verdict
+from shj_bayes.results.store import has
 
 TABLES_NAME = "Published tables"
 MOST_DRAWN = 100  # devices whose loops are drawn and written
@@ -54,8 +54,8 @@ def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[
     loop_bands = loops(sheet.trials, speed) if len(sheet.trials) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
     write_loops(loop_bands, folder)
-    name = str(campaign["name"]) if campaign else TABLES_NAME
-    simulated = bool(campaign and campaign.get("simulated"))
+    name = campaign.name if campaign else TABLES_NAME
+    simulated = campaign is not None and campaign.simulated
     render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
     lines = [margin_text(sheet, request.importance), "", *notes, "", *two_numbers(sheet)]
@@ -89,7 +89,7 @@ def export_analysis(
     design = pool(trials, result, progress=progress)
     drawn = bounds(design, result, amplitude)
     speed = min(s.ranges["speed"] for s in specimens)
-    source = str(campaign["name"]) if campaign else TABLES_NAME
+    source = campaign.name if campaign else TABLES_NAME
     devices = () if draws is None else draw_devices(design, result, draws, speed)
     place = folder / "opensees" if out is None else out
     place.mkdir(parents=True, exist_ok=True)
@@ -111,13 +111,13 @@ def export_analysis(
 
 def read_devices(
     folder: Path, result: PopulationResult, told: Sequence[str] = ()
-) -> tuple[dict[str, Any] | None, tuple[Specimen, ...], tuple[str, ...]]:
+) -> tuple[CampaignRecord | None, tuple[Specimen, ...], tuple[str, ...]]:
     """Read the tested devices of a folder with the models that their diagnoses ended in, and what these found.
 
-    First comes the content of ``campaign.json``; None for the published tables. What was found is told of the sets
+    First comes the record of the campaign; None for the published tables. What was found is told of the sets
     `told`, of all where that is empty.
     """
-    if not (folder / "campaign.json").exists():
+    if not has(CampaignRecord, folder):
         return None, specimens_of_table(result), ()
     campaign = read_campaign(folder)
     out, found, notes, n_told = [], {}, [], 0
@@ -133,19 +133,18 @@ def read_devices(
             if diagnosis is not None:  # one without a fit, a first look, may have been fitted with its set after all
                 found[of_set, name] = replace(diagnosis, fit=better) if with_set else diagnosis
         out.append(read_specimen(folder / place, name, of_set, better))
-    common = [group for group in campaign.get("together", ()) if not told or group["set"] in told]
-    words = (*statements({"together": common}), *words_of(found, n_told, notes))
+    common = [group for group in campaign.together if not told or group.set in told]
+    words = (*statements(common), *words_of(found, n_told, notes))
     return campaign, tuple(out), words
 
 
-def _places(campaign: dict[str, Any], result: PopulationResult) -> list[tuple[str, str, str, bool]]:
+def _places(campaign: CampaignRecord, result: PopulationResult) -> list[tuple[str, str, str, bool]]:
     """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
     members = {group.name: group.devices for group in result.sets}
     return [
-        (entry["folder"], entry["name"], group["name"], entry.get("with_set") in USABLE)
-        for group in campaign["sets"]
-        for entry in group["devices"]
-        if entry["name"] in members.get(group["name"], ())
+        (device.folder, device.name, set_name, device.usable_with_set)
+        for set_name, device in campaign.devices
+        if device.name in members.get(set_name, ())
     ]
 
 

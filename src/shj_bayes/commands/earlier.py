@@ -13,12 +13,14 @@ from pathlib import Path
 from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import damage_told, file_digest
 from shj_bayes.errors import PriorError
-from shj_bayes.inference.record import Trust, read_group, read_record
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.quantities import band_of
 from shj_bayes.recording.recording import Finding, Recording
-from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.results.campaign import CampaignRecord, read_campaign
+from shj_bayes.results.device import read_group
+from shj_bayes.results.fit import FitRecord, Trust
+from shj_bayes.results.store import has, read
 
 LAW = ("K", "Fy", "gamma", "ratio")
 NINETY = 3.289707  # standard deviations from 5 to 95 % of a normal law
@@ -79,7 +81,7 @@ def earlier(where: str) -> Earlier:
     """
     name, _, chosen = where.partition("#")
     folder = Path(name)
-    if (folder / "fit.json").is_file():
+    if has(FitRecord, folder):
         if chosen:
             raise PriorError(
                 f"--priors-from {where}: {name} is the fit of one device and has no sets; leave #{chosen} out"
@@ -91,21 +93,21 @@ def earlier(where: str) -> Earlier:
 
 
 def _of_device(folder: Path) -> Earlier:
-    record, draws = read_record(folder), read_group(folder, "posterior")
-    if record["verdict"] == Trust.UNUSABLE:
+    record, draws = read(FitRecord, folder), read_group(folder, "posterior")
+    if record.verdict == Trust.UNUSABLE:
         raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
     names = [name for name in draws if name in LAW or name.startswith("ratio_")]
     bands = {name: band_of(draws[name]) for name in names}
-    inputs = frozenset(str(entry["sha256"]) for entry in record["inputs"])
-    return Earlier(f"device {record['device']}", bands, str(record.get("digest", "")), inputs)
+    inputs = frozenset(map(str, record.sha256_of_inputs))
+    return Earlier(f"device {record.device}", bands, record.digest, inputs)
 
 
 def _of_set(folder: Path, chosen: str) -> Earlier:
-    from shj_bayes.population.results import population_record  # noqa: PLC0415  (needs half of scipy)
+    from shj_bayes.population.results import PopulationRecord  # noqa: PLC0415  (needs half of scipy)
 
-    document = population_record(folder)
+    record = read(PopulationRecord, folder)
     with damage_told(f"population.json in {folder.name}", PriorError):
-        sets = {str(one["name"]): one for one in document["sets"] if one["name"] != ANY_SET}
+        sets = {one.name: one for one in record.sets if one.name != ANY_SET}
         names = list(sets)
         if not chosen and len(names) == 1:
             chosen = names[0]
@@ -115,20 +117,19 @@ def _of_set(folder: Path, chosen: str) -> Earlier:
             hint = did_you_mean(chosen, names) if chosen else f"; write {folder}#SET"
             raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(names)}{hint}")
         name = chosen if chosen in sets else alike[0]
-        bands = sets[name]["new_device"]
+        bands = sets[name].new_device
         known = {q: tuple(float(bands[q][key]) for key in ("q05", "q50", "q95")) for q in LAW if q in bands}
-        digest = file_digest(folder / "population.json")
+        digest = file_digest(folder / PopulationRecord.FILE)
         return Earlier(f"a new device of set {name}", known, digest, _recordings(folder, name))
 
 
 def _recordings(folder: Path, name: str) -> frozenset[str]:
     """Digests of the recordings of a set; none where the population rests on published tables."""
-    if not (folder / "campaign.json").is_file():
+    if not has(CampaignRecord, folder):
         return frozenset()
-    groups = [group for group in read_campaign(folder)["sets"] if group["name"] == name]
-    fits = [folder / d["folder"] for group in groups for d in group["devices"]]
-    records = [read_record(fit) for fit in fits if (fit / "fit.json").is_file()]
-    return frozenset(str(entry["sha256"]) for one in records for entry in one["inputs"])
+    fits = [folder / device.folder for set_name, device in read_campaign(folder).devices if set_name == name]
+    records = [read(FitRecord, fit) for fit in fits if has(FitRecord, fit)]
+    return frozenset(str(sha256) for one in records for sha256 in one.sha256_of_inputs)
 
 
 def _law(own: Prior, band: Sequence[float], statement: str) -> Prior:

@@ -1,6 +1,6 @@
 """The margins of a folder: drawn up, or as they stand where nothing that they rest on changed."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,9 @@ from shj_bayes._util.files import file_digest, need_population
 from shj_bayes._util.made import digests, made
 from shj_bayes.commands.finished import Done
 from shj_bayes.margins.request import PLAIN, Request
-from shj_bayes.report.campaign_file import read_campaign
+from shj_bayes.results.campaign import CampaignRecord, read_campaign
+from shj_bayes.results.codec import to_json
+from shj_bayes.results.store import has
 
 POPULATION = ("population.csv", "population.json", "population.npz")
 PAGE = "margins.html"
@@ -40,12 +42,11 @@ def campaign_inputs(folder: Path) -> dict[str, Any]:
 
     A device that was kept is one that was done. The published tables have no devices.
     """
-    if not (folder / "campaign.json").exists():
+    if not has(CampaignRecord, folder):
         return {}
     record = read_campaign(folder)
-    record.pop("digest", None)
-    devices = [device for group in record["sets"] for device in group["devices"]]
-    for device in devices:
+    files = {device.folder: digests(folder, [f"{device.folder}/**/*"]) for _, device in record.devices}
+    content = to_json(replace(record, digest=""))
+    for device in (device for group in content["sets"] for device in group["devices"]):
         device["status"] = {"kept": "done"}.get(device["status"], device["status"])
-    files = {device["folder"]: digests(folder, [f"{device['folder']}/**/*"]) for device in devices}
-    return {"campaign": record, "files": files}
+    return {"campaign": content, "files": files}

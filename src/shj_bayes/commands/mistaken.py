@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes._util.files import read_json
-from shj_bayes.errors import InferenceError, ReportError
+from shj_bayes.errors import InferenceError
 from shj_bayes.recording.recording import Finding, Recording
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import find
 
 
 def content_digest(recording: Recording) -> str:
@@ -49,19 +51,13 @@ def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[
 def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording]) -> None:
     """Refuse a folder that holds the result of another device: neither its name nor any recording is the same."""
     mine = {recording.source.sha256 for recording in recordings}
-    for kind in ("fit", "diagnosis"):
-        path = folder / f"{kind}.json"
-        if not path.is_file():
-            continue
-        try:
-            record = read_json(path, ReportError)
-            other, theirs = str(record["device"]), {str(source["sha256"]) for source in record["inputs"]}
-        except (ReportError, KeyError, TypeError):
-            continue  # a damaged file is told of, and replaced, by whoever reads it
-        if other != name and not mine & theirs:
+    # A damaged file is told of, and replaced, by whoever reads it.
+    for record in (find(FitRecord, folder), find(DiagnosisRecord, folder)):
+        if record and record.device != name and not mine & {str(sha256) for sha256 in record.sha256_of_inputs}:
+            word = record.FILE.removesuffix(".json")
             raise InferenceError(
-                f"{folder.name} holds the {kind} of another device, '{other}'; give '{name}' a folder of its own with "
-                "-o, or replace what is there with --force"
+                f"{folder.name} holds the {word} of another device, '{record.device}'; give '{name}' a folder of its "
+                "own with -o, or replace what is there with --force"
             )
 
 

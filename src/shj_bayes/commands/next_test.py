@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,15 +15,16 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.asked import Asked
 from shj_bayes.planning.candidates import Candidates, proposals
 from shj_bayes.planning.devices import further_devices
-from shj_bayes.planning.files import force_record, plan_record, write_plan
+from shj_bayes.planning.files import PlanRecord, force_record, plan_record, write_plan
 from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know
 from shj_bayes.planning.plan import FORCE, WHICH, Plan, Question, make_plan
 from shj_bayes.planning.protocol import Protocol, table_1_protocol
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rig import Rig
 from shj_bayes.planning.stored import Stored, read_device
-from shj_bayes.report.diagnosis_data import diagnosis_record
 from shj_bayes.report.plan_page import plan_text, render_plan
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.store import has, read
 
 HEADROOM = 1.3  # of the largest force so far, that a rig is taken to bear where nothing is said
 FIRST_RATE_HZ = 20.0  # where no test has been made and nothing is said
@@ -75,7 +75,7 @@ def _known(
     return [know(one, common_scales(one.runs, candidates), tell) for one in tested]
 
 
-def _written(out: Path, record: dict[str, Any], plan: Plan | None) -> Done:
+def _written(out: Path, record: PlanRecord, plan: Plan | None) -> Done:
     """Write the files and the page of a plan; what a question about further devices gives has no protocol."""
     write_plan(out, record, plan)
     return Done(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
@@ -84,8 +84,7 @@ def _written(out: Path, record: dict[str, Any], plan: Plan | None) -> Done:
 def _read(folder: Path) -> Stored:
     if not folder.is_dir():
         raise PlanError(f"{folder} is not a folder of results; run shj-bayes diagnose first, or plan from --priors")
-    diagnosed = (folder / "diagnosis.json").is_file()
-    return read_device(folder, diagnosis_record(folder) if diagnosed else None)
+    return read_device(folder, read(DiagnosisRecord, folder) if has(DiagnosisRecord, folder) else None)
 
 
 def _rig(tested: Sequence[Subject], base: DeviceModel, limits: Mapping[str, float]) -> Rig:

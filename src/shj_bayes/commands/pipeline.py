@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.earlier import earlier
@@ -14,7 +13,6 @@ from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, rema
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_lines, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
-from shj_bayes.inference.record import Trust, read_group
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import LIBRARY, Plan
 from shj_bayes.mismatch.look import Look
@@ -24,15 +22,19 @@ from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.runs import settle
 from shj_bayes.report.device import render_device
+from shj_bayes.results.device import read_group
+from shj_bayes.results.diagnosis import DiagnosisRecord, Sampled
+from shj_bayes.results.fit import FitRecord, Trust
+from shj_bayes.results.store import has, written_ns
 
 
-def diagnosis_text(record: dict[str, Any], page: Path) -> str:
+def diagnosis_text(record: DiagnosisRecord, page: Path) -> str:
     """Say what a diagnosis found."""
     from shj_bayes.report import diagnosis_words as say  # noqa: PLC0415  (for a diagnosis only)
 
     chance = say.chance_words(record)
-    why = f"chance of such a misfit if nothing were missing: {chance}" if chance else str(record.get("reason", ""))
-    lines = [f"{record['device']}: {record['verdict']} ({why})"]
+    why = f"chance of such a misfit if nothing were missing: {chance}" if chance else record.reason
+    lines = [f"{record.device}: {record.verdict} ({why})"]
     lines += [f"  {sentence}" for sentence in (say.verdict_words(record)[2], *say.sentences(record))]
     return "\n".join([*lines, "", *say.shift_lines(record), "", f"report: {page}"])
 
@@ -68,7 +70,7 @@ class Work:
         return Plan(options.seed, max_steps=options.max_steps, tops=tops, threads=self.threads, progress=self.progress)
 
 
-@alone_in("folder", kept="fit.json")
+@alone_in("folder", kept=FitRecord.FILE)
 def fit_device(
     paths: Sequence[Path | Recording],
     folder: Path,
@@ -98,16 +100,16 @@ def fit_device(
     return Done(finished, device_text(folder, finished, note), fresh=fresh, note=note)
 
 
-def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, name: str, key: str) -> dict[str, Any]:
+def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, name: str, key: str) -> FitRecord:
     """Fit and write the files; give the record."""
     sampled = partial(fit, runs, model, name=name, key=key, plan=plan, folder=folder)
-    finished, checkpoint = folder / "fit.json", folder / CHECKPOINT
+    checkpoint = folder / CHECKPOINT
     try:
         result = sampled()
     except StrangeCheckpointError:
         # One that an earlier fit left when it was finished goes with its result; one of a fit that was interrupted
         # stays.
-        if not finished.exists() or checkpoint.stat().st_mtime_ns > finished.stat().st_mtime_ns:
+        if checkpoint.stat().st_mtime_ns > written_ns(FitRecord, folder):
             raise
         checkpoint.unlink()
         result = sampled()
@@ -137,23 +139,23 @@ def diagnose_device(
     recordings, name = work.begin(paths, folder, options, name)
     priors, runs = options.read_priors(), runs_of(recordings)
 
-    def sample(model: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    def sample(model: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], Sampled]:
         """Fit what was found: the same files as those of `shj-bayes fit` with these effects."""
         key = _key(paths, recordings, options, model, name)
         record, _ = finished_record(folder, key)
         if record is None:
             record = _fit(runs, folder, model, work.plan(options, (top,)), name=name, key=key)
         draws = {n: values.ravel() for n, values in read_group(folder, "posterior").items() if n in model.names}
-        return draws, {"how": f"{LIBRARY}; {'; '.join(record['reasons'])}", "verdict": record["verdict"]}
+        return draws, Sampled(how=f"{LIBRARY}; {'; '.join(record.reasons)}", verdict=record.verdict)
 
     given = options.device_model(len(runs), priors)
     diagnosis = diagnose(runs, given, replace(look, name=name), seed=options.seed, sample=sample, tell=work.tell)
     findings = [finding.code for recording in recordings for finding in recording.findings]
     key = _key(paths, recordings, options, given, name)  # of the fit that it looks beyond
-    diagnosis = replace(diagnosis, record=diagnosis.record | {"simulated": "simulated" in findings, "key": key})
+    diagnosis = replace(diagnosis, record=replace(diagnosis.record, simulated="simulated" in findings, key=key))
     diagnosis.write(folder)
     work.tell("drawing the pages")
-    if (folder / "fit.json").exists():  # its page repeats the verdict
+    if has(FitRecord, folder):  # its page repeats the verdict
         render_device(folder)
     return Done(diagnosis.record, diagnosis_text(diagnosis.record, render_diagnosis(folder)))
 

@@ -16,10 +16,11 @@ from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.published import Claim, published_devices
-from shj_bayes.population.results import load_population, to_json, write_population
+from shj_bayes.population.results import load_population, record_of, write_population
 from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.sets import SHOWN, name_of
+from shj_bayes.results.codec import to_json
 
 
 def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
@@ -53,7 +54,7 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     design = design_margins(folder, progress=progress)
     curves = curves_of_pairs(folder, population)
     render_campaign(folder, population, curves)
-    record = {"population": to_json(population), "margins": design.record, "curves": curve_records(curves)}
+    record = {"population": to_json(record_of(population)), "margins": design.record, "curves": curve_records(curves)}
     return {"record": record, "lines": [band_text(population), "", design.text]}
 
 
@@ -69,7 +70,11 @@ def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress:
     design = design_margins(folder, progress=progress)
     render_tables(folder, population, claims)
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
-    record = {"population": to_json(population), "margins": design.record, "claims": [vars(c) for c in claims]}
+    record = {
+        "population": to_json(record_of(population)),
+        "margins": design.record,
+        "claims": [vars(c) for c in claims],
+    }
     return {"record": record, "lines": [band_text(population), "", *answers, "", design.text]}
 
 

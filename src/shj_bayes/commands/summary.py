@@ -12,10 +12,11 @@ from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import FAILED, Outcome
 from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
-from shj_bayes.inference.record import Trust
 from shj_bayes.population.published import Claim
-from shj_bayes.report.campaign_file import read_campaign
 from shj_bayes.report.campaign_physics import statements
+from shj_bayes.results.campaign import read_campaign
+from shj_bayes.results.codec import to_json
+from shj_bayes.results.fit import Trust
 
 WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 
@@ -25,7 +26,7 @@ def summarise_campaign(outcomes: Sequence[Outcome], folder: Path, *, seed: int, 
     """Pool the usable devices of a campaign and write its page; the same seed and devices, the same numbers."""
     usable = [o for o in outcomes if o.status != FAILED and o.verdict != Trust.UNUSABLE]
     record = read_campaign(folder)
-    lines = [*map(_line, outcomes), *record["warnings"], *statements(record)]
+    lines = [*map(_line, outcomes), *record.warnings, *statements(record.together)]
 
     def pool() -> dict[str, Any]:
         # Population, margins and pictures need most of scipy, which a campaign in which nothing changed need not load.
@@ -38,7 +39,7 @@ def summarise_campaign(outcomes: Sequence[Outcome], folder: Path, *, seed: int, 
     if usable:
         lines += ["", *said["lines"], "", f"margins: {folder / PAGE}"]
     text = "\n".join([*lines, f"report: {folder / 'report.html'}"])
-    return Done(record | said["record"], text, usable=bool(usable))
+    return Done(to_json(record) | said["record"], text, usable=bool(usable))
 
 
 @alone_in("folder")

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from shj_bayes.inference.ranks import ess_bulk, ess_tail, rhat
-from shj_bayes.inference.record import Trust
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.fit import Trust
 
 RHAT_LIMIT, ESS_LIMIT, TAU_LIMIT = 1.01, 1000.0, 50.0
 ACCEPTANCE_LIMIT = 0.05

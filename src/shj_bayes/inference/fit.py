@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,12 +13,12 @@ from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
 from shj_bayes.inference.floor import Floor, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.record import Trust
 from shj_bayes.inference.remarks import remarks_of
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import LIBRARY, Plan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.results.fit import FitRecord, Trust
 
 CHECKPOINT = "checkpoint.h5"
 DEFAULT_PLAN = Plan()
@@ -35,7 +34,7 @@ class Fit:
     figures: Diagnostics
     floor: Floor  # how the intervals compare with the scatter from cycle to cycle
     verdict: Verdict  # can the numbers be used
-    record: dict[str, Any]  # content of ``fit.json``
+    record: FitRecord
 
 
 def fit(
@@ -83,11 +82,12 @@ def fit(
     table = store.summary(posterior.model, figures, natural)
     heights = np.stack([state.log_posterior[figures.n_burn :] for state in states])
     data = store.inference_data(posterior, shown, kept, heights, plan.seed, LIBRARY)
-    asked = {"device": name, "seed": plan.seed, "key": key}
-    record = store.fit_record(asked, posterior, figures, floor, verdict, table)
-    record |= {"convergence": converged.word, "remarks": remarks_of(posterior.model, natural)}
+    record = store.fit_record(
+        posterior, figures, floor, verdict, table,
+        device=name, seed=plan.seed, key=key, convergence=converged.word, remarks=remarks_of(posterior.model, natural),
+    )  # fmt: skip
     if folder is not None:
-        store.write_fit(folder, data, table, record)
+        record = store.write_fit(folder, data, table, record)
     return Fit(posterior, data, table, figures, floor, verdict, record)
 
 

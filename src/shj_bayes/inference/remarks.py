@@ -1,22 +1,19 @@
 """What the data do not say of a parameter, as values: their sentences stand in ``report/words.py``."""
 
-from typing import Any
-
 import numpy as np
 
-from shj_bayes.inference.record import Remark
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.fit import Remark, RemarkRecord
 
 UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away
 AGAINST = 2.6  # standard deviations of the prior: 1 in 100 beyond it
 
 
-def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:
+def remarks_of(model: DeviceModel, chains: FloatArray) -> tuple[RemarkRecord, ...]:
     """Parameters that the recordings do not determine, and those whose value the prior holds nearly impossible.
 
-    From draws of shape (..., d) in natural units: ``parameter``, ``kind`` (a `Remark`), ``q50`` and the prior's
-    ``prior_q05`` and ``prior_q95``; of the law alone, since nobody designs with the noise.
+    From draws of shape (..., d) in natural units; of the law alone, since nobody designs with the noise.
     """
     flat = chains.reshape(-1, chains.shape[-1])
     out = []
@@ -34,5 +31,5 @@ def remarks_of(model: DeviceModel, chains: FloatArray) -> list[dict[str, Any]]:
         if kind:
             low, high = law.quantile(np.array([0.05, 0.95])).tolist()
             middle = float(np.median(flat[:, i]))
-            out.append({"parameter": name, "kind": kind, "q50": middle, "prior_q05": low, "prior_q95": high})
-    return out
+            out.append(RemarkRecord(parameter=name, kind=kind, q50=middle, prior_q05=low, prior_q95=high))
+    return tuple(out)

@@ -15,11 +15,11 @@ from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, diagnose_chains, judge
 from shj_bayes.inference.proposal import Proposal, fit_proposal
-from shj_bayes.inference.record import Trust
 from shj_bayes.inference.shared import Density, Shared, n_threads
 from shj_bayes.inference.squares import root_of
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.fit import Trust
 
 with without("scipy.stats"):
     import emcee

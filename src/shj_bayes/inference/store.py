@@ -9,6 +9,7 @@ import json
 import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -21,13 +22,29 @@ import xarray as xr
 from numpy.typing import NDArray
 
 import shj_bayes
-from shj_bayes._util.files import file_digest, replacing, reserve, sealed, write_text
+from shj_bayes._util.files import file_digest, replacing, reserve, write_text
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
-from shj_bayes.inference.record import EXTRA, FILES, SCHEMA
 from shj_bayes.inference.run import Run, measured_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.codec import from_json, to_json
+from shj_bayes.results.device import EXTRA
+from shj_bayes.results.fit import (
+    SCHEMA,
+    ChannelScale,
+    CyclesRecord,
+    FitRecord,
+    ModelRecord,
+    ParameterRow,
+    PriorRecord,
+    Reduction,
+    RunInput,
+    SamplingRecord,
+    SummaryRecord,
+    ZeroError,
+)
+from shj_bayes.results.store import FILES, write
 
 if TYPE_CHECKING:  # whoever only reads files need not wait for ArviZ
     from shj_bayes.inference.convergence import Diagnostics, Verdict
@@ -176,104 +193,103 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.
 
 
 def fit_record(
-    asked: Mapping[str, Any],
     posterior: Posterior,
     figures: Diagnostics,
     floor: Floor,
     verdict: Verdict,
     table: pd.DataFrame,
-) -> dict[str, Any]:
-    """Content of ``fit.json`` but for what `fit` adds: the verdict on the chains alone, and the remarks.
+    **asked: Any,
+) -> FitRecord:
+    """Say what was fitted, how, and what came of it.
 
-    `asked` are the name of the device, the seed and the key of the fit; `table` is the summary of the parameters.
+    `table` is the summary of the parameters; `asked` are the name of the device, the seed and the key of the fit, the
+    verdict on the chains alone (``convergence``), and the ``remarks``.
     """
     pairs = zip(posterior.averages, posterior.runs, strict=True)
     means = table["mean"].to_numpy(dtype=np.float64)[None]
     runs = range(1, len(posterior.runs) + 1)
     zeros = [[float(value[0]) for value in zero_of_run(posterior, means, run)] for run in runs]
-    return {
-        "schema": SCHEMA,
+    model = posterior.model
+    return FitRecord(
         **asked,
-        "verdict": verdict.word,
-        "reasons": list(verdict.reasons),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
-        "model": {
-            "variant": posterior.model.variant,
-            "effects": [effect.id for effect in posterior.model.effects],
-            "speed": posterior.model.speed,
-            "noise": posterior.model.noise.id,
-            "free_between_runs": list(posterior.model.free),
-            "priors": posterior.model.priors.family,
-            "priors_statement": posterior.model.priors.statement,
-            "priors_sha256": posterior.model.priors.sha256,
-        },
-        "channels": {
-            coordinate: {"unit": one.unit, "low": one.low, "high": one.high, "reference": one.reference}
+        verdict=verdict.word,
+        reasons=verdict.reasons,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=versions(),
+        model=ModelRecord(
+            variant=model.variant,
+            effects=tuple(effect.id for effect in model.effects),
+            speed=model.speed,
+            noise=model.noise.id,
+            free_between_runs=model.free,
+            priors=model.priors.family,
+            priors_statement=model.priors.statement,
+            priors_sha256=model.priors.sha256,
+        ),
+        channels={
+            coordinate: ChannelScale(unit=one.unit, low=one.low, high=one.high, reference=one.reference)
             for coordinate, one in measured_of(posterior.runs)[0].items()
         },
-        "prior_laws": [
-            {"name": n, "unit": p.unit, "law": p.law, "a": p.a, "b": p.b, "source": p.source}
-            for n, p in zip(posterior.names, posterior.model.laws_of_parameters, strict=True)
-        ],
-        "inputs": [_input(run, *zero) for run, zero in zip(posterior.runs, zeros, strict=True)],
-        "sampling": {
-            "n_ensembles": int(figures.acceptance.shape[0]),
-            "n_walkers": int(figures.acceptance.shape[1]),
-            "n_steps_kept": figures.n_steps,
-            "n_steps_dropped": figures.n_burn,
-            "tau_steps": dict(zip(figures.names, figures.tau.tolist(), strict=True)),
-            "acceptance": figures.acceptance.mean(axis=1).tolist(),
-            "n_failed_evaluations": figures.n_failed,
-        },
-        "cycles": {
-            "n_pieces": floor.n_pieces,
-            "scatter_over_posterior": dict(zip(floor.names, floor.scatter.tolist(), strict=True)),
-            "widening": dict(zip(floor.names, floor.factor.tolist(), strict=True)),
-        },
-        "noise_at_rest": math.exp(posterior.at_rest),
-        "reduction": [{"n_blocks": part.n, "n_samples": run.recording.n_samples} for part, run in pairs],
-        "parameters": json.loads(table.to_json(orient="records", double_precision=15)),
-    }
+        prior_laws=tuple(
+            PriorRecord(name=n, unit=p.unit, law=p.law, a=p.a, b=p.b, source=p.source)
+            for n, p in zip(posterior.names, model.laws_of_parameters, strict=True)
+        ),
+        inputs=tuple(_input(run, *zero) for run, zero in zip(posterior.runs, zeros, strict=True)),
+        sampling=SamplingRecord(
+            n_ensembles=int(figures.acceptance.shape[0]),
+            n_walkers=int(figures.acceptance.shape[1]),
+            n_steps_kept=figures.n_steps,
+            n_steps_dropped=figures.n_burn,
+            tau_steps=dict(zip(figures.names, figures.tau.tolist(), strict=True)),
+            acceptance=tuple(figures.acceptance.mean(axis=1).tolist()),
+            n_failed_evaluations=figures.n_failed,
+        ),
+        cycles=CyclesRecord(
+            n_pieces=floor.n_pieces,
+            scatter_over_posterior=dict(zip(floor.names, floor.scatter.tolist(), strict=True)),
+            widening=dict(zip(floor.names, floor.factor.tolist(), strict=True)),
+        ),
+        noise_at_rest=math.exp(posterior.at_rest),
+        reduction=tuple(Reduction(n_blocks=part.n, n_samples=run.recording.n_samples) for part, run in pairs),
+        parameters=tuple(
+            ParameterRow(**row) for row in json.loads(table.to_json(orient="records", double_precision=15))
+        ),
+    )
 
 
-def _input(run: Run, zero_kN: float, zero_sd_kN: float) -> dict[str, Any]:
+def _input(run: Run, zero_kN: float, zero_sd_kN: float) -> RunInput:
     """Say what a recording is, with the error of the load cell's zero, kN."""
-    source, recording = run.recording.source, run.recording
-    return {
-        "name": source.name,
-        "sha256": source.sha256,
-        "format": source.format,
-        "columns": source.columns,
-        "units": source.units,
-        "extras": {extra.name: extra.unit for extra in recording.extras},
-        "n_samples": recording.n_samples,
-        "rate_Hz": recording.rate_Hz,
-        "duration_s": recording.duration_s,
-        "n_half_cycles": run.motion.n_half,
-        "start_force_kN": run.start_force_kN,
-        "motion_method": run.motion.method,
-        "displacement_noise_mm": run.motion.noise_mm,
-        "zero_error_kN": {"mean": zero_kN, "sd": zero_sd_kN},
-        "findings": [vars(finding) for finding in recording.findings],
-    }
+    recording = run.recording
+    return RunInput(
+        **vars(recording.source),
+        extras={extra.name: extra.unit for extra in recording.extras},
+        n_samples=recording.n_samples,
+        rate_Hz=recording.rate_Hz,
+        duration_s=recording.duration_s,
+        n_half_cycles=run.motion.n_half,
+        start_force_kN=run.start_force_kN,
+        motion_method=run.motion.method,
+        displacement_noise_mm=run.motion.noise_mm,
+        zero_error_kN=ZeroError(mean=zero_kN, sd=zero_sd_kN),
+        findings=tuple(recording.findings),
+    )
 
 
-def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: dict[str, Any]) -> None:
+def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: FitRecord) -> FitRecord:
     """Write ``posterior.nc``, ``summary.csv``, ``summary.json`` and, last, ``fit.json`` (each whole or not at all).
 
     The record gains ``files``, the SHA-256 of the other three, and ``digest``, that of the record itself.
     """
-    data.attrs.update(schema=SCHEMA, device=record["device"], provenance=json.dumps(record))
+    known = {key: value for key, value in to_json(record).items() if key not in ("files", "digest")}
+    data.attrs.update(schema=SCHEMA, device=record.device, provenance=json.dumps(known))
     with replacing(folder / "posterior.nc") as part:
         reserve(part, data.nbytes + 2**20)  # a MiB of names and attributes
         data.to_netcdf(part, engine="h5netcdf")
     write_text(folder / "summary.csv", table.assign(schema=SCHEMA).to_csv(index=False))
-    write_text(folder / "summary.json", json.dumps({"schema": SCHEMA, "parameters": record["parameters"]}, indent=1))
-    record["files"] = {name: file_digest(folder / name) for name in FILES}
-    record.update(sealed(record))
+    write(SummaryRecord(parameters=record.parameters), folder)
+    record = replace(record, files={name: file_digest(folder / name) for name in FILES})
     (folder / "report.html").unlink(missing_ok=True)  # of the fit before; no clock tells which came first
-    write_text(folder / "fit.json", json.dumps(record, indent=1))
+    return from_json(FitRecord, write(record, folder, allow_nan=True))
 
 
 def versions() -> dict[str, str]:

@@ -8,14 +8,12 @@ the device with that model and with the law alone.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from shj_bayes._util.files import read_json
-from shj_bayes.errors import InferenceError, PopulationError
-from shj_bayes.inference.record import read_record
-from shj_bayes.mismatch.schema import NOTHING_MISSING, READ, Verdict
+from shj_bayes.errors import InferenceError, ReportError
+from shj_bayes.results.diagnosis import NOTHING_MISSING, DiagnosisRecord, Verdict
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import diagnosis_in, has, read
 
-PLACES = ("diagnosis.json", "diagnosis/diagnosis.json")
 Key = tuple[str, str]
 
 
@@ -33,31 +31,20 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
 
     None where there is none, or one that does not belong to this fit; and why one that is there was not used.
     """
-    path = next((folder / place for place in PLACES if (folder / place).is_file()), None)
-    if path is None:
+    place = folder / diagnosis_in(folder)
+    if not has(DiagnosisRecord, place):
         return None, ""
     try:
-        record = read_json(path, PopulationError)
-        if record["schema"] not in READ:
-            return None, f"its diagnosis has the schema {record['schema']!r}; run shj-bayes diagnose again"
-        digests = [str(entry["sha256"]) for entry in record["inputs"]]
-        fitted = [str(entry["sha256"]) for entry in read_record(folder)["inputs"]]
-        result = _diagnosed(record, path.parent)
-    except (ValueError, KeyError, TypeError, AttributeError, InferenceError, PopulationError) as error:
+        record, fitted = read(DiagnosisRecord, place), read(FitRecord, folder)
+    except (InferenceError, ReportError) as error:
         return None, f"its diagnosis cannot be read ({error}); run shj-bayes diagnose again"
-    if digests != fitted:
+    if record.sha256_of_inputs != fitted.sha256_of_inputs:
         return None, "its diagnosis is of other recordings; run shj-bayes diagnose on those of the fit"
-    return result, ""
-
-
-def _diagnosed(record: Mapping[str, Any], place: Path) -> Diagnosed:
-    titles = [str(e.get("title", e["id"])) for e in record["effects"]]
-    family = [str(e["id"]) for e in record["family"]]
-    if any(not one["classes"] for one in record.get("sets", ())):
-        family.append(NOTHING_MISSING)
-    verdict = Verdict(record["verdict"])
-    fitted = None if record.get("quick") or not (place / "fit.json").is_file() else place
-    return Diagnosed(verdict, tuple(family if verdict is Verdict.FAMILY else titles), fitted)
+    found = [e.title or e.id for e in record.effects]
+    if record.verdict is Verdict.FAMILY:
+        nothing = [NOTHING_MISSING] if any(not one.classes for one in record.sets) else []
+        found = [*(e.id for e in record.family), *nothing]
+    return Diagnosed(record.verdict, tuple(found), place if has(FitRecord, place) and not record.quick else None), ""
 
 
 def words_of(found: Mapping[Key, Diagnosed], n_devices: int, notes: Iterable[str] = ()) -> tuple[str, ...]:

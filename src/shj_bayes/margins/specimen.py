@@ -8,24 +8,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PopulationError, shown
-from shj_bayes.inference.record import read_group, read_record
-from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.measured import Measured
-from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.posterior import DeviceSet, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.results.device import model_of, read_group
+from shj_bayes.results.fit import ChannelScale, FitRecord
+from shj_bayes.results.store import read
 
 N_DRAWS = 64
 """Draws of each device that are driven: its own uncertainty is known to a tenth from them."""
@@ -82,10 +82,10 @@ class Specimen:
 def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = None) -> Specimen:
     """Read a tested device from the folder of its fit, and of the fit that its diagnosis ended in (`found`), if any."""
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
-        record = read_record(folder)
-        if name not in ("", record["device"]):
+        record = read(FitRecord, folder)
+        if name not in ("", record.device):
             raise PopulationError(
-                f"{folder.name} holds the fit of {shown(record['device'])}, not of {shown(name)}; put the folders "
+                f"{folder.name} holds the fit of {shown(record.device)}, not of {shown(name)}; put the folders "
                 "of the devices back, or run shj-bayes campaign again"
             )
         data = read_group(folder, "constant_data")
@@ -93,7 +93,7 @@ def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = N
         force = data["force"] if "force" in data else read_group(folder, "observed_data")["force"]
         beliefs = [_belief(folder, record)]
         if found is not None:
-            beliefs.insert(0, _belief(found, read_record(found)))
+            beliefs.insert(0, _belief(found, read(FitRecord, found)))
         numbers = [int(run) for run in np.unique(data["run"])]
         parts = [data["run"] == run for run in numbers]
         motions = [
@@ -101,29 +101,15 @@ def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = N
         ]
         times = [np.asarray(data["time_s"][p], dtype=np.float64) for p in parts]
         further = [
-            {name: _measured(said, time, data[name][p]) for name, said in record.get("channels", {}).items()}
+            {name: _measured(said, time, data[name][p]) for name, said in record.channels.items()}
             for time, p in zip(times, parts, strict=True)
         ]
-        starts = tuple(float(entry["start_force_kN"]) for entry in record["inputs"])
+        starts = tuple(entry.start_force_kN for entry in record.inputs)
         measured = tuple(np.asarray(force[p], dtype=np.float64) for p in parts)
     return Specimen(name, set_name, tuple(beliefs), histories(times, motions, further), starts, measured)
 
 
-def model_of(record: Mapping[str, Any]) -> DeviceModel:
-    """Rebuild the model of a fit from its record; the laws of its priors are not needed to drive it."""
-    said = record["model"]
-    return DeviceModel(
-        len(record["inputs"]),
-        read_priors(),
-        effects=effects_named([str(word) for word in said.get("effects", ())]),
-        noise=noise_model(str(said.get("noise", DEFAULT))),
-        free=tuple(said.get("free_between_runs", ())),
-        variant=str(said.get("variant", "published")),
-        speed=bool(said.get("speed", True)),
-    )
-
-
-def _belief(folder: Path, record: Mapping[str, Any]) -> Belief:
+def _belief(folder: Path, record: FitRecord) -> Belief:
     model, draws = model_of(record), read_group(folder, "posterior")
     total = draws["Fy"].size
     chosen = np.linspace(0, total - 1, min(N_DRAWS, total)).astype(np.int64)
@@ -138,10 +124,9 @@ def _belief(folder: Path, record: Mapping[str, Any]) -> Belief:
     return Belief(model, np.stack(columns, axis=1).astype(np.float64), likely)
 
 
-def _measured(said: Mapping[str, Any], time_s: FloatArray, values: FloatArray) -> Measured:
+def _measured(said: ChannelScale, time_s: FloatArray, values: FloatArray) -> Measured:
     """Further channel of a run as a fit stored it, on the scale that its curves are stated on."""
-    low, high, reference = (float(said[key]) for key in ("low", "high", "reference"))
-    return Measured(str(said["unit"]), time_s - time_s[0], values, low, high, reference)
+    return Measured(said.unit, time_s - time_s[0], values, said.low, said.high, said.reference)
 
 
 def _motion(x: FloatArray, speed: FloatArray, half: FloatArray) -> Motion:

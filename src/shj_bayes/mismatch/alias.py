@@ -1,24 +1,15 @@
 """Which effects a displacement history alone cannot tell apart."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from shj_bayes.inference.squares import extended, orthogonal_to
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import Alias
 
 HIDDEN = 0.1  # share of an effect that must survive a refit of the base law for the history to show it at all
 ALIKE = 0.9  # cosine above which two effects look alike
-
-
-@dataclass(frozen=True)
-class Alias:
-    """Two effects that look alike under this displacement history; one alone when the base law takes it up."""
-
-    pair: tuple[str, str]  # effect ids; the second is ``base law`` for an effect that the base parameters absorb
-    correlation: float  # cosine between what the base law leaves of both; for ``base law`` the share that it takes
 
 
 def aliases_of(scene: Scene) -> list[Alias]:

@@ -8,7 +8,6 @@ from types import MappingProxyType
 import numpy as np
 
 from shj_bayes.inference.squares import extended, start_values
-from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.coordinates import coordinate_named, coordinates, coordinates_of
@@ -18,6 +17,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.measured import Measured
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import ClassId
 
 MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
 DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %

@@ -1,22 +1,20 @@
 """The fields of ``diagnosis.json`` and the channels of ``diagnosis.nc``, from what a search says."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
-from shj_bayes.mismatch.alias import Alias
 from shj_bayes.mismatch.chatter import EQUATION, SHOWS, STATEMENT, SURE, Chatter
-from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, cycles_of
 from shj_bayes.mismatch.hypothesis import TEETH
 from shj_bayes.mismatch.proven import Proven
-from shj_bayes.mismatch.regions import Region, run_of
+from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.schema import SCHEMA, Verdict
 from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State, drawn_from
@@ -25,18 +23,40 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.measured import Measured, coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
+from shj_bayes.results.diagnosis import (
+    SCHEMA,
+    CandidateRecord,
+    ChannelRecord,
+    ClassId,
+    CurveRecord,
+    Dependence,
+    Dropped,
+    EffectParameter,
+    EffectRecord,
+    EnergyRecord,
+    FitQuality,
+    HeldOutRecord,
+    Member,
+    Period,
+    SetProbability,
+    Shift,
+    Spread,
+    Unknown,
+    Verdict,
+)
 
 Draws = Mapping[str, FloatArray]
+Shape = tuple[Mapping[str, float | None], ...]
 
 
 def spread(values: FloatArray) -> dict[str, float]:
-    """Mean, standard deviation, median and 90 % interval of draws."""
+    """Mean, standard deviation, median and 90 % interval of draws: the fields of a `Spread`."""
     quantiles = np.quantile(values, [0.05, 0.5, 0.95]).tolist()
     mean, sd = float(values.mean()), float(values.std(ddof=1))
     return {"mean": mean, "sd": sd, **dict(zip(("q05", "q50", "q95"), quantiles, strict=True))}
 
 
-def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
+def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ...]:
     """Mechanisms that were found; under the verdict ``unknown`` they are a part of what was left out."""
     found = []
     for finding in answer.findings:
@@ -51,23 +71,23 @@ def effects(out: Search, answer: Answer, draws: Draws) -> list[dict[str, Any]]:
         # A mean lies beyond what fits where a size is hardly known.
         middle = {key: float(np.median(values)) for key, values in own.items()}
         found.append(
-            {
-                "id": effect.mechanism,
-                "form": effect.form,
-                "family": effect.family,
-                "title": effect.title,
-                "statement": effect.statement.format(**middle, **told),
-                "equation": effect.equation,
-                "cause": effect.cause,
-                "shows": effect.shows,
-                "partial": answer.verdict is Verdict.UNKNOWN,
-                "probability": finding.probability * finding.names[0][1],
-                "rivals": [name for name in rivals(out, answer, finding) if name != effect.mechanism],
-                "size_kN": finding.size * out.scene.scale_kN,
-                "parameters": {name: {**spread(own[name]), "unit": units.get(name, "1")} for name in own},
-            }
+            EffectRecord(
+                id=effect.mechanism,
+                form=effect.form,
+                family=effect.family,
+                title=effect.title,
+                statement=effect.statement.format(**middle, **told),
+                equation=effect.equation,
+                cause=effect.cause,
+                shows=effect.shows,
+                partial=answer.verdict is Verdict.UNKNOWN,
+                probability=finding.probability * finding.names[0][1],
+                rivals=tuple(name for name in rivals(out, answer, finding) if name != effect.mechanism),
+                size_kN=finding.size * out.scene.scale_kN,
+                parameters={name: EffectParameter(**spread(own[name]), unit=units.get(name, "1")) for name in own},
+            )
         )
-    return found + ([_chatter(out, answer, out.chatter)] if out.chatter else [])
+    return (*found, *([_chatter(out, answer, out.chatter)] if out.chatter else []))
 
 
 def _chattering() -> Effect:
@@ -75,24 +95,23 @@ def _chattering() -> Effect:
     return next(e for e in catalogue().values() if TEETH in e.acts)
 
 
-def _chatter(out: Search, answer: Answer, chatter: Chatter) -> dict[str, Any]:
+def _chatter(out: Search, answer: Answer, chatter: Chatter) -> EffectRecord:
     """Describe chatter as a mechanism: its size from stroke to stroke."""
     effect = _chattering()
-    return {
-        "id": effect.id,
-        "form": "chatter",
-        "family": effect.family,
-        "title": effect.title,
-        "statement": STATEMENT.format(size=chatter.size, share=chatter.share),
-        "equation": EQUATION,
-        "cause": effect.cause,
-        "shows": SHOWS,
-        "partial": answer.verdict is Verdict.UNKNOWN,
-        "probability": SURE,
-        "rivals": [],
-        "size_kN": chatter.size * out.scene.scale_kN,
-        "parameters": {"size": {**spread(chatter.of_strokes), "unit": "1"}},
-    }
+    return EffectRecord(
+        id=effect.id,
+        form="chatter",
+        family=effect.family,
+        title=effect.title,
+        statement=STATEMENT.format(size=chatter.size, share=chatter.share),
+        equation=EQUATION,
+        cause=effect.cause,
+        shows=SHOWS,
+        partial=answer.verdict is Verdict.UNKNOWN,
+        probability=SURE,
+        size_kN=chatter.size * out.scene.scale_kN,
+        parameters={"size": EffectParameter(**spread(chatter.of_strokes), unit="1")},
+    )
 
 
 def _following(
@@ -141,10 +160,10 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
     return [e.id for e in known if e.id not in out.hidden]
 
 
-def family(out: Search, answer: Answer) -> list[dict[str, Any]]:
+def family(out: Search, answer: Answer) -> tuple[Member, ...]:
     """Mechanisms that the recording cannot tell apart, most probable first."""
     if answer.verdict is not Verdict.FAMILY:
-        return []
+        return ()
     listed: dict[str, float] = {}
     sure = frozenset.intersection(*(key for key, _ in rivals_of(answer)))
     for key, probability in rivals_of(answer):
@@ -154,107 +173,79 @@ def family(out: Search, answer: Answer) -> list[dict[str, Any]]:
     for finding in answer.findings:
         if finding.member.of.id in sure and len(finding.names) > 1:
             listed |= {name: finding.probability * p for name, p in finding.names}
-    return [{"id": k, "probability": v} for k, v in sorted(listed.items(), key=lambda item: -item[1])]
+    return tuple(Member(id=k, probability=v) for k, v in sorted(listed.items(), key=lambda item: -item[1]))
 
 
-def coordinates(out: Search, answer: Answer) -> list[dict[str, Any]]:
+def coordinates(out: Search, answer: Answer) -> tuple[Dependence, ...]:
     """List what the force depends on beyond the base law, most probable first; push and pull may have a row each."""
     found = {finding.member.of.id: finding for finding in answer.findings}
-    rows = []
+    rows: list[Dependence] = []
     for name, probability in sorted(answer.inclusion.items(), key=lambda item: -item[1]):
         finding = found.get(name)
         if finding is None and probability < 0.01:
             continue
         of = out.classes[name]
-        row: dict[str, Any] = {
-            "coordinate": of.coordinate,
-            "unit": of.unit,
-            "action": of.action,
-            "direction": "both",
-            "probability": float(probability),
-            "evidence": finding.evidence if finding and np.isfinite(finding.evidence) else None,
-            "size_percent": 100 * finding.size if finding else None,
-            "range_percent": None,
-            "curve": None,
-            "period": None,
-            "matches": mechanisms(out, answer, name) if finding is None or finding.named else [],
-        }
+        row = Dependence(
+            coordinate=of.coordinate,
+            unit=of.unit,
+            action=of.action,
+            probability=float(probability),
+            evidence=finding.evidence if finding and np.isfinite(finding.evidence) else None,
+            size_percent=100 * finding.size if finding else None,
+            matches=tuple(mechanisms(out, answer, name)) if finding is None or finding.named else (),
+        )
         bands = {d: curve_band(out, finding, direction=q) for d, q in finding.directions.items()} if finding else {}
         drawn = [
-            {
-                "direction": direction,
-                "range_percent": float(np.ptp(band["mean"])),
-                "period": finding.period if finding else None,
-                "curve": {key: values.tolist() for key, values in band.items()} | {"unit": "% of Fy"},
-            }
+            replace(
+                row,
+                direction=direction,
+                range_percent=float(np.ptp(band["mean"])),
+                period=finding.period if finding else None,
+                curve=CurveRecord(**{key: tuple(values.tolist()) for key, values in band.items()}, unit="% of Fy"),
+            )
             for direction, band in bands.items()
             if band is not None
         ]
-        rows += [row | own for own in drawn] or [row]
+        rows += drawn or [row]
     if answer.reason is Reason.FLUCTUATES or out.chatter:
         rows.insert(0, fluctuation(out))
-    return rows
+    return tuple(rows)
 
 
-def further(runs: Sequence[Run]) -> list[dict[str, Any]]:
+def further(runs: Sequence[Run]) -> tuple[ChannelRecord, ...]:
     """List the further channels: the range of those that the force was held against, why the others were not."""
     measured = measured_of(runs)[0]
     rows = []
     for channel in further_of(runs):
         own = measured.get(coordinate_of(channel.name)) if channel.refused is None else None
         rows.append(
-            {
-                "name": channel.name,
-                "coordinate": coordinate_of(channel.name),
-                "unit": channel.unit,
-                "range": [own.low, own.high] if own else None,
-                "reference": own.reference if own else None,
-                "refused": channel.refused.value if channel.refused else None,
-                "share": channel.share,
-            }
+            ChannelRecord(
+                name=channel.name,
+                coordinate=coordinate_of(channel.name),
+                unit=channel.unit,
+                range=(own.low, own.high) if own else None,
+                reference=own.reference if own else None,
+                refused=channel.refused,
+                share=channel.share,
+            )
         )
-    return rows
+    return tuple(rows)
 
 
-def fluctuation(out: Search) -> dict[str, Any]:
+def fluctuation(out: Search) -> Dependence:
     """Describe a force that fluctuates as a dependence: of the motion, as where surfaces stick, load up and jump."""
     size = out.chatter.size if out.chatter else LARGEST_OF * out.metric.fluctuation
-    return {
-        "coordinate": TEETH.coordinate,
-        "unit": "1",
-        "action": TEETH.action,
-        "direction": "both",
-        "probability": SURE if out.chatter else 1.0,
-        "evidence": None,
-        "size_percent": 100 * size,
-        "range_percent": None,
-        "curve": None,
-        "period": None,
-        "matches": [e.id for e in catalogue().values() if TEETH in e.acts and e.id not in out.hidden],
-    }
+    return Dependence(
+        coordinate=TEETH.coordinate,
+        unit="1",
+        action=TEETH.action,
+        probability=SURE if out.chatter else 1.0,
+        size_percent=100 * size,
+        matches=tuple(e.id for e in catalogue().values() if TEETH in e.acts and e.id not in out.hidden),
+    )
 
 
-def locations(regions: list[Region]) -> list[dict[str, Any]]:
-    """Where the base law fails."""
-    return [
-        {
-            "coordinate": WORDS.get(r.coordinate, r.coordinate),
-            "interval": [r.low, r.high],
-            "unit": r.unit,
-            "direction": r.direction,
-            "runs": list(r.runs),
-            "size_kN": r.size_kN,
-            "share": r.share,
-            "p_value": r.p_value,
-        }
-        for r in regions
-    ]
-
-
-WORDS = {"slip": "slip since reversal"}
-
-
-def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
+def unknown(out: Search, answer: Answer) -> Unknown | None:
     """Describe what no mechanism explains: the curve, or where the rest is largest."""
     if answer.verdict is not Verdict.UNKNOWN:
         return None
@@ -268,26 +259,25 @@ def unknown(out: Search, answer: Answer) -> dict[str, Any] | None:
         curve, of = finding.curve.variant.curve, finding.member.of
         assert curve is not None
         formula = formula_of(band["at"], band["mean"], band["q05"], band["q95"], curve.over.symbol, of.unit)
-        rows = [
-            {"centre": float(x), "push_kN": float(y) * fy / 100, "pull_kN": float(y) * fy / 100 * _mirrored(of.action)}
-            for x, y in zip(band["at"], band["mean"], strict=True)
-        ]
-        return {
-            "coordinate": WORDS.get(of.coordinate, of.coordinate),
-            "shape": rows,
-            "formula": f"{TERM[of.action]} = {formula}" if formula else None,
-            "period": {"length": curve.period, "unit": of.unit, "coordinate": of.coordinate} if curve.period else None,
-            "size_kN": finding.size * fy,
-        }
+        period = Period(length=curve.period, unit=of.unit, coordinate=of.coordinate) if curve.period else None
+        return Unknown(
+            coordinate=WORDS.get(of.coordinate, of.coordinate),
+            shape=tuple(
+                _shape_row(x, float(y) * fy / 100, float(y) * fy / 100 * _mirrored(of.action))
+                for x, y in zip(band["at"], band["mean"], strict=True)
+            ),
+            formula=f"{TERM[of.action]} = {formula}" if formula else None,
+            period=period,
+            size_kN=finding.size * fy,
+        )
     residual = answer.shown.state.residual
     rows, coordinate = _profile(out.scene, residual)
-    return {
-        "coordinate": coordinate,
-        "shape": rows,
-        "formula": None,
-        "period": None,
-        "size_kN": max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.scene.used > 0] ** 2)))),
-    }
+    size = max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.scene.used > 0] ** 2))))
+    return Unknown(coordinate=coordinate, shape=rows, size_kN=size)
+
+
+def _shape_row(centre: float, push_kN: float, pull_kN: float) -> dict[str, float | None]:
+    return {"centre": float(centre), "push_kN": _number(push_kN), "pull_kN": _number(pull_kN)}
 
 
 TERM = {"capacity": "change of Fy [%]", "added": "added force [% of Fy]", "motion": "change of the motion"}
@@ -298,9 +288,9 @@ def _mirrored(action: str) -> float:
     return -1.0 if action == "capacity" else 1.0
 
 
-def _profile(scene: Scene, residual: FloatArray, n: int = 24) -> tuple[list[dict[str, Any]], str]:
+def _profile(scene: Scene, residual: FloatArray, n: int = 24) -> tuple[Shape, str]:
     """Mean residual over the coordinate over which it is most regular, push and pull."""
-    best: tuple[float, list[dict[str, Any]], str] | None = None
+    best: tuple[float, Shape, str] | None = None
     sense = scene.channel("direction")
     for name, word in (("position_mm", "position"), ("slip_mm", "slip since reversal"), ("travel_m", "travel"),
                        ("speed_mm_s", "speed")):  # fmt: skip
@@ -314,10 +304,7 @@ def _profile(scene: Scene, residual: FloatArray, n: int = 24) -> tuple[list[dict
             total = np.bincount(index[own], weights=residual[own], minlength=n)
             taken += float(np.sum(total**2 / np.maximum(count, 1)))
             means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-        rows = [
-            {"centre": float(c), "push_kN": _number(a), "pull_kN": _number(b)}
-            for c, a, b in zip((edges[:-1] + edges[1:]) / 2, means[0], means[1], strict=True)
-        ]
+        rows = tuple(map(_shape_row, (edges[:-1] + edges[1:]) / 2, *means))
         if best is None or taken > best[0]:
             best = (taken, rows, word)
     assert best is not None
@@ -328,18 +315,18 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def quality(scene: Scene, state: State, noise_kN: float, held: HeldOut) -> dict[str, float]:
+def quality(scene: Scene, state: State, noise_kN: float, held: HeldOut) -> FitQuality:
     """Say how well a model fits: residual, noise, held-out residual (kN), energy per cycle (per cent)."""
     used = scene.used > 0
     measured = energy_of(scene, scene.measured_kN)
     modelled = energy_of(scene, scene.measured_kN - state.residual)
     wrong = np.abs(modelled - measured) / np.maximum(np.abs(measured), 1e-300)
-    return {
-        "rmse_kN": float(np.sqrt(np.mean(state.residual[used] ** 2))),
-        "noise_kN": noise_kN,
-        "heldout_rmse_kN": held.rmse_kN,
-        "energy_error_percent": float(100 * np.mean(wrong)),
-    }
+    return FitQuality(
+        rmse_kN=float(np.sqrt(np.mean(state.residual[used] ** 2))),
+        noise_kN=noise_kN,
+        heldout_rmse_kN=held.rmse_kN,
+        energy_error_percent=float(100 * np.mean(wrong)),
+    )
 
 
 def energy_of(scene: Scene, force_kN: FloatArray) -> FloatArray:
@@ -350,48 +337,40 @@ def energy_of(scene: Scene, force_kN: FloatArray) -> FloatArray:
     return np.asarray(np.bincount(cycle, weights=work), dtype=np.float64)
 
 
-def energy(scene: Scene, base: State, shown: State) -> dict[str, list[float]]:
+def energy(scene: Scene, base: State, shown: State) -> EnergyRecord:
     """Energy of each cycle, measured and modelled before and after, J."""
-    measured = energy_of(scene, scene.measured_kN)
-    return {
-        "cycle": [float(i) for i in range(1, measured.size + 1)],
-        "measured_J": measured.tolist(),
-        "before_J": energy_of(scene, scene.measured_kN - base.residual).tolist(),
-        "after_J": energy_of(scene, scene.measured_kN - shown.residual).tolist(),
-    }
+    forces = scene.measured_kN, scene.measured_kN - base.residual, scene.measured_kN - shown.residual
+    measured, before, after = (tuple(energy_of(scene, force).tolist()) for force in forces)
+    cycle = tuple(float(i) for i in range(1, len(measured) + 1))
+    return EnergyRecord(cycle=cycle, measured_J=measured, before_J=before, after_J=after)
 
 
-def heldout(shown: Proven) -> dict[str, Any]:
+def heldout(shown: Proven) -> HeldOutRecord:
     """Gain of the shown model over the base law on cycles that were left out, and what was dropped for want of one."""
     gain, n = shown.gain, shown.held[0].count.size
-    return {
-        "scheme": f"every {min(PARTS, n)}th cycle left out, {min(PARTS, n)} fits",
-        "elpd_gain": gain.elpd,
-        "se": gain.elpd_se,
-        "rmse_se_kN": gain.rmse_se_kN,
-        "n_blocks": n,
-        "dropped": [
-            {
-                "class": one.of,
-                "elpd_gain": _number(one.gain.elpd),
-                "without_kN": _number(one.gain.before_kN),
-                "with_kN": _number(one.gain.after_kN),
-            }
+    return HeldOutRecord(
+        scheme=f"every {min(PARTS, n)}th cycle left out, {min(PARTS, n)} fits",
+        elpd_gain=gain.elpd,
+        se=gain.elpd_se,
+        rmse_se_kN=gain.rmse_se_kN,
+        n_blocks=n,
+        dropped=tuple(
+            Dropped(
+                class_=one.of,
+                elpd_gain=_number(one.gain.elpd),
+                without_kN=_number(one.gain.before_kN),
+                with_kN=_number(one.gain.after_kN),
+            )
             for one in shown.dropped
-        ],
-    }
+        ),
+    )
 
 
-def shift(before: Draws, after: Draws) -> dict[str, dict[str, dict[str, float]]]:
+def shift(before: Draws, after: Draws) -> dict[str, Shift]:
     """Say what the omission did to the parameters of the base law, from draws without and with the effects found."""
     base = [name for name in before if "." not in name]  # not of effects that were given
     shared = [name for name in base if name in after and base_and_run(name)[0] in LAW_PARAMETERS]
-    return {name: {"before": spread(before[name]), "after": spread(after[name])} for name in shared}
-
-
-def alias_rows(aliases: list[Alias]) -> list[dict[str, Any]]:
-    """Pairs that the history cannot separate."""
-    return [{"pair": list(a.pair), "correlation": a.correlation} for a in aliases]
+    return {n: Shift(before=Spread(**spread(before[n])), after=Spread(**spread(after[n]))) for n in shared}
 
 
 def next_test(shown: Proven, *, quick: bool) -> str | None:
@@ -406,7 +385,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
         return known[names[0]].next_test if names and names[0] in known else None
     if answer.verdict is not Verdict.FAMILY:
         return None
-    members = [member["id"] for member in family(out, answer)]
+    members = [member.id for member in family(out, answer)]
     said = list(dict.fromkeys(known[name].next_test for name in members[:2]))
     if answer.reason is Reason.SEVERAL:  # a plan weighs sets of coordinates, not formulas over one
         first = "diagnose without --quick, then " if quick else ""
@@ -414,7 +393,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
     return " ".join(said)
 
 
-def candidates(shown: Proven) -> list[dict[str, Any]]:
+def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
     """Every effect of the catalogue, with what its class gains on the base law alone and in the answer."""
     out, answer, dropped = shown.out, shown.answer, {one.of for one in shown.dropped}
     base = out.found[frozenset()]
@@ -436,21 +415,21 @@ def candidates(shown: Proven) -> list[dict[str, Any]]:
         if effect.form or effect.id in out.hidden or name is None:
             continue
         rows.append(
-            {
-                "id": effect.id,
-                "title": effect.title,
-                "family": effect.family,
-                "score": float(gains[name]),
-                "elpd_gain": float(gains[name]),
-                "probability": float(answer.inclusion.get(name, 0.0)),
-                "size_kN": kept[effect.id] * out.scene.scale_kN if effect.id in kept else sizes.get(name, 0.0),
-                "kept": effect.id in kept,
-                "reason": "does not improve cycles that were left out"
+            CandidateRecord(
+                id=effect.id,
+                title=effect.title,
+                family=effect.family,
+                score=float(gains[name]),
+                elpd_gain=float(gains[name]),
+                probability=float(answer.inclusion.get(name, 0.0)),
+                size_kN=kept[effect.id] * out.scene.scale_kN if effect.id in kept else sizes.get(name, 0.0),
+                kept=effect.id in kept,
+                reason="does not improve cycles that were left out"
                 if name in dropped
                 else _why(effect, name, kept, answer, gains[name]),
-            }
+            )
         )
-    return sorted(rows, key=lambda row: (not row["kept"], -row["score"]))
+    return tuple(sorted(rows, key=lambda row: (not row.kept, -(row.score or 0.0))))
 
 
 def _why(effect: Effect, name: str, kept: Mapping[str, float], answer: Answer, gain: float) -> str:
@@ -487,6 +466,6 @@ def draws_of(state: State, seed: int, n: int = 2000) -> dict[str, FloatArray]:
     return dict(zip(state.model.law_names, theta.T[: state.z.size], strict=True))
 
 
-def hypotheses(answer: Answer) -> list[dict[str, Any]]:
+def hypotheses(answer: Answer) -> tuple[SetProbability, ...]:
     """List the sets of classes that hold all but 5 % of the probability."""
-    return [{"classes": sorted(key), "probability": p} for key, p in rivals_of(answer)]
+    return tuple(SetProbability(classes=tuple(sorted(key)), probability=p) for key, p in rivals_of(answer))

@@ -1,6 +1,5 @@
 """The diagnosis: find what the force depends on, show the curve, name the physics, model it."""
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,9 +9,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from shj_bayes._util.files import replacing, write_text
+from shj_bayes._util.files import replacing
 from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.inference.record import Trust
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
@@ -24,20 +22,23 @@ from shj_bayes.mismatch.missed import beside_missed
 from shj_bayes.mismatch.proven import Proven, proven
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.scene import Metric, scene_of
-from shj_bayes.mismatch.schema import SCHEMA
 from shj_bayes.mismatch.search import search
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.codec import to_json
+from shj_bayes.results.diagnosis import DiagnosedModel, DiagnosisRecord, Input, Sampled
+from shj_bayes.results.fit import Trust
+from shj_bayes.results.store import write
 
-Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], dict[str, Any]]]
+Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], Sampled]]
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """A finished diagnosis."""
 
-    record: dict[str, Any]  # content of ``diagnosis.json``
+    record: DiagnosisRecord
     channels: xr.Dataset  # content of ``diagnosis.nc``: measured and modelled force, before and after
 
     def write(self, folder: Path) -> None:
@@ -46,7 +47,12 @@ class Diagnosis:
         with replacing(folder / "diagnosis.nc") as part:
             self.channels.to_netcdf(part, engine="h5netcdf")
         (folder / "diagnosis.html").unlink(missing_ok=True)  # of the one before; no clock tells which came first
-        write_text(folder / "diagnosis.json", json.dumps(self.record, indent=1, allow_nan=False))
+        write(self.record, folder)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """Content of ``diagnosis.json``, as plain values."""
+        return dict(to_json(self.record))
 
 
 @one_blas_thread
@@ -90,30 +96,29 @@ def diagnose(
     models = _models(shown, seed)
     if sample is None or look.quick:
         draws: content.Draws = models.draws_after
-        how = {"how": "Gaussian around the most probable parameters (first look)", "verdict": Trust.TENTATIVE}
+        how = Sampled(how="Gaussian around the most probable parameters (first look)", verdict=Trust.TENTATIVE)
     else:
         tell("sampling the posterior")
         draws, how = sample(answer.shown.state.model, answer.shown.state.z)
-    record: dict[str, Any] = {
-        "schema": SCHEMA,
-        "device": look.name,
+    record = DiagnosisRecord(
+        device=look.name,
         **_said(shown, models, draws),
-        "channels": content.further(runs),
-        "next_test": content.next_test(shown, quick=look.quick),
-        "seed": seed,
-        "quick": look.quick,
-        "sampling": how,
-        "model": {
-            "variant": device.variant,
-            "priors": device.priors.family,
-            "noise": device.noise.id,
-            "given": [effect.id for effect in device.effects],
-            "without": list(look.without),
-        },
-        "inputs": [{"name": r.recording.source.name, "sha256": r.recording.source.sha256} for r in runs],
-        "versions": versions(),
-    }
-    record["seconds"] = time.perf_counter() - begin
+        channels=content.further(runs),
+        next_test=content.next_test(shown, quick=look.quick),
+        seed=seed,
+        quick=look.quick,
+        sampling=how,
+        model=DiagnosedModel(
+            variant=device.variant,
+            priors=device.priors.family,
+            noise=device.noise.id,
+            given=tuple(effect.id for effect in device.effects),
+            without=tuple(look.without),
+        ),
+        inputs=tuple(Input(name=r.recording.source.name, sha256=r.recording.source.sha256) for r in runs),
+        versions=versions(),
+        seconds=time.perf_counter() - begin,
+    )
     return Diagnosis(record, content.channels(shown.fine, shown.before, shown.after))
 
 
@@ -144,12 +149,12 @@ def _models(shown: Proven, seed: int) -> _Models:
 
 
 def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any]:
-    """Give the findings of a search as they stand in ``diagnosis.json``."""
+    """Give what a search found, as fields of the record."""
     out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
     noise = float(np.sqrt(np.mean(shown.after.residual[fine.used > 0] ** 2)))
     regions = regions_of(out.scene, Metric(out.scene, out.metric.setting, models.law.slope), models.law)
     return {
-        "verdict": answer.verdict.value,
+        "verdict": answer.verdict,
         "reason": answer.reason.value,
         "p_value": answer.p_value,
         "coordinates": content.coordinates(out, answer),
@@ -158,14 +163,14 @@ def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any
         "effects": content.effects(out, answer, draws),
         "modelled": content.modelled(answer, draws),
         "family": content.family(out, answer),
-        "location": content.locations(regions),
+        "location": tuple(regions),
         "unknown": content.unknown(out, answer),
         "left_over_percent": 100 * answer.left_over,
         "before": content.quality(fine, shown.before, noise, shown.held[0]),
         "after": content.quality(fine, shown.after, noise, shown.held[1]),
         "heldout": content.heldout(shown),
         "shift": content.shift(models.draws_before, draws),
-        "aliases": content.alias_rows(aliases_of(out.scene)),
+        "aliases": tuple(aliases_of(out.scene)),
         "candidates": content.candidates(shown),
         "energy": content.energy(fine, *both),
         "fy_kN": out.scene.scale_kN,

@@ -7,7 +7,6 @@ with each pair of them, to first order (`screen`). All stand on one scale: evide
 
 from collections.abc import Sequence
 from itertools import combinations, pairwise
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -19,22 +18,15 @@ from shj_bayes.mismatch.scene import beside
 from shj_bayes.mismatch.search import ODDS, RIVAL, Search
 from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import EvidenceRecord
 
 DIGITS = 3  # of a log weight, nats
 SMALLER = (1.0, 0.2, 0.04)  # of the size that fits best alone: sizes at which two candidates are weighed together
 CLEAR = 0.1  # nats; less between two candidates is nothing
 
 
-def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
-    """Log weights of sets of classes, and how each class would be written in the model of the device.
-
-    ``classes``, the ids of all that were looked for; ``log_odds`` of each before the test; ``own``, the effect that
-    stands for a class in the model that is shown; ``written``, the effect that would stand for each other class;
-    ``size_percent`` of both, per cent of Fy that the base law could not make, or where the class is not in the model,
-    that the model could not; ``change_percent``, where a class is a curve, from one end of its coordinate to the other,
-    both to first order where the class is not in the model; ``sets``, each a list of positions in ``classes``, with its
-    log weight over the empty set in ``nats``; the first ``fitted`` of them were fitted, the others are of first order.
-    """
+def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
+    """Log weights of sets of classes, and how each class would be written in the model of the device."""
     names = sorted(out.classes)
     position = {name: i for i, name in enumerate(names)}
     fitted = {h.key: h.log_weight for h in out.found.values()}
@@ -61,17 +53,17 @@ def evidence_of(out: Search, answer: Answer) -> dict[str, Any]:
         if c.variant.curve is not None:
             ends = c.variant.curve.rows(np.array([0.0, 1.0]), np.ones(2)) @ mean
             changes[name] = 100.0 * (ends[1] - ends[0])
-    return {
-        "classes": names,
-        "log_odds": ODDS,
-        "own": own,
-        "written": {name: c.variant.effect.id for name, c in sorted(others.items())},
-        "size_percent": {name: round(100.0 * size, DIGITS) for name, size in sizes.items()},
-        "change_percent": {name: round(float(change), DIGITS) for name, change in changes.items()},
-        "sets": [sorted(position[name] for name in key) for key in rows],
-        "nats": [round(weight - fitted[frozenset()], DIGITS) for weight in rows.values()],
-        "fitted": len(fitted),
-    }
+    return EvidenceRecord(
+        classes=tuple(names),
+        log_odds=ODDS,
+        own=own,
+        written={name: c.variant.effect.id for name, c in sorted(others.items())},
+        size_percent={name: round(100.0 * size, DIGITS) for name, size in sizes.items()},
+        change_percent={name: round(float(change), DIGITS) for name, change in changes.items()},
+        sets=tuple(tuple(sorted(position[name] for name in key)) for key in rows),
+        nats=tuple(round(weight - fitted[frozenset()], DIGITS) for weight in rows.values()),
+        fitted=len(fitted),
+    )
 
 
 def _gains_beside(out: Search, h: Hypothesis) -> dict[frozenset[str], float]:

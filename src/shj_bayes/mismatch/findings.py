@@ -13,12 +13,12 @@ from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate
 from shj_bayes.mismatch.hypothesis import SLIP, Hypothesis, columns_of, replaced, second_of
 from shj_bayes.mismatch.missed import missed_by
 from shj_bayes.mismatch.scene import log_evidence
-from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.mismatch.search import Search
 from shj_bayes.mismatch.sizes import MOTION, away, largest_size_of, may_miss, size_of
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, Verdict
 
 T = TypeVar("T")
 

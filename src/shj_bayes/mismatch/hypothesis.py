@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import Candidate
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import ClassId
 
 CONSTANT = str(ClassId("added", "constant"))
 TEETH = ClassId("motion", "stick-slip")

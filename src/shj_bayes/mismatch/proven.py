@@ -10,9 +10,9 @@ from shj_bayes.mismatch.findings import Answer, Reason, answer_of
 from shj_bayes.mismatch.heldout import Gain, HeldOut, held_out
 from shj_bayes.mismatch.hypothesis import Hypothesis, without
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
-from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.mismatch.search import Search
 from shj_bayes.mismatch.state import State, settle_under
+from shj_bayes.results.diagnosis import Verdict
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Where the base law fails: intervals of the coordinates in which its residual is more than noise."""
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,34 +10,17 @@ from shj_bayes.mismatch.scene import Metric, Scene, beside
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import Location
 
 MIN_SHARE = 0.01  # of the blocks that a region must hold to be looked at
 LISTED, EACH = 8, 2  # regions in a list for people; of one coordinate
 SURE = 0.05
+WORDS = {"slip": "slip since reversal"}  # for coordinates in files, where they have other words
 SIDES = ("both", "push", "pull")
 WHERE = (("position", 11), ("speed", 6), ("slip", 8), ("travel", 12), ("amplitude", 6))  # and in how many intervals
 
 
-@dataclass(frozen=True)
-class Region:
-    """One interval of one coordinate in which the base law fails."""
-
-    # coordinate, unit: what is cut into intervals
-    coordinate: str
-    unit: str
-    # low, high: the interval
-    low: float
-    high: float
-    # half-cycles it is about; ``both`` signs the residual with the direction of motion, so that friction too high in
-    # push and pull alike shows as one number
-    direction: str
-    runs: tuple[int, ...]  # runs in which it is seen
-    size_kN: float  # mean residual there (direction-signed for ``both``)
-    share: float  # part of the residual's sum of squares that lies in the region
-    p_value: float  # chance of such a mean if nothing were missing, times the number of regions that were looked at
-
-
-def regions_of(scene: Scene, metric: Metric, base: State) -> list[Region]:
+def regions_of(scene: Scene, metric: Metric, base: State) -> list[Location]:
     """List the regions in which the base law fails, the largest first, at most two for each coordinate."""
     sense, run = scene.channel("direction"), run_of(scene)
     cuts, columns = [], []
@@ -49,11 +31,12 @@ def regions_of(scene: Scene, metric: Metric, base: State) -> list[Region]:
         for low, high in pairwise(np.linspace(0.0, 1.0 + 1e-9, n + 1)):
             inside = (part >= low) & (part < high) & (scene.used > 0)
             edges = over.value_of(np.array([low, min(high, 1.0)]), histories[0])
-            cuts += [(over.id, over.unit, float(edges[0]), float(edges[1]), word, inside) for word in SIDES]
+            ends = (float(edges[0]), float(edges[1]))
+            cuts += [(WORDS.get(over.id, over.id), over.unit, ends, word) for word in SIDES]
             columns += [_side(word, inside, sense) for word in SIDES]
     for number in range(1, len(histories) + 1):
         inside = (run == number) & (scene.used > 0)
-        cuts += [("run", "1", number - 0.5, number + 0.5, word, inside) for word in SIDES]
+        cuts += [("run", "1", (number - 0.5, number + 0.5), word) for word in SIDES]
         columns += [_side(word, inside, sense) for word in SIDES]
     table = np.stack(columns, axis=1)
     large = np.count_nonzero(table, axis=0) >= MIN_SHARE * scene.used.sum()
@@ -61,14 +44,25 @@ def regions_of(scene: Scene, metric: Metric, base: State) -> list[Region]:
     p_values = _p_values(metric, base, table)
     whole = float(base.residual @ base.residual)
     found = []
-    for cut, column, p in zip(cuts, table.T, p_values, strict=True):
+    for (coordinate, unit, interval, side), column, p in zip(cuts, table.T, p_values, strict=True):
         own = np.flatnonzero(column)
         squares = np.bincount(run[own], weights=base.residual[own] ** 2)
         runs = tuple(int(i) for i in np.flatnonzero(squares >= 0.1 * squares.sum()) if i > 0)
         mean = float(column[own] @ base.residual[own]) / own.size
         share = float(squares.sum()) / max(whole, 1e-300)
-        found.append(Region(*cut[:5], runs, mean, share, min(1.0, float(p) * len(cuts))))
-    kept: list[Region] = []
+        found.append(
+            Location(
+                coordinate=coordinate,
+                unit=unit,
+                interval=interval,
+                direction=side,
+                runs=runs,
+                size_kN=mean,
+                share=share,
+                p_value=min(1.0, float(p) * len(cuts)),
+            )
+        )
+    kept: list[Location] = []
     for region in sorted(found, key=lambda r: -abs(r.size_kN)):
         same = sum(k.coordinate == region.coordinate for k in kept)
         if region.p_value <= SURE and abs(region.size_kN) > 0 and same < EACH and len(kept) < LISTED:

@@ -20,7 +20,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from scipy.special import logsumexp
 from shj_bayes.mismatch.classes import DOUBT, MATTERS, PRESENT
 from shj_bayes.mismatch.search import PROMISING
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.results.diagnosis import EvidenceRecord
 
 ALONE = PRESENT * 0.5 / (1.0 - PRESENT)  # of a device whose set has not what it has; see the module
 LIKELY = 0.5  # a device is given what more probably than not it has
@@ -96,25 +96,20 @@ class Common:
     combinations: tuple[tuple[Combination, float], ...]  # what the set has, with probabilities, most probable first
 
 
-def device_evidence(record: Mapping[str, Any]) -> DeviceEvidence:
-    """Read the evidence of a device, ``evidence`` of ``diagnosis.json``.
-
-    `ValueError`, `KeyError` or `TypeError` if it is not as `evidence.evidence_of` writes it.
-    """
-    names = tuple(str(name) for name in record["classes"])
-    nats = np.array([float(x) for x in record["nats"]])
-    holds = np.zeros((len(record["sets"]), len(names)), dtype=bool)
-    for row, places in zip(holds, record["sets"], strict=True):
-        for place in places:
-            if not 0 <= int(place) < len(names):
-                raise ValueError(f"a set names class {place} of {len(names)}")
-            row[int(place)] = True
-    empty = ~holds.any(axis=1)
+def device_evidence(record: EvidenceRecord) -> DeviceEvidence:
+    """Evidence of a device as arrays; `ValueError` if its parts do not belong together."""
+    holds = np.zeros((len(record.sets), len(record.classes)), dtype=bool)
+    for row, places in zip(holds, record.sets, strict=True):
+        if any(place >= len(record.classes) for place in places):
+            raise ValueError(f"a set names class {max(places)} of {len(record.classes)}")
+        row[list(places)] = True
+    nats, empty = np.array(record.nats), ~holds.any(axis=1)
     if nats.shape != empty.shape or not np.all(np.isfinite(nats)) or not empty.any():
         raise ValueError("sets of classes and their weights do not belong together")
-    own, written = ({str(k): str(v) for k, v in record[key].items()} for key in ("own", "written"))
-    sizes, changes = ({str(k): float(v) for k, v in record[key].items()} for key in ("size_percent", "change_percent"))
-    return DeviceEvidence(names, holds, nats, float(record["log_odds"]), own, written, sizes, changes)
+    return DeviceEvidence(
+        record.classes, holds, nats, record.log_odds, record.own, record.written, record.size_percent,
+        record.change_percent,
+    )  # fmt: skip
 
 
 def log_shared(log_factors: FloatArray) -> tuple[float, float]:

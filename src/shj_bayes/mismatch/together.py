@@ -3,13 +3,13 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from shj_bayes._util.files import read_json
-from shj_bayes.errors import InferenceError
-from shj_bayes.mismatch.class_id import ClassId
+from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.mismatch.sets import Common, DeviceEvidence, Shared, common_to, device_evidence
 from shj_bayes.model.coordinates import coordinates_of
+from shj_bayes.results.campaign import ClassOfSet, SetTogether
+from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
+from shj_bayes.results.store import read
 
 DIGITS = 6  # of probabilities in files
 
@@ -48,31 +48,29 @@ class Together:
                 out[device.folder] = (*device.modelled, *added)
         return out
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, as they stand in ``campaign.json``."""
-        return {
-            "set": self.set_name,
-            "devices": [device.folder for device in self.devices],
-            "classes": [self._class(one) for one in self.common.shared],
-        }
+    @property
+    def record(self) -> SetTogether:
+        """As it stands in ``campaign.json``."""
+        folders = tuple(device.folder for device in self.devices)
+        return SetTogether(set=self.set_name, devices=folders, classes=tuple(map(self._class, self.common.shared)))
 
-    def _class(self, one: Shared) -> dict[str, Any]:
+    def _class(self, one: Shared) -> ClassOfSet:
         action, coordinate = ClassId.read(one.id)
         known = next(iter(coordinates_of(coordinate)), None)
         measured = next((d.units[coordinate] for d in self.devices if coordinate in d.units), "1")
-        return {
-            "action": action,
-            "coordinate": coordinate,
-            "unit": known.unit if known else measured,
-            "probability": round(one.probability, DIGITS),
-            "enters": one.enters,
-            "rivals": list(one.rivals),
-            "of_devices": [round(p, DIGITS) for p in one.devices],
-            "alone": list(one.alone),
-            "effects": [self._effect(device, one.id) for device in self.devices],
-            "size_percent": [device.evidence.size_percent.get(one.id) for device in self.devices],
-            "change_percent": [device.evidence.change_percent.get(one.id) for device in self.devices],
-        }
+        return ClassOfSet(
+            action=action,
+            coordinate=coordinate,
+            unit=known.unit if known else measured,
+            probability=round(one.probability, DIGITS),
+            enters=one.enters,
+            rivals=one.rivals,
+            of_devices=tuple(round(p, DIGITS) for p in one.devices),
+            alone=one.alone,
+            effects=tuple(self._effect(device, one.id) for device in self.devices),
+            size_percent=tuple(device.evidence.size_percent.get(one.id) for device in self.devices),
+            change_percent=tuple(device.evidence.change_percent.get(one.id) for device in self.devices),
+        )
 
     def _effect(self, device: Diagnosed, name: str) -> str:
         """Effect that stands for a class in the model of a device, or would."""
@@ -98,13 +96,13 @@ def read_diagnosed(place: Path, folder: str) -> Diagnosed:
 
     `place` is the folder of the diagnosis, `folder` that of the device below the campaign's.
     """
-    record: Mapping[str, Any] = read_json(place / "diagnosis.json", InferenceError)
     try:
-        evidence = device_evidence(record["evidence"])
-        modelled = tuple(str(word) for word in record["modelled"])
-        units = {str(one["coordinate"]): str(one["unit"]) or "1" for one in record.get("channels", ())}
-        return Diagnosed(folder, evidence, modelled, not record["quick"], units)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        record = read(DiagnosisRecord, place)
+        if record.evidence is None:
+            raise ValueError("there is none")
+        units = {one.coordinate: one.unit or "1" for one in record.channels}
+        return Diagnosed(folder, device_evidence(record.evidence), tuple(record.modelled), not record.quick, units)
+    except (ReportError, ValueError) as error:
         raise InferenceError(
             f"the evidence in its diagnosis.json cannot be read ({error}); delete that file and run again"
         ) from error

@@ -4,10 +4,9 @@ A prior owns the way from its parameter to an unbounded one (logarithm, normal q
 that way; the likelihood never sees either.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -76,14 +75,6 @@ class Prior:
                 f"prior of {self.name}: the values of a {self.law} law of {self.a!r} and {self.b!r} cannot be told "
                 "apart in double precision; make it wider"
             )
-
-    @classmethod
-    def of_record(cls, entry: Mapping[str, Any]) -> Self:
-        """Prior as a fit stores it: an entry of ``prior_laws`` in ``fit.json``."""
-        return cls(
-            str(entry["name"]), str(entry.get("unit", "")), str(entry["law"]), float(entry["a"]), float(entry["b"]),
-            str(entry.get("source", "")),
-        )  # fmt: skip
 
     @property
     def distribution(self) -> Any:

@@ -16,6 +16,15 @@ MOST = 500
 
 
 @dataclass(frozen=True)
+class FurtherRow:
+    """Further devices, and half the width of what is then known: expected, and kept with `ASSURANCE`."""
+
+    n_further: int
+    half_width_expected: float
+    half_width_assured: float
+
+
+@dataclass(frozen=True)
 class Further:
     """Devices needed."""
 
@@ -24,8 +33,7 @@ class Further:
     spread: float  # standard deviation of the logarithm of the force between devices
     half_width_now: float  # half of the 90 % interval of that force now, as a share of it
     n_further: int | None  # further devices; None where more than `MOST` would be needed
-    # further devices, half width as a share of the force: expected, and kept with `ASSURANCE`
-    table: tuple[tuple[int, float, float], ...]
+    table: tuple[FurtherRow, ...]
 
 
 def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Further:
@@ -50,7 +58,7 @@ def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Furt
         if needed is None and more and unit * likely[1] <= WITHIN:
             needed = more
         if more in (1, 2, 3, 5, 8, 12, 20, 35, 60, 100) or more == needed:
-            rows.append((more, unit * likely[0], unit * likely[1]))
+            rows.append(FurtherRow(more, unit * likely[0], unit * likely[1]))
         if needed is not None and more > 2 * needed:
             break
     force = math.exp(float(logs.mean()) + float(norm.ppf(FRACTILE)) * spread)

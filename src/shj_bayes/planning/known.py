@@ -21,7 +21,6 @@ from shj_bayes.errors import PlanError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
-from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
@@ -36,6 +35,7 @@ from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
 from shj_bayes.planning.candidates import Candidates
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording, Source
+from shj_bayes.results.diagnosis import ClassId
 
 MOST_RUNS = 9
 KINDS = 3  # ways to write a class, by smoothness or as an effect, that are fitted

@@ -1,9 +1,8 @@
 """Displacement protocols made of blocks: smooth, exact in their turning points, sampled at the rig's rate."""
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
@@ -145,17 +144,6 @@ class Protocol:
         start = np.concatenate([[0], np.searchsorted(time, np.concatenate(turns)), [n]])
         direction = alternating(start.size - 1)
         return time, Motion(x, np.abs(v), start, np.concatenate([[0.0], *turning]), direction)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for ``plan.json``."""
-        return {
-            "name": self.name,
-            "blocks": [asdict(block) | {"waveform": block.waveform.value} for block in self.blocks],
-            "minutes": self.duration_s / 60.0,
-            "largest_mm": self.largest_mm,
-            "fastest_mm_s": self.fastest_mm_s,
-            "travel_m": self.travel_m,
-        }
 
 
 def table_1_protocol(stroke_mm: float = math.inf, speed_mm_s: float = math.inf) -> Protocol:

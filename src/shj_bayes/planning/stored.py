@@ -1,23 +1,23 @@
 """A diagnosed or fitted device as its folder holds it: the runs, the base model, and what it may be."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError
-from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.inference.run import Run
-from shj_bayes.margins.specimen import model_of, read_specimen
+from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import effects_named
 from shj_bayes.model.measured import coordinate_of
-from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.planning.known import Key, Subject
 from shj_bayes.recording.recording import Extra, Recording, Source
+from shj_bayes.results.device import model_of, read_group
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import has, read
 
 ODDS_IN_FILES = 1e-6  # probabilities below it are left out
 
@@ -30,25 +30,25 @@ class Stored:
     Fy: tuple[float, float]  # sliding force, kN, and the standard deviation of its logarithm
 
 
-def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
+def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
     """Read a device from the files of its fit and of its diagnosis; a fit without one is taken for what it is.
 
     `PlanError` if there is no fit, or the diagnosis states no probabilities.
     """
-    if diagnosis is not None and not (folder / "fit.json").is_file():
+    if diagnosis is not None and not has(FitRecord, folder):
         raise PlanError(
             f"{folder.name} holds a first look, which keeps no recordings; run shj-bayes diagnose without --quick"
         )
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PlanError):
-        record = read_record(folder)
-        specimen = read_specimen(folder, str(record["device"]), "")
+        record = read(FitRecord, folder)
+        specimen = read_specimen(folder, record.device, "")
         data, draws = read_group(folder, "constant_data"), read_group(folder, "posterior")
         runs = []
         for i, history in enumerate(specimen.histories):
-            entry, own = record["inputs"][i], data["run"] == i + 1
-            motion = replace(history.motion, noise_mm=float(entry["displacement_noise_mm"]))
-            source = Source(str(entry["name"]), str(entry["sha256"]), str(entry["format"]))
-            named = {coordinate_of(name): name for name in entry.get("extras", {})}
+            entry, own = record.inputs[i], data["run"] == i + 1
+            motion = replace(history.motion, noise_mm=entry.displacement_noise_mm)
+            source = Source(entry.name, str(entry.sha256), entry.format)
+            named = {coordinate_of(name): name for name in entry.extras}
             recording = Recording(
                 data["time_s"][own],
                 motion.displacement_mm,
@@ -60,26 +60,17 @@ def read_device(folder: Path, diagnosis: Mapping[str, Any] | None) -> Stored:
             runs.append(Run(recording, motion))
         logs = np.log(draws["Fy"].ravel())
     model = model_of(record)
-    said = {} if diagnosis is None else diagnosis.get("model") or {}
-    effects = model.effects if diagnosis is None else effects_named([str(word) for word in said.get("given", ())])
-    without = tuple(said.get("without", ()))
+    said = diagnosis.model if diagnosis else None
+    effects = model.effects if diagnosis is None else effects_named(said.given if said else ())
+    without = said.without if said else ()
     speed = model.speed and "velocity" not in without
-    device = replace(model, priors=_priors(record), effects=effects, speed=speed)
+    device = replace(model, effects=effects, speed=speed)
     sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)
     if diagnosis is not None:
-        rows = diagnosis.get("sets") or ()
-        sets = tuple((frozenset(row["classes"]), float(row["probability"])) for row in rows)
+        sets = tuple((frozenset(row.classes), row.probability) for row in diagnosis.sets)
         sets = tuple(pair for pair in sets if pair[1] > ODDS_IN_FILES)
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
-    tested = Subject(str(record["device"]), tuple(runs), device, sets, Look(without).hidden(device))
+    tested = Subject(record.device, tuple(runs), device, sets, Look(without).hidden(device))
     return Stored(tested, spread)
-
-
-def _priors(record: Mapping[str, Any]) -> Priors:
-    """Priors that a fit used, from its record."""
-    laws = {str(entry["name"]): Prior.of_record(entry) for entry in record["prior_laws"] if "." not in entry["name"]}
-    model = record["model"]
-    laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
-    return Priors(str(model["priors"]), str(model.get("priors_statement", "")), laws, str(model["priors_sha256"]))

@@ -6,12 +6,14 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PopulationError, ShjError
-from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.priors import Prior
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import QUANTITIES, FloatArray
 from shj_bayes.population.tested import RangeTested
+from shj_bayes.results.device import read_group
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import read
 
 
 def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS) -> DeviceEstimate:
@@ -20,9 +22,9 @@ def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS
     Draws of K, Fy, beta, gamma and ratio, as far as the fit has them, with the density of the prior they were sampled
     under, so that the population does not count that prior once for each device.
     """
-    record = read_record(folder)
+    record = read(FitRecord, folder)
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
-        laws = {law["name"]: Prior.of_record(law) for law in record["prior_laws"]}
+        laws = {law.name: Prior(**vars(law)) for law in record.prior_laws}
         posterior = read_group(folder, "posterior")
         draws = {q: posterior[q].ravel() for q in QUANTITIES if q in posterior}
         log_prior = {q: _pooled_log_density(laws[q], values) for q, values in draws.items()}
@@ -42,7 +44,7 @@ def tested_by_fit(folder: Path) -> RangeTested | None:
     From the complete half-cycles: the first and last of each run may be cut short.
     """
     try:
-        variant = variant_named(str(read_record(folder)["model"]["variant"]))
+        variant = variant_named(read(FitRecord, folder).model.variant)
         data = read_group(folder, "constant_data")
         x, speed = data["displacement_mm"], data["speed_mm_s"]
         half, run = data["half_cycle_of_sample"], data["run"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from shj_bayes.population.priors import PopulationPrior
 from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.tested import RangeTested
 
-SCHEMA = "shj-bayes/population/1"
+SCHEMA: Literal["shj-bayes/population/1"] = "shj-bayes/population/1"
 ANY_SET = "(any set)"
 """Name of a set that was never tested, like the tested ones."""
 LISTED = 12

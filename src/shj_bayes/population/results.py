@@ -1,25 +1,16 @@
 """A fitted population as tables and files, and back."""
 
-import json
 import unicodedata
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 import shj_bayes
-from shj_bayes._util.files import (
-    check_seal,
-    damage_told,
-    file_digest,
-    read_json,
-    refuse_packed,
-    replacing,
-    sealed,
-    write_text,
-)
-from shj_bayes.errors import PopulationError
+from shj_bayes._util.files import damage_told, file_digest, refuse_packed, replacing, write_text
+from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.population.correlation import correlation_table
 from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
@@ -27,6 +18,8 @@ from shj_bayes.population.predict import how_wide, new_device_table
 from shj_bayes.population.priors import PopulationPrior
 from shj_bayes.population.quantities import FloatArray
 from shj_bayes.population.tested import RangeTested
+from shj_bayes.results.codec import IF_KNOWN
+from shj_bayes.results.store import read, write
 
 _DRAWS = "population.npz"
 
@@ -40,64 +33,122 @@ def safe_cell(value: object) -> object:
     return "'" + value if runs else value
 
 
+@dataclass(frozen=True, kw_only=True)
+class SetRecord:
+    """A set: its devices, what is known of each, and a new device of it."""
+
+    name: str
+    n_devices: int
+    devices: tuple[str, ...]
+    tags: Tags | None  # None for a set that was never tested
+    # points, errors: by quantity on its pooled scale, of each device
+    points: Mapping[str, tuple[float | None, ...]]
+    errors: Mapping[str, tuple[float | None, ...]]
+    new_device: Mapping[str, Mapping[str, Any]]  # rows of ``population.csv`` by quantity
+    how_wide: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuantityRecord:
+    """How a quantity was sampled."""
+
+    quantity: str
+    r_hat: float | None
+    ess: float | None
+    chains: int
+    draws: int
+    importance_draws: float | None
+    converged: bool
+    prior: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelationRecord:
+    """Correlation of two quantities between devices."""
+
+    pair: tuple[str, str]
+    q05: float | None
+    q50: float | None
+    q95: float | None
+    degrees_of_freedom: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class PopulationRecord:
+    """Content of ``population.json``."""
+
+    FILE: ClassVar[str] = "population.json"
+    ERROR: ClassVar[type[ShjError]] = PopulationError
+    MISSING: ClassVar[str] = "holds no readable population; run `shj-bayes tables` or `shj-bayes campaign` first"
+    AGAIN: ClassVar[str] = "run `shj-bayes tables` or `campaign` again"
+
+    schema: Literal["shj-bayes/population/1"] = SCHEMA
+    version: str
+    seed: int
+    tested: RangeTested | None = None
+    converged: bool
+    sets: tuple[SetRecord, ...]
+    quantities: tuple[QuantityRecord, ...]
+    priors: Mapping[str, PopulationPrior]
+    other_priors: tuple[str, ...]
+    correlation_between_quantities: tuple[CorrelationRecord, ...] = ()
+    draws_sha256: str | None = field(default=None, metadata=IF_KNOWN)
+    digest: str | None = field(default=None, metadata=IF_KNOWN)
+
+
 def _finite(value: Any) -> Any:
     """Return the value with infinities and NaN as None, which JSON can hold."""
     if isinstance(value, float) and not np.isfinite(value):
         return None
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return value
+    return tuple(map(_finite, value)) if isinstance(value, list | tuple) else value
 
 
-def to_json(result: PopulationResult) -> dict[str, Any]:
-    """Return everything but the draws, ready for ``json.dumps``; schema "shj-bayes/population/1"."""
-    sets: list[dict[str, Any]] = []
+def record_of(result: PopulationResult) -> PopulationRecord:
+    """Everything but the draws."""
+    sets: list[SetRecord] = []
     by_set = dict(list(new_device_table(result).groupby("set", sort=False)))
     for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {})):
-        name = group.name
         bands = {
             str(row["quantity"]): {str(k): v for k, v in row.items() if k not in {"set", "n_devices", "quantity"}}
-            for row in by_set[name].to_dict("records")
+            for row in by_set[group.name].to_dict("records")
         }
         sets.append(
-            {
-                "name": name,
-                "n_devices": len(group.devices),
-                "devices": list(group.devices),
-                "tags": None if name == ANY_SET else asdict(group.tags),
-                "points": dict(group.points),
-                "errors": dict(group.errors),
-                "new_device": bands,
-                "how_wide": how_wide(result, name) if "Fy" in result.posteriors else None,
-            }
+            SetRecord(
+                name=group.name,
+                n_devices=len(group.devices),
+                devices=tuple(group.devices),
+                tags=None if group.name == ANY_SET else group.tags,
+                points=_finite(group.points),
+                errors=_finite(group.errors),
+                new_device=_finite(bands),
+                how_wide=how_wide(result, group.name) if "Fy" in result.posteriors else None,
+            )
         )
-    document = {
-        "schema": SCHEMA,
-        "version": shj_bayes.__version__,
-        "seed": result.seed,
-        "tested": None if result.tested is None else asdict(result.tested),
-        "converged": result.converged,
-        "sets": sets,
-        "quantities": [
-            {
-                "quantity": name,
-                "r_hat": fit.r_hat,
-                "ess": fit.ess,
-                "chains": fit.n_chains,
-                "draws": fit.mu.shape[0],
-                "importance_draws": result.importance_draws[name],
-                "converged": fit.converged,
-                "prior": result.priors[name].source,
-            }
+    return PopulationRecord(
+        version=shj_bayes.__version__,
+        seed=result.seed,
+        tested=result.tested,
+        converged=result.converged,
+        sets=tuple(sets),
+        quantities=tuple(
+            QuantityRecord(
+                quantity=name,
+                r_hat=_finite(fit.r_hat),
+                ess=_finite(fit.ess),
+                chains=fit.n_chains,
+                draws=fit.mu.shape[0],
+                importance_draws=_finite(result.importance_draws[name]),
+                converged=fit.converged,
+                prior=result.priors[name].source,
+            )
             for name, fit in result.posteriors.items()
-        ],
-        "priors": {k: asdict(v) for k, v in result.priors.items()},
-        "other_priors": list(result.other_priors),
-        "correlation_between_quantities": correlation_table(result),
-    }
-    return {key: _finite(value) for key, value in document.items()}
+        ),
+        priors=dict(result.priors),
+        other_priors=tuple(result.other_priors),
+        correlation_between_quantities=tuple(CorrelationRecord(**_finite(row)) for row in correlation_table(result)),
+    )
 
 
 def write_population(result: PopulationResult, folder: Path) -> None:
@@ -114,32 +165,15 @@ def write_population(result: PopulationResult, folder: Path) -> None:
             arrays[f"{key}/diagnostics"] = np.array([fit.r_hat, fit.ess, fit.n_chains])
     with replacing(folder / _DRAWS) as part, part.open("wb") as stream:
         np.savez(stream, **arrays)
-    document = sealed(to_json(result) | {"draws_sha256": file_digest(folder / _DRAWS)})
-    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
-    write_text(folder / "population.json", text + "\n")
-
-
-def population_record(folder: Path) -> dict[str, Any]:
-    """Content of ``population.json``; `PopulationError` where it is missing, altered or of another schema."""
-    path = folder / "population.json"
-    if not path.exists():
-        raise PopulationError(
-            f"{folder} holds no readable population (no {path.name} in it); "
-            "run `shj-bayes tables` or `shj-bayes campaign` first"
-        )
-    document = read_json(path, PopulationError)
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
-        raise PopulationError(f"{path} is not of schema {SCHEMA}; write it again with this version")
-    check_seal(document, path, PopulationError)
-    return document
+    write(replace(record_of(result), draws_sha256=file_digest(folder / _DRAWS)), folder, ascii_only=False)
 
 
 def load_population(folder: Path) -> PopulationResult:
     """Read back what ``write_population`` wrote; `PopulationError` where that is missing or of another schema."""
-    document = population_record(folder)
+    document = read(PopulationRecord, folder)
     if not (folder / _DRAWS).is_file():
         raise PopulationError(f"{_DRAWS} is missing in {folder.name}; run `shj-bayes tables` or `campaign` again")
-    if document.get("draws_sha256") not in (None, file_digest(folder / _DRAWS)):
+    if document.draws_sha256 not in (None, file_digest(folder / _DRAWS)):
         raise PopulationError(
             f"{_DRAWS} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one in "
             "population.json); restore it or run the command again"
@@ -148,11 +182,11 @@ def load_population(folder: Path) -> PopulationResult:
         refuse_packed(folder / _DRAWS, PopulationError)
         with np.load(folder / _DRAWS, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
-        return _from_document(document, arrays)
+        return _from_record(document, arrays)
 
 
-def _from_document(document: dict[str, Any], arrays: dict[str, FloatArray]) -> PopulationResult:
-    """Build a population from the content of its files."""
+def _from_record(record: PopulationRecord, arrays: dict[str, FloatArray]) -> PopulationResult:
+    """Build a population from its record and its draws."""
     fits: dict[str, dict[str, QuantityPosterior]] = {}
     for key in arrays:
         label, name, part = key.split("/")
@@ -172,19 +206,19 @@ def _from_document(document: dict[str, Any], arrays: dict[str, FloatArray]) -> P
     return PopulationResult(
         sets=tuple(
             DeviceSet(
-                s["name"],
-                tuple(s["devices"]),
-                Tags(**s["tags"]),
-                {k: tuple(number(x, np.nan) for x in v) for k, v in s["points"].items()},
-                {k: tuple(number(x, np.nan) for x in v) for k, v in s["errors"].items()},
+                one.name,
+                one.devices,
+                one.tags or NO_TAGS,
+                {k: tuple(number(x, np.nan) for x in v) for k, v in one.points.items()},
+                {k: tuple(number(x, np.nan) for x in v) for k, v in one.errors.items()},
             )
-            for s in document["sets"]
-            if s["name"] != ANY_SET
+            for one in record.sets
+            if one.name != ANY_SET
         ),
         posteriors=fits.pop("default"),
         other_priors=fits,
-        priors={k: PopulationPrior(**v) for k, v in document["priors"].items()},
-        importance_draws={r["quantity"]: number(r["importance_draws"], np.inf) for r in document["quantities"]},
-        seed=int(document["seed"]),
-        tested=RangeTested(**document["tested"]) if document["tested"] else None,
+        priors=record.priors,
+        importance_draws={row.quantity: number(row.importance_draws, np.inf) for row in record.quantities},
+        seed=record.seed,
+        tested=record.tested,
     )

@@ -9,7 +9,7 @@ from shj_bayes.model.law import BETA_RANGE, force_of_laws
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.published import published_rows
 from shj_bayes.recording.protocol import Block, exact_motion
-from shj_bayes.report.data import DeviceData
+from shj_bayes.results.device import DeviceData
 
 LAW = ("K", "Fy", "beta", "gamma")
 N_PRIOR, N_SHOWN, N_POSTERIOR = 1000, 80, 20
@@ -37,8 +37,8 @@ class Beforehand:
 
 def beforehand(device: DeviceData, amplitude_mm: float, peak_speed_mm_s: float) -> Beforehand:
     """Loops of one sine cycle of the amplitude and peak speed that were tested."""
-    variant = str(device.record["model"]["variant"])
-    published = device.record["model"]["priors"] == "afc"
+    variant = device.record.model.variant
+    published = device.record.model.priors == "afc"
     prior, paper, inside = [], [], 0
     for run in _runs(device):
         # A second run has its own prior: that of the ratio widens that of the sliding force.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.data import BoolArray, IntArray, RunData
+from shj_bayes.results.device import BoolArray, IntArray, RunData
 
 N_STROKE = 20
 N_SHIFTS = 3  # enough for a band

@@ -1,24 +1,23 @@
 """The page of a campaign, and that of the published tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from shj_bayes._util.files import read_json
-from shj_bayes.errors import ReportError
-from shj_bayes.inference.record import USABLE
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.published import Claim, Held
-from shj_bayes.population.results import load_population
+from shj_bayes.population.results import PopulationRecord, load_population
 from shj_bayes.report import words
-from shj_bayes.report.campaign_file import WITH_SET, WORDS, read_campaign
-from shj_bayes.report.campaign_physics import rows_of, statements, table
+from shj_bayes.report.campaign_physics import holders, statements, table
 from shj_bayes.report.diagnosis_words import percent
 from shj_bayes.report.page import PAGE, write_page
-from shj_bayes.report.residual_file import DIAGNOSIS, read_residual
 from shj_bayes.report.sets_page import population_content, tested_motion
+from shj_bayes.results.campaign import WITH_SET, CampaignRecord, DeviceEntry, read_campaign
+from shj_bayes.results.diagnosis import LeftOver
+from shj_bayes.results.fit import SummaryRecord
+from shj_bayes.results.store import DIAGNOSIS, find, has
 
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
 PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) of the paper's Table 1
@@ -32,16 +31,16 @@ def render_campaign(
     `curves` are comparisons of curves of its sets. `ReportError` if the folder holds no readable ``campaign.json``.
     """
     record = read_campaign(folder)
-    if population is None and (folder / "population.json").exists():
+    if population is None and has(PopulationRecord, folder):
         population = load_population(folder)
-    devices = [device_row(folder, group["name"], device) for group in record["sets"] for device in group["devices"]]
+    devices = [device_row(folder, set_name, device) for set_name, device in record.devices]
     done = [d for d in devices if d["status"] != "failed"]
     intervals = {(d["set"], d["name"]): d["intervals"] for d in done}
     motion = next((m for d in done if d["link"] and (m := tested_motion(folder / d["folder"]))), PUBLISHED_MOTION)
     content = {
-        "name": record["name"],
-        "simulated": bool(record.get("simulated")),
-        "warnings": [str(line) for line in record.get("warnings", ())],
+        "name": record.name,
+        "simulated": record.simulated,
+        "warnings": record.warnings,
         "devices": devices,
         "done": done,
         "population": population_content(population, intervals, motion, curves) if population else None,
@@ -51,19 +50,18 @@ def render_campaign(
     return write_page(folder, "campaign.html", content, name=PAGE)
 
 
-def _physics(folder: Path, record: Mapping[str, Any]) -> dict[str, Any] | None:
+def _physics(folder: Path, record: CampaignRecord) -> dict[str, Any] | None:
     """Give what sets have in common; None where no device was diagnosed."""
-    found = table(record)
+    found = table(record.together)
     if found is None:
         return None
     from shj_bayes.report.campaign_curves import pictures  # noqa: PLC0415  (drawing needs matplotlib)
 
-    with_set = {
-        device["folder"]: device.get("with_set") in USABLE for group in record["sets"] for device in group["devices"]
-    }
-    rows = [row for row in rows_of(record) if all(place in with_set for place in row.folders)]
-    drawn = pictures(folder, rows, with_set)
-    return {"said": statements(record), "table": found, "percent": percent, "pictures": drawn}
+    with_set = {device.folder: device.usable_with_set for _, device in record.devices}
+    known = [group for group in record.together if all(place in with_set for place in group.devices)]
+    drawn = pictures(folder, known, with_set)
+    said = statements(record.together)
+    return {"said": said, "table": found, "percent": percent, "pictures": drawn, "holders": holders}
 
 
 def render_tables(folder: Path, population: PopulationResult, claims: Sequence[Claim] = ()) -> Path:
@@ -79,16 +77,16 @@ def render_tables(folder: Path, population: PopulationResult, claims: Sequence[C
     return write_page(folder, "tables.html", content, name=PAGE)
 
 
-def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[str, Any]:
+def device_row(folder: Path, set_name: str, device: DeviceEntry) -> dict[str, Any]:
     """One device of the list: numbers where it was fitted, the reason where it was not."""
-    place = str(device.get("folder", ""))
+    place = device.folder
     row: dict[str, Any] = {
-        **{key: str(device.get(key, "")) for key in WORDS},
+        **vars(device),
         **dict.fromkeys(("link", "diagnosis_link", "with_set_link", "grade", "residual"), ""),
         "set": set_name,
         "numbers": {},
         "intervals": {},
-        "trouble": "; ".join(filter(None, (str(device.get(f"{key}_reason", "")) for key in ("diagnosis", "with_set")))),
+        "trouble": "; ".join(filter(None, (device.diagnosis_reason, device.with_set_reason))),
     }
     if row["status"] == "failed":
         return row
@@ -98,21 +96,11 @@ def device_row(folder: Path, set_name: str, device: Mapping[str, Any]) -> dict[s
             folder / place / page
         ).exists():
             row[key] = quote(f"{place}/{page}")
-    for parameter in _parameters(folder / place):
-        row["intervals"][parameter["name"]] = (parameter["q05"], parameter["q50"], parameter["q95"])
-        row["numbers"][parameter["name"]] = parameter
-    left = read_residual(folder / place)
+    table = find(SummaryRecord, folder / place)
+    for parameter in table.parameters if table else ():
+        row["intervals"][parameter.name] = (parameter.q05, parameter.q50, parameter.q95)
+        row["numbers"][parameter.name] = parameter
+    left = find(LeftOver, folder / place)
     if left:
         row["grade"], row["residual"] = left.grade, words.left_cell(left)
     return row
-
-
-def _parameters(place: Path) -> list[dict[str, Any]]:
-    """Rows of ``summary.json``; none where it cannot be read."""
-    try:
-        rows = read_json(place / "summary.json", ReportError)["parameters"]
-        for row in rows:
-            row.update({key: float(row[key]) for key in ("sd", "q05", "q50", "q95")}, name=str(row["name"]))
-        return list(rows)
-    except (ReportError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
-        return []

@@ -2,56 +2,58 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.files import read_json
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.record import read_group, read_record
 from shj_bayes.margins.specimen import read_specimen
-from shj_bayes.mismatch.class_id import ClassId
 from shj_bayes.model.curve import curve_named
-from shj_bayes.report.campaign_file import WITH_SET
-from shj_bayes.report.campaign_physics import Row, class_words, set_words, statement
+from shj_bayes.report.campaign_physics import certain, class_words, holders, set_words, statement
 from shj_bayes.report.diagnosis_words import along_words
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
-from shj_bayes.report.residual_file import DIAGNOSIS
+from shj_bayes.results.campaign import WITH_SET, ClassOfSet, SetTogether
+from shj_bayes.results.device import read_group
+from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import DIAGNOSIS, read
 
 PLACES = 61  # of a curve
+Panel = tuple[str, ClassOfSet, list[DeviceCurve]]  # set, class, curves of its devices
 MOST = 40  # curves in a panel, and panels in a picture
 
 
-def pictures(folder: Path, rows: Sequence[Row], with_set: Mapping[str, bool]) -> list[Picture]:
+def pictures(folder: Path, together: Sequence[SetTogether], with_set: Mapping[str, bool]) -> list[Picture]:
     """Draw one picture for each class that some set has: a panel for each set, a curve for each device.
 
     `with_set` says, for the folder of each device, whether it has a usable fit with what its set has.
     """
-    by_class: dict[ClassId, list[tuple[Row, list[DeviceCurve]]]] = {}
-    for row in rows:
-        if row.set_name and row.certain and row.action != "motion":
-            places = [(i, row.folders[i]) for i in row.holders[:MOST]]
+    by_class: dict[ClassId, list[Panel]] = {}
+    for group in together:
+        for row in group.classes if group.set else ():
+            if not certain(row) or row.action == "motion":
+                continue
+            places = [(i, group.devices[i]) for i in holders(row)[:MOST]]
             curves = [c for i, at in places if (c := _curve(folder / at, row, i, with_set[at])) is not None]
             if curves:
-                by_class.setdefault(row.id, []).append((row, curves))
+                by_class.setdefault(ClassId(row.action, row.coordinate), []).append((group.set, row, curves))
     return [_picture(parts[:MOST]) for parts in by_class.values()]
 
 
-def _picture(parts: Sequence[tuple[Row, list[DeviceCurve]]]) -> Picture:
-    first = parts[0][0]
-    name = along_words(first.coordinate).removeprefix("the ")
+def _picture(parts: Sequence[Panel]) -> Picture:
+    first = parts[0][1]
+    over = along_words(first.coordinate).removeprefix("the ")
     unit = "" if first.unit == "1" else f" ({first.unit})"
-    what = class_words(first.id)
-    drawn = figures.curves([(row.set_name, curves) for row, curves in parts], f"{name}{unit}")
-    who = ", ".join(set_words(row) for row, _ in parts)
-    said = " ".join(statement(row) for row, _ in parts)
+    what = class_words(ClassId(first.action, first.coordinate))
+    drawn = figures.curves([(name, curves) for name, _, curves in parts], f"{over}{unit}")
+    who = ", ".join(set_words(name) for name, *_ in parts)
+    said = " ".join(statement(row, name) for name, row, _ in parts)
     alt = f"Change of the {what}, per cent of Fy, for each device of {who}."
     return Picture(drawn, alt, said, f"Change of the {what}", wide=True)
 
 
-def _curve(place: Path, row: Row, i: int, with_set: bool) -> DeviceCurve | None:
+def _curve(place: Path, row: ClassOfSet, i: int, with_set: bool) -> DeviceCurve | None:
     """Curve of a device: of its fit with what its set has, or of its diagnosis; None where neither holds one."""
     try:
         if with_set and curve_named(row.effects[i]) is not None:
@@ -64,7 +66,7 @@ def _curve(place: Path, row: Row, i: int, with_set: bool) -> DeviceCurve | None:
 def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
     """Curve of a device's fit with what its set has, from its posterior; None where that does not hold it."""
     curve, fit = curve_named(effect), place / WITH_SET
-    held = {str(word) for word in read_record(fit)["model"]["effects"]}
+    held = read(FitRecord, fit).model.effects
     if curve is None or curve.sides or effect not in held:
         return None
     history = read_specimen(place, "", "").histories[0]
@@ -76,14 +78,11 @@ def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
     return DeviceCurve(curve.over.value_of(share, history), values.mean(axis=1), low, high, alone)
 
 
-def _of_diagnosis(place: Path, row: Row) -> DeviceCurve | None:
+def _of_diagnosis(place: Path, row: ClassOfSet) -> DeviceCurve | None:
     """Curve that the diagnosis of a device found."""
-    record: Mapping[str, Any] = read_json(place / "diagnosis.json", ShjError)
-    for one in record["coordinates"]:
-        of = (one["action"], one["coordinate"], one.get("direction", "both"))
-        if of == (row.action, row.coordinate, "both") and one["curve"]:
-            at, mean, low, high = (
-                np.array(one["curve"][key], dtype=np.float64) for key in ("at", "mean", "q05", "q95")
-            )
+    for one in read(DiagnosisRecord, place).coordinates:
+        if (one.action, one.coordinate, one.direction) == (row.action, row.coordinate, "both") and one.curve:
+            curve = one.curve
+            at, mean, low, high = map(np.array, (curve.at, curve.mean, curve.q05, curve.q95))
             return DeviceCurve(at, mean, low, high, alone=True)
     return None

@@ -1,6 +1,7 @@
 """The page of one device."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -9,18 +10,19 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import ReportError
-from shj_bayes.inference.record import Remark, Trust, is_simulated
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import LEVELS
 from shj_bayes.report import words
-from shj_bayes.report.data import DeviceData, RunData, read_device
 from shj_bayes.report.force_unit import ForceUnit, force_unit
-from shj_bayes.report.numbers import Numbers, numbers_of
+from shj_bayes.report.numbers import Numbers, left_over, numbers_of
 from shj_bayes.report.page import LOOPS, PAGE, write_page
-from shj_bayes.report.residual_file import LeftOver, diagnosis_in, left_over, write_residual
 from shj_bayes.report.viewer import device_viewer, thinning_words
+from shj_bayes.results.device import DeviceData, RunData, read_device
+from shj_bayes.results.diagnosis import LeftOver
+from shj_bayes.results.fit import FitRecord, ParameterRow, PriorRecord, RunInput, Trust, ZeroError
+from shj_bayes.results.store import diagnosis_in, write
 
 
 def render_device(folder: Path) -> Path:
@@ -38,36 +40,31 @@ def render_device(folder: Path) -> Path:
         moving = {"pictures": draw(device, numbers), "viewer": viewer, "thinning": thinning_words(viewer)}
         filled = content(device, numbers, left) | moving
         filled["diagnosis"] = f"{diagnosis_in(folder)}/diagnosis.html" if left.diagnosed else ""
-        write_residual(folder, left)
+        write(left, folder)
         return write_page(folder, "device.html", filled, LOOPS, name=PAGE)
-
-
-# Row of the table where the law was run without speed dependence and none was found.
-NO_SPEED = {"name": "gamma", "unit": "s/mm"} | dict.fromkeys(("mean", "sd", "q05", "q50", "q95"), 0.0)
 
 
 def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
     record, unit = device.record, force_unit(device.record)
-    remarks = record.get("remarks", [])
-    units = {row["name"]: unit.of(row["unit"]) for row in record["parameters"]}
-    unknown = {r["parameter"] for r in remarks if r["kind"] == Remark.UNDETERMINED}
-    gamma = next((row for row in record["parameters"] if row["name"] in ("gamma", "velocity.size")), NO_SPEED)
+    units = {row.name: unit.of(row.unit) for row in record.parameters}
+    unknown, family = record.undetermined, record.model.priors
+    gamma = record.parameter("gamma") or record.parameter("velocity.size")
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
     peak = numbers.one_speed or max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
     return {
         "name": device.name,
-        "simulated": any(is_simulated(entry) for entry in record["inputs"]),
+        "simulated": any(entry.simulated for entry in record.inputs),
         "badges": badges(record, left),
-        "remarks": [words.remark(r, *units[r["parameter"]], family=record["model"]["priors"]) for r in remarks],
+        "remarks": [words.remark(r, *units[r.parameter], family=family) for r in record.remarks],
         "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
         "cards": cards(device, numbers.one_speed is not None, unknown),
-        "rows": [parameter_row(row, row["name"] in unknown) for row in map(unit.row, record["parameters"])],
+        "rows": [parameter_row(row, row.name in unknown) for row in map(unit.row, record.parameters)],
         "alias": words.alias_words(numbers.one_speed),
         "speed": words.speed_words(gamma, peak),
         "peak_speed": words.short(peak),
-        "runs": [run_row(run, entry, unit) for run, entry in zip(device.runs, record["inputs"], strict=True)],
-        "findings": [f | {"run": i} for i, entry in enumerate(record["inputs"], start=1) for f in entry["findings"]],
+        "runs": [run_row(run, entry, unit) for run, entry in zip(device.runs, record.inputs, strict=True)],
+        "findings": [vars(f) | {"run": i} for i, entry in enumerate(record.inputs, start=1) for f in entry.findings],
         "energy": energy_words(numbers),
         "losses": loss_words(device, numbers),
         "left": left,
@@ -76,9 +73,9 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
         "freed": freed_words(device),
         "before": before_words(numbers, unit),
         "force_unit": unit.name,
-        "priors": [prior_row(device, law, unit) for law in record["prior_laws"]],
-        "made": _day(str(record["created"])),
-        "model": record["model"] | {"variant": variant_named(record["model"]["variant"])},
+        "priors": [prior_row(device, law, unit) for law in record.prior_laws],
+        "made": _day(record.created),
+        "model": replace(record.model, variant=variant_named(record.model.variant)),
         "record": record,
     }
 
@@ -118,14 +115,14 @@ def freed_words(device: DeviceData) -> list[str]:
     return out
 
 
-def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
+def badges(record: FitRecord, left: LeftOver) -> list[dict[str, str]]:
     """Two verdicts, since neither says anything of the other: of the calculation, and of the model."""
-    word = str(record.get("convergence", record["verdict"]))
-    name, colour, sentence = words.CONVERGENCE.get(word, (word, "unusable", ""))
-    if (word, record["verdict"]) == (Trust.RELIABLE, Trust.TENTATIVE):
+    word = record.convergence or record.verdict
+    name, colour, sentence = words.CONVERGENCE[word]
+    if (word, record.verdict) == (Trust.RELIABLE, Trust.TENTATIVE):
         sentence += words.SCATTER
     (grade, shade), said = words.FIT[left.grade], words.fit_words(left)
-    model = words.left_words(left, record["model"].get("effects", ()))
+    model = words.left_words(left, record.model.effects)
     return [
         {"what": "Convergence", "name": name, "colour": colour, "words": sentence},
         {"what": "Model", "name": f"{grade}: {said}", "colour": shade, "words": model},
@@ -135,61 +132,61 @@ def badges(record: Mapping[str, Any], left: LeftOver) -> list[dict[str, str]]:
 def cards(device: DeviceData, one_speed: bool, unknown: Collection[str]) -> list[dict[str, str]]:
     """Give the numbers that matter, for the first screen; of what the data do not determine, no number."""
     out = []
-    rows = {row["name"]: row for row in map(force_unit(device.record).row, device.record["parameters"])}
+    rows = {row.name: row for row in map(force_unit(device.record).row, device.record.parameters)}
     for name in ("K", "Fy", "beta", "gamma", "ratio"):
         row = rows.get(name)
         if row is None:
             continue
-        card = {"name": name, "meaning": meaning_of(name).meaning, "unit": "" if row["unit"] == "1" else row["unit"]}
+        card = {"name": name, "meaning": meaning_of(name).meaning, "unit": "" if row.unit == "1" else row.unit}
         if name in unknown:
             out.append(card | {"value": "not determined", "exact": "", "unit": "", "interval": "", "note": ""})
             continue
-        note = words.dep_words(row) if name == "gamma" else ""
+        note = words.dep_words(row.q05, row.q95) if name == "gamma" else ""
         note += "; one peak speed only: it may be place, not speed" if name == "gamma" and one_speed else ""
-        shown = {"value": words.rounded(row["q50"], row["sd"]), "exact": repr(row["q50"])}
+        shown = {"value": words.rounded(row.q50, row.sd), "exact": repr(row.q50)}
         out.append(card | shown | {"interval": words.interval(row), "note": note})
     return out
 
 
-def parameter_row(row: dict[str, Any], unknown: bool) -> dict[str, Any]:
+def parameter_row(row: ParameterRow, unknown: bool) -> dict[str, Any]:
     """One row of the parameter table."""
-    speed = base_of(row["name"]) == "gamma"
-    return row | {"meaning": meaning_of(row["name"]).meaning, "unknown": unknown, "speed": speed}
+    speed = base_of(row.name) == "gamma"
+    return vars(row) | {"meaning": meaning_of(row.name).meaning, "unknown": unknown, "speed": speed}
 
 
-def prior_row(device: DeviceData, law: dict[str, Any], unit: ForceUnit) -> dict[str, str]:
+def prior_row(device: DeviceData, law: PriorRecord, unit: ForceUnit) -> dict[str, str]:
     """One parameter before and after the test."""
-    shown, factor = unit.of(law["unit"])
-    low, middle, high = factor * np.quantile(device.prior[law["name"]], LEVELS)
+    shown, factor = unit.of(law.unit)
+    low, middle, high = factor * np.quantile(device.prior[law.name], LEVELS)
     coarse = (high - low) / 10  # the middle of some draws: no more digits than their range makes meaningful
     return {
-        "name": law["name"],
+        "name": law.name,
         "unit": "" if shown == "1" else shown,
         "before": f"{words.short(low)} to {words.short(high)}",
         "middle": words.rounded(middle, coarse).replace("-0.000", "0.000"),
-        "after": words.interval(unit.row(device.parameter(law["name"]))),
-        "law": f"{law['law']} ({law['a']:g}, {law['b']:g})",
-        "source": law["source"],
+        "after": words.interval(unit.row(next(row for row in device.record.parameters if row.name == law.name))),
+        "law": f"{law.law} ({law.a:g}, {law.b:g})",
+        "source": law.source,
     }
 
 
-def run_row(run: RunData, entry: dict[str, Any], unit: ForceUnit) -> dict[str, Any]:
+def run_row(run: RunData, entry: RunInput, unit: ForceUnit) -> dict[str, Any]:
     """One recording, for the table of what was tested."""
     x, force = run.displacement_mm, unit.factor * run.force_kN
-    return entry | {
+    return vars(entry) | {
         "number": run.number,
-        "unused": entry["n_samples"] - int(np.count_nonzero(run.used)),
+        "unused": entry.n_samples - int(np.count_nonzero(run.used)),
         "stroke_mm": (x.min(), x.max()),
         "force": (force.min(), force.max()),
-        "zero": _zero(entry.get("zero_error_kN"), unit),
+        "zero": _zero(entry.zero_error_kN, unit),
     }
 
 
-def _zero(error_kN: dict[str, float] | None, unit: ForceUnit) -> str:
+def _zero(error_kN: ZeroError | None, unit: ForceUnit) -> str:
     """Say what the load cell reads at no load; nothing in results that do not state it."""
     if error_kN is None:
         return ""
-    mean, sd = (unit.factor * error_kN[name] for name in ("mean", "sd"))
+    mean, sd = unit.factor * error_kN.mean, unit.factor * error_kN.sd
     return f"the load cell reads {mean:+.2g} ± {sd:.1g} {unit.name} at no load"
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from shj_bayes.model.parameters import NOISE_PARAMETERS, FloatArray, base_and_run
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
-from shj_bayes.report.data import DeviceData, RunData
 from shj_bayes.report.figures import loops, posterior
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.numbers import Band, Numbers, pick_cycle
+from shj_bayes.results.device import DeviceData, RunData
 
 
 def draw(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
@@ -67,8 +67,8 @@ def _noise(run: RunData) -> tuple[float, float]:
 def _channels(device: DeviceData) -> list[tuple[str, int, str, bool]]:
     """Further channels of each run, with their names; whether the force over the bolt tension is among them."""
     out = []
-    for run, entry in zip(device.runs, device.record["inputs"], strict=True):
-        units = entry.get("extras", {})
+    for run, entry in zip(device.runs, device.record.inputs, strict=True):
+        units = entry.extras
         shown = [
             (f"{name} ({units[name]})" if units.get(name) else name, values)
             for name, values in run.extras.items()
@@ -87,20 +87,20 @@ def _channels(device: DeviceData) -> list[tuple[str, int, str, bool]]:
 
 def _shown(device: DeviceData, unit: ForceUnit) -> tuple[dict[str, FloatArray], dict[str, str]]:
     """Draws and units of the parameters as they are shown."""
-    units = {row["name"]: unit.of(row["unit"]) for row in device.record["parameters"]}
+    units = {row.name: unit.of(row.unit) for row in device.record.parameters}
     draws = {name: values * units[name][1] for name, values in device.draws.items()}
     return draws, {name: shown for name, (shown, _) in units.items()}
 
 
 def _densities(device: DeviceData, unit: ForceUnit, draws: dict[str, FloatArray], units: dict[str, str]) -> str:
     parts = {}
-    for row in device.record["prior_laws"]:
-        factor = unit.of(row["unit"])[1]
-        law = Prior(row["name"], row["unit"], row["law"], row["a"], row["b"], row["source"])
-        values = draws[row["name"]].ravel()
+    for row in device.record.prior_laws:
+        law = Prior(**vars(row))
+        factor = unit.of(law.unit)[1]
+        values = draws[law.name].ravel()
         low, high = np.quantile(values, (0.001, 0.999))
         room = 0.5 * (high - low) or 1e-6 * abs(high) or 1e-6
         least, most = (factor * edge for edge in law.support)
         places = np.linspace(max(low - room, least + 1e-6 * room), min(high + room, most - 1e-6 * room), 160)
-        parts[row["name"]] = (values, places, np.exp(law.log_density(places / factor)) / factor)
+        parts[law.name] = (values, places, np.exp(law.log_density(places / factor)) / factor)
     return posterior.densities(parts, units)

@@ -20,7 +20,7 @@ def render_diagnosis(folder: Path) -> Path:
     try:
         viewer = diagnosis_viewer(data)
         content = {
-            "name": str(data.record.get("device") or "Device"),
+            "name": data.record.device,
             "data": data,
             "force": data.force,
             "record": data.record,

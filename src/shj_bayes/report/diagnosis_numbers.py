@@ -7,8 +7,7 @@ import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.binned import bin_means, edges_of, index_in
-from shj_bayes.report.data import BoolArray, IntArray
-from shj_bayes.report.diagnosis_data import Channels
+from shj_bayes.results.device import BoolArray, Channels, IntArray
 
 N_BINS, N_POSITION, MAX_TRAVEL = 24, 24, 40
 FEWEST = 3  # samples of a bin that is drawn

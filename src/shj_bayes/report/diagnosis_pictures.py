@@ -6,10 +6,10 @@ import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import diagnosis_words as say
-from shj_bayes.report.data import BoolArray
-from shj_bayes.report.diagnosis_data import Channels, DiagnosisData, number
+from shj_bayes.report.diagnosis_data import DiagnosisData
 from shj_bayes.report.diagnosis_numbers import N_BINS, position_travel, profile, shown_cycle, travel_bins
 from shj_bayes.report.figures import diagnosis as draw_
+from shj_bayes.results.device import BoolArray, Channels
 
 FIRST = 2  # loops on the first screen
 MOST = 6  # runs that are drawn
@@ -40,16 +40,15 @@ def draw(data: DiagnosisData) -> dict[str, Any]:
 def _curves(data: DiagnosisData) -> list[dict[str, Any]]:
     """Draw the curves that were found, each over its coordinate: the first pictures of the page."""
     out = []
-    for c in data.record.get("coordinates") or ():
-        table = c.get("curve")
-        if not table:
+    for c in data.record.coordinates:
+        if c.curve is None:
             continue
-        at, mean, low, high = (np.array([number(v) for v in table[key]]) for key in ("at", "mean", "q05", "q95"))
-        name = say.along_words(c["coordinate"]).removeprefix("the ")
-        unit = "" if c.get("unit") in (None, "", "1") else f" ({c['unit']})"
-        over = f"{name}{', one period' if c.get('period') else ''}"
-        what = ("sliding force" if c.get("action") == "capacity" else "added force") + say.way_words(c)
-        sense = SENSES.get(c.get("direction")) if c["coordinate"] == "time" else None
+        at, mean, low, high = map(np.array, (c.curve.at, c.curve.mean, c.curve.q05, c.curve.q95))
+        name = say.along_words(c.coordinate).removeprefix("the ")
+        unit = "" if c.unit in ("", "1") else f" ({c.unit})"
+        over = f"{name}{', one period' if c.period else ''}"
+        what = ("sliding force" if c.action == "capacity" else "added force") + say.way_words(c)
+        sense = SENSES.get(c.direction) if c.coordinate == "time" else None
         known = moves(data.channels, at, sense) if sense else None
         address = draw_.curve(at, mean, low, high, over + unit, known)
         out.append({"address": address, "of": c, "what": what, "name": name, "over": over})
@@ -96,23 +95,23 @@ def _map(data: DiagnosisData) -> str:
 
 
 def _energy(data: DiagnosisData) -> dict[str, Any] | None:
-    e = data.record.get("energy") or {}
-    columns = [np.array([number(v) for v in e.get(k, ())]) for k in ("cycle", "measured_J", "before_J", "after_J")]
+    e = data.record.energy
+    columns = [np.array(values) for values in (e.cycle, e.measured_J, e.before_J, e.after_J)]
     cycle, measured, before, after = columns
-    if not cycle.size or len({column.size for column in columns}) > 1 or not np.isfinite(measured).any():
+    if not cycle.size or len({column.size for column in columns}) > 1:
         return None
-    errors = [float(100 * (np.nansum(v) / np.nansum(measured) - 1)) for v in (before, after)]
+    errors = [float(100 * (v.sum() / measured.sum() - 1)) for v in (before, after)]
     address = draw_.energy(cycle, measured, before, after if data.channels.changed else None)
     return {"address": address, "errors": errors}
 
 
 def _shape(data: DiagnosisData) -> dict[str, str] | None:
-    u = data.record.get("unknown") or {}
-    columns = say.shape_columns(u.get("shape"))
-    if not columns:
+    u = data.record.unknown
+    columns = say.shape_columns(u.shape) if u else {}
+    if u is None or not columns:
         return None
     (first, at), *rest = columns.items()
-    coordinate = str(u.get("coordinate") or first)
+    coordinate = u.coordinate or first
     coordinate += UNITS.get(coordinate, "")
     # Along the motion, as everywhere on the page: the record keeps the sign of the force. The axis carries the unit.
     named = [(name.removesuffix("_kN"), values) for name, values in rest]

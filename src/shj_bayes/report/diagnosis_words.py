@@ -2,14 +2,13 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from shj_bayes.errors import ModelError
-from shj_bayes.mismatch.class_id import ClassId
-from shj_bayes.mismatch.schema import NOTHING_MISSING, SIGMA_90, Verdict
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
@@ -19,7 +18,19 @@ from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_data import DiagnosisData, number
 from shj_bayes.report.force_unit import ForceUnit, unit_for
-from shj_bayes.report.residual_file import FEWEST_CYCLES
+from shj_bayes.results.diagnosis import (
+    FEWEST_CYCLES,
+    NOTHING_MISSING,
+    SIGMA_90,
+    ClassId,
+    Dependence,
+    DiagnosisRecord,
+    EffectParameter,
+    EffectRecord,
+    Location,
+    Spread,
+    Verdict,
+)
 
 # Word and sign first; the colour only repeats them.
 VERDICTS = {
@@ -59,39 +70,38 @@ NOT_DETERMINED = "not determined"
 LIKELY, LIMIT = 0.5, 0.05  # probabilities from which a dependence is stated, and mentioned
 
 
-def title_of(name: Any) -> str:
+def title_of(name: str) -> str:
     """Plain name of an effect, the id itself where the catalogue does not know it."""
-    effect, over = catalogue().get(str(name)), over_words(name)
-    if effect is None and over != str(name):
+    effect, over = catalogue().get(name), over_words(name)
+    if effect is None and over != name:
         return f"Sliding force follows {over}"
-    return effect.title if effect else str(name)
+    return effect.title if effect else name
 
 
-def titles(names: Any) -> str:
+def titles(names: Sequence[str]) -> str:
     """Plain names of effects in a row."""
-    return "; ".join(map(title_of, names or ()))
+    return "; ".join(map(title_of, names))
 
 
-def over_words(name: Any) -> str:
+def over_words(name: str) -> str:
     """Say on what the force depends: a coordinate, or a further channel; the word itself where neither is known."""
-    word = str(name)
-    if word in COORDINATES:
-        return COORDINATES[word]
-    return coordinate_named(word).title if word in coordinates() or word.startswith(PREFIX) else word
+    if name in COORDINATES:
+        return COORDINATES[name]
+    return coordinate_named(name).title if name in coordinates() or name.startswith(PREFIX) else name
 
 
-def along_words(name: Any) -> str:
+def along_words(name: str) -> str:
     """Say along what the curve of a dependence is drawn."""
-    one = coordinates().get(str(name))
+    one = coordinates().get(name)
     return one.title if one else over_words(name)
 
 
-def channel_words(record: Mapping[str, Any]) -> list[str]:
+def channel_words(record: DiagnosisRecord) -> list[str]:
     """Say of each further channel that the force was held against it without a dependence, or why it was not."""
-    found = {c.get("coordinate") for c in record.get("coordinates") or () if number(c.get("probability")) >= LIKELY}
+    found = {c.coordinate for c in record.coordinates if c.probability >= LIKELY}
     out = []
-    for c in record.get("channels") or ():
-        share = percent(c.get("share"))
+    for c in record.channels:
+        share = percent(c.share)
         why = {
             "missing": f"{share} of the runs are without it; name its column for every run",
             "gaps": f"a gap in it is {share} of a run, and only {percent(CHANNEL_GAP)} are bridged; fill it in, or cut "
@@ -99,131 +109,123 @@ def channel_words(record: Mapping[str, Any]) -> list[str]:
             "constant": f"it is constant within its noise, which is {share} of the variance of its smoothed values",
             "follows_force": f"the measured force explains {share} of its variance, so it is a reaction to the force, "
             "such as a second load cell, and no cause of it",
-        }.get(str(c.get("refused")))
+        }.get(str(c.refused))
         if why is not None:
-            out.append(f"The force was not held against the measured {c.get('name')}: {why}.")
-        elif c.get("range") and c.get("coordinate") not in found:
-            low, high = (words.short(number(v)) for v in c["range"])
-            unit = f" {c['unit']}" if c.get("unit") else ""
-            span = f"{low} to {high}{unit}"
-            out.append(f"The force was held against the measured {c.get('name')} ({span}): it does not follow it.")
+            out.append(f"The force was not held against the measured {c.name}: {why}.")
+        elif c.range and c.coordinate not in found:
+            span = f"{words.short(c.range[0])} to {words.short(c.range[1])} {c.unit}".strip()
+            out.append(f"The force was held against the measured {c.name} ({span}): it does not follow it.")
     return out
 
 
-def verdict_words(record: Mapping[str, Any]) -> tuple[str, str, str]:
+def verdict_words(record: DiagnosisRecord) -> tuple[str, str, str]:
     """Sign, class of the colour and sentence of a verdict; two cycles that show nothing prove nothing."""
-    sign, colour, sentence = VERDICTS[record["verdict"]]
-    if record["verdict"] == Verdict.FAMILY and nothing_missing(record) > 0.0:
+    sign, colour, sentence = VERDICTS[record.verdict]
+    if record.verdict == Verdict.FAMILY and record.nothing_missing > 0.0:
         sentence = "The model may have left something out; these recordings cannot tell whether it did."
-    cycles = number((record["heldout"] or {}).get("n_blocks"))
-    if record["verdict"] == Verdict.ADEQUATE and cycles < FEWEST_CYCLES:
-        few = f"{cycles:.0f} cycle{'s' * (cycles != 1)}"
+    cycles = record.heldout.n_blocks
+    if record.verdict == Verdict.ADEQUATE and cycles < FEWEST_CYCLES:
+        few = f"{cycles} cycle{'s' * (cycles != 1)}"
         return "?", "part", f"Nothing beyond noise was found, but {few} are too few to say that nothing is missing."
     return sign, colour, sentence
 
 
-def nothing_missing(record: Mapping[str, Any]) -> float:
-    """Probability that nothing of a size that matters is missing, where the sets that hold 95 % count it in; else 0."""
-    return sum(number(one.get("probability")) for one in record.get("sets") or () if not one.get("classes"))
-
-
-def sentences(record: Mapping[str, Any]) -> list[str]:
+def sentences(record: DiagnosisRecord) -> list[str]:
     """Say what a diagnosis found, the verdict left out: each mechanism, what it may also be, what has no name."""
-    found, verdict = record["effects"], record["verdict"]
+    found, verdict = record.effects, record.verdict
     out = []
     for e in found:
         # Of several effects the first screen names each; their causes stand where each is described. What may be
         # another effect has no cause yet, and nothing to be done about it.
-        told = len(found) == 1 and verdict == Verdict.NAMED and e.get("cause")
-        cause = f" Likely cause: {e['cause']}" if told else ""
+        told = len(found) == 1 and verdict == Verdict.NAMED and e.cause
+        cause = f" Likely cause: {e.cause}" if told else ""
         lead = (
             "A part of it: "
-            if e.get("partial")
+            if e.partial
             else "Most probable: "
-            if verdict == Verdict.FAMILY and (e.get("rivals") or nothing_missing(record))
+            if verdict == Verdict.FAMILY and (e.rivals or record.nothing_missing)
             else ""
         )
-        out.append(spaced(f"{lead}{e['statement']}{cause}"))
+        out.append(spaced(f"{lead}{e.statement}{cause}"))
     if verdict == Verdict.FAMILY:
-        members = [f"{title_of(m.get('id')).lower()} ({percent(m.get('probability'))})" for m in record["family"]]
-        if nothing := nothing_missing(record):
+        members = [f"{title_of(m.id).lower()} ({percent(m.probability)})" for m in record.family]
+        if nothing := record.nothing_missing:
             members.append(f"{NOTHING_MISSING} ({percent(nothing)})")
         lead = "Not excluded" if found and len(members) == 1 else "These recordings cannot tell"
         out.append(f"{lead}: {', or '.join(members)}.")
-    for c in record.get("coordinates") or ():
-        if not c.get("matches") and number(c.get("probability")) >= LIKELY:
+    for c in record.coordinates:
+        if not c.matches and c.probability >= LIKELY:
             out.append(f"{curve_words(c)} No known mechanism has this curve.")
     out += dropped_words(record)
     out += fluctuation_words(record)
     out += channel_words(record)
     if verdict == Verdict.UNKNOWN:
-        left = number(record.get("left_over_percent"))
-        if math.isfinite(left) and left >= 1.0:
+        left = record.left_over_percent or 0.0
+        if left >= 1.0:
             out.append(f"What is left beside what was found reaches {per_cent(left / 100)} % of the sliding force.")
-        if (record.get("unknown") or {}).get("words"):  # files of schema 1
-            out.append(str(record["unknown"]["words"]))
-    gamma = record["shift"].get("gamma")
-    if gamma and record.get("modelled"):
-        before, after = (f"{gamma[stage]['mean']:+.4f}" for stage in ("before", "after"))
+        if record.unknown and record.unknown.words:
+            out.append(record.unknown.words)
+    gamma = record.shift.get("gamma")
+    if gamma and record.modelled:
+        before, after = (f"{stage.mean:+.4f}" for stage in (gamma.before, gamma.after))
         if float(before) != float(after):
             out.append(f"Including this changes gamma from {before} to {after} s/mm.")
-    if record.get("next_test"):
-        out.append(f"Next test: {record['next_test']}")
+    if record.next_test:
+        out.append(f"Next test: {record.next_test}")
     return out
 
 
-def shift_lines(record: Mapping[str, Any]) -> list[str]:
+def shift_lines(record: DiagnosisRecord) -> list[str]:
     """Say, as lines of a terminal, what the parameters are without and with what was found, and the held-out error."""
     # Where nothing was added to the law there is one law and one set of numbers.
-    stages = ("before", "after") if record["modelled"] else ("after",)
-    rough = ", a first look: approximate, and not the numbers of a fit" if record.get("quick") else ""
+    stages = ("before", "after") if record.modelled else ("after",)
+    rough = ", a first look: approximate, and not the numbers of a fit" if record.quick else ""
     lines = [f"  {' -> '.join(stages) if len(stages) > 1 else 'base law'}{rough}"]
-    forces = unit_for(record["shift"].get("Fy", {}).get("after", {}).get("mean"))
-    for name, row in record["shift"].items():
+    forces = unit_for(record.shift["Fy"].after.mean if "Fy" in record.shift else None)
+    for name, row in record.shift.items():
         unit, factor = forces.of(meaning_of(name).unit)
         shown = " -> ".join(
             f"{NOT_DETERMINED:24}"
-            if undetermined(name, row[stage])
-            else f"{row[stage]['mean'] * factor:11.5g} +- {row[stage]['sd'] * factor:<9.2g}"
-            for stage in stages
+            if undetermined(name, own)
+            else f"{own.mean * factor:11.5g} +- {own.sd * factor:<9.2g}"
+            for own in (getattr(row, stage) for stage in stages)
         )
         lines.append(f"  {name:8}{shown} {unit}")
-    errors = " -> ".join(words.short(record[stage]["heldout_rmse_kN"] * forces.factor) for stage in stages)
+    errors = " -> ".join(words.short(getattr(record, stage).heldout_rmse_kN * forces.factor) for stage in stages)
     return [*lines, f"  error on held-out cycles {errors} {forces.name}.{worse_words(record)}"]
 
 
-def undetermined(name: str, row: Mapping[str, Any]) -> bool:
+def undetermined(name: str, row: Spread) -> bool:
     """Whether a parameter that is above zero is known to no better than its own size."""
-    return name.partition("_")[0] in ("K", "Fy", "beta") and number(row.get("sd")) >= abs(number(row.get("mean")))
+    return name.partition("_")[0] in ("K", "Fy", "beta") and row.sd >= abs(row.mean)
 
 
-def worse_words(record: Mapping[str, Any]) -> str:
+def worse_words(record: DiagnosisRecord) -> str:
     """Warn of what describes the recording and predicts cycles that were left out worse than the law alone."""
-    before, after = (number(record[stage].get("heldout_rmse_kN")) for stage in ("before", "after"))
-    return " Larger: what was found does not carry over to cycles that it did not see." if after > before else ""
+    worse = record.after.heldout_rmse_kN > record.before.heldout_rmse_kN
+    return " Larger: what was found does not carry over to cycles that it did not see." if worse else ""
 
 
-def way_words(c: Mapping[str, Any]) -> str:
+def way_words(c: Dependence) -> str:
     """Say in which direction a dependence has a curve of its own; nothing where one curve holds in both."""
-    return {"push": " in push", "pull": " in pull"}.get(str(c.get("direction")), "")
+    return {"push": " in push", "pull": " in pull"}.get(c.direction, "")
 
 
-def curve_words(c: Mapping[str, Any]) -> str:
+def curve_words(c: Dependence) -> str:
     """Say on what the force depends, and by how much."""
-    what = {"capacity": "The sliding force", "added": "An added force"}.get(str(c.get("action")), "The motion")
-    size = number(c.get("range_percent"))
-    period = number(c.get("period"))
-    over = f"every {period:.3g} {c.get('unit')}, again and again" if math.isfinite(period) else "over what was tested"
-    much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if math.isfinite(size) else ""
-    return f"{what}{way_words(c)} depends on {over_words(c.get('coordinate'))}{much}."
+    what = {"capacity": "The sliding force", "added": "An added force"}.get(c.action, "The motion")
+    size = c.range_percent
+    over = f"every {c.period:.3g} {c.unit}, again and again" if c.period is not None else "over what was tested"
+    much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if size is not None else ""
+    return f"{what}{way_words(c)} depends on {over_words(c.coordinate)}{much}."
 
 
-def dropped_words(record: Mapping[str, Any]) -> list[str]:
+def dropped_words(record: DiagnosisRecord) -> list[str]:
     """Say what was found and left out again, as it does not improve cycles that were not fitted."""
     out = []
-    for one in (record.get("heldout") or {}).get("dropped") or ():
-        of = ClassId.read(str(one["class"]))
-        errors = [number(one.get(key)) for key in ("without_kN", "with_kN")]
+    for one in record.heldout.dropped:
+        of = ClassId.read(one.class_)
+        errors = [number(one.without_kN), number(one.with_kN)]
         told = f" ({' to '.join(map(words.short, errors))} kN)" if all(map(math.isfinite, errors)) else ""
         what = {"capacity": "sliding force", "added": "added force"}.get(of.action, "motion")
         out.append(
@@ -233,26 +235,26 @@ def dropped_words(record: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def fluctuation_words(record: Mapping[str, Any]) -> list[str]:
+def fluctuation_words(record: DiagnosisRecord) -> list[str]:
     """Say what a force that fluctuates by more than noise can may be, and what would tell."""
     return [
-        f"The force fluctuates within a stroke by {per_cent(number(c.get('size_percent')) / 100)} % of the sliding "
+        f"The force fluctuates within a stroke by {per_cent(number(c.size_percent) / 100)} % of the sliding "
         "force, more than the noise of a load cell. Surfaces that stick and jump do that, and so does a frame that "
         "swings. Effects below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower "
         "the speed or stiffen the grip: stick-slip changes with both."
-        for c in record.get("coordinates") or ()
-        if record["verdict"] == Verdict.UNKNOWN
-        and (c.get("action"), c.get("coordinate")) == ("motion", "stick-slip")
-        and not any(e["id"] in c.get("matches", ()) for e in record.get("effects", ()))
+        for c in record.coordinates
+        if record.verdict == Verdict.UNKNOWN
+        and (c.action, c.coordinate) == ("motion", "stick-slip")
+        and not any(e.id in c.matches for e in record.effects)
     ]
 
 
 def limits_words(data: DiagnosisData) -> str:
     """Say what is not excluded where nothing was found."""
-    open_ = [c for c in data.record.get("coordinates") or () if number(c.get("probability")) >= LIMIT]
-    if data.record["verdict"] != Verdict.ADEQUATE or not open_:
+    open_ = [c for c in data.record.coordinates if c.probability >= LIMIT]
+    if data.record.verdict != Verdict.ADEQUATE or not open_:
         return ""
-    named = (f"{over_words(c['coordinate'])} ({percent(c['probability'])})" for c in open_)
+    named = (f"{over_words(c.coordinate)} ({percent(c.probability)})" for c in open_)
     return f"Not excluded: a dependence on {', '.join(named)}."
 
 
@@ -263,29 +265,25 @@ def spaced(text: str) -> str:
 
 def size_words(data: DiagnosisData) -> str:
     """Say how much the law misses, and what is left when what was found is added."""
-    before, after = data.record["before"], data.record["after"]
-    capacity = data.capacity_kN
+    before, after = data.record.before.rmse_kN, data.record.after.rmse_kN
     text = (
-        f"The base law misses the force by {data.force.shown(number(before.get('rmse_kN')))} in root mean square "
-        f"({per_cent(number(before.get('rmse_kN')) / capacity)} % of the sliding force)"
+        f"The base law misses the force by {data.force.shown(before)} in root mean square "
+        f"({per_cent(before / data.capacity_kN)} % of the sliding force)"
     )
     if not data.channels.changed:
         return f"{text}."
-    return f"{text}; with what was found, by {data.force.shown(number(after.get('rmse_kN')))}."
+    return f"{text}; with what was found, by {data.force.shown(after)}."
 
 
-def p_words(p: Any) -> str:
-    """Say a p value as a chance, or that there is none."""
-    value = number(p)
-    if not math.isfinite(value):
-        return "not known"
-    return "below 0.001" if value < 1e-3 else f"{value:.2g}"
+def p_words(p: float) -> str:
+    """Say a p value as a chance."""
+    return "below 0.001" if p < 1e-3 else f"{p:.2g}"
 
 
-def chance_words(record: Mapping[str, Any]) -> str:
+def chance_words(record: DiagnosisRecord) -> str:
     """Say how probable such a misfit is by chance; nothing where something else than that decided the verdict."""
-    p = number(record["p_value"])
-    return "" if record["verdict"] != Verdict.ADEQUATE and p >= LIMIT else p_words(p)
+    p = record.p_value
+    return "" if record.verdict != Verdict.ADEQUATE and p >= LIMIT else p_words(p)
 
 
 def cards(data: DiagnosisData) -> list[dict[str, str]]:
@@ -301,12 +299,11 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
             note = f"{said[:1].upper()}{said[1:]}." if name == "gamma" else f"Spread {spread(row['after'])}."
         title = f"{name}: {meaning_of(name).meaning}"
         out.append(_card(title, value(row["before"]), value(row["after"]), row["unit"], note))
-    before, after = (
-        words.short(number(data.record[k].get("heldout_rmse_kN")) * data.force.factor) for k in ("before", "after")
-    )
-    floor = data.force.shown(number(data.record["after"].get("noise_kN")))
+    stages = data.record.before, data.record.after
+    before, after = (words.short(stage.heldout_rmse_kN * data.force.factor) for stage in stages)
+    floor = data.force.shown(data.record.after.noise_kN)
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
-    misfit = data.record["verdict"] == Verdict.UNKNOWN
+    misfit = data.record.verdict == Verdict.UNKNOWN
     noise = "This holds what no effect explains, beside the noise." if misfit else f"Noise: {floor}."
     noise += worse_words(data.record)
     out.append(_card("Error on cycles that were held out", before, after, data.force.name, noise))
@@ -318,15 +315,14 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     return out
 
 
-def effect_size(data: DiagnosisData, effect: Mapping[str, Any]) -> str:
+def effect_size(data: DiagnosisData, effect: EffectRecord) -> str:
     """Say how large an effect is beside the sliding force of the law that it acts in: that with what was found."""
-    whole = number((data.record["shift"].get("Fy") or {}).get("after", {}).get("mean"))
+    whole = data.record.shift["Fy"].after.mean if "Fy" in data.record.shift else 0.0
     whole = whole if data.channels.changed and whole > 0 else data.capacity_kN
-    known = math.isfinite(number(effect.get("size_kN")))
-    return f"up to {with_share(effect['size_kN'], whole, data.force)}" if known else "not known"
+    return "not known" if effect.size_kN is None else f"up to {with_share(effect.size_kN, whole, data.force)}"
 
 
-def with_share(kN: Any, whole: float, force: ForceUnit) -> str:
+def with_share(kN: float | None, whole: float, force: ForceUnit) -> str:
     """Write a force in the unit of the page, and as a percentage of `whole`, the sliding force in kN."""
     return f"{force.shown(number(kN))}, {per_cent(number(kN) / whole)} % of the sliding force"
 
@@ -335,34 +331,31 @@ def shift_rows(data: DiagnosisData) -> dict[str, dict[str, Any]]:
     """Give unit, before and after of each parameter, in the units that are shown."""
     return {
         name: {"unit": data.force.of(unit(name))[0]}
-        | {stage: data.force.row({"unit": unit(name), **row[stage]}) for stage in ("before", "after")}
-        for name, row in data.record["shift"].items()
+        | {stage: data.force.row(EffectParameter(**vars(own), unit=unit(name))) for stage, own in vars(row).items()}
+        for name, row in data.record.shift.items()
     }
 
 
-def parameter_rows(data: DiagnosisData, effect: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def parameter_rows(data: DiagnosisData, effect: EffectRecord) -> dict[str, EffectParameter]:
     """Give the parameters of an effect in the units that are shown; an empty unit where it has none."""
-    units = {name: "" if row.get("unit") in (None, "1") else row["unit"] for name, row in effect["parameters"].items()}
-    return {name: data.force.row({**row, "unit": units[name]}) for name, row in effect["parameters"].items()}
+    rows = {name: replace(row, unit="" if row.unit == "1" else row.unit) for name, row in effect.parameters.items()}
+    return {name: data.force.row(row) for name, row in rows.items()}
 
 
-def span_words(where: Mapping[str, Any]) -> str:
+def span_words(where: Location) -> str:
     """Say between which values of a coordinate, or in which runs, the base law fails."""
-    low, high = (number(v) for v in where["interval"])
-    if where["coordinate"] == "run":
+    low, high = where.interval
+    if where.coordinate == "run":
         return ", ".join(str(i) for i in range(math.ceil(low), math.ceil(high)))
-    return f"{words.short(low)} to {words.short(high)} {where['unit']}".removesuffix(" 1")
+    return f"{words.short(low)} to {words.short(high)} {where.unit}".removesuffix(" 1")
 
 
 def heldout_words(data: DiagnosisData) -> str:
     """Say how much better held-out cycles are predicted."""
-    h = data.record["heldout"] or {}
-    gain, error, blocks = number(h.get("elpd_gain")), number(h.get("se")), number(h.get("n_blocks"))
-    scheme = str(h.get("scheme", "not stated")).replace("_", " ")
-    many = f"; {blocks:.0f} cycles" if math.isfinite(blocks) else ""
-    text = f"Held out ({scheme}{many}): a cycle is predicted by a law that was fitted without it."
-    if not math.isfinite(gain):
-        return text
+    h = data.record.heldout
+    gain, error = h.elpd_gain, h.se
+    scheme = h.scheme.replace("_", " ")
+    text = f"Held out ({scheme}; {h.n_blocks} cycles): a cycle is predicted by a law that was fitted without it."
     if not data.channels.changed:
         return f"{text} Nothing was added to the law, so there is nothing to gain."
     if gain < 0:
@@ -377,19 +370,19 @@ def heldout_words(data: DiagnosisData) -> str:
     )
 
 
-def shape_columns(shape: Any) -> dict[str, FloatArray]:
+def shape_columns(shape: Sequence[Mapping[str, float | None]]) -> dict[str, FloatArray]:
     """Give the shape of what no effect explains, rows of names and numbers, as columns; none where it cannot be drawn.
 
     The first column is the coordinate.
     """
-    rows = list(shape or ())
+    rows = list(shape)
     columns = {name: np.array([number(row.get(name)) for row in rows]) for name in rows[0]} if len(rows) > 1 else {}
     if len(columns) < 2 or not np.isfinite(next(iter(columns.values()))).all():
         return {}
     return columns
 
 
-def percent(share: Any) -> str:
+def percent(share: float | None) -> str:
     """Return a share as per cent."""
     p = number(share)
     if not math.isfinite(p):
@@ -411,37 +404,32 @@ def more_words(error: float) -> str:
     return f"{abs(error):.1f} % {'more' if error > 0 else 'less'} energy than was measured"
 
 
-def per_cent_of(percent: Any) -> str:
+def per_cent_of(percent: float | None) -> str:
     """Return a size in per cent; nothing where there is none."""
     size = number(percent)
     return f"{per_cent(size / 100)} %" if math.isfinite(size) else ""
 
 
-def given(form: str, value: Any) -> str:
+def given(form: str, value: float | None) -> str:
     """Write a number; nothing where there is none."""
     return form.format(number(value)) if math.isfinite(number(value)) else ""
 
 
-def value(row: Mapping[str, Any], key: str = "mean") -> str:
+def value(row: Spread, key: str = "mean") -> str:
     """Mean, or another value, with the digits that its spread makes meaningful."""
-    return words.rounded(number(row.get(key)), number(row.get("sd")))
+    return words.rounded(number(getattr(row, key)), row.sd)
 
 
-def spread(row: Mapping[str, Any]) -> str:
+def spread(row: Spread) -> str:
     """Return a standard deviation to two digits."""
-    sd = number(row.get("sd"))
-    return words.rounded(sd, sd) if math.isfinite(sd) else "not known"
+    return words.rounded(row.sd, row.sd)
 
 
-def dep(row: Mapping[str, Any]) -> str:
+def dep(row: Spread) -> str:
     """Say the 90 % interval of gamma as dep."""
-    mean, sd = number(row.get("mean")), number(row.get("sd"))
-    low, high = number(row.get("q05")), number(row.get("q95"))
-    if not (math.isfinite(low) and math.isfinite(high)):
-        low, high = mean - SIGMA_90 * sd, mean + SIGMA_90 * sd
-    if not (math.isfinite(low) and math.isfinite(high)):
-        return "dep not known"
-    return words.dep_words({"q05": low, "q95": high})
+    if row.q05 is None or row.q95 is None:
+        return words.dep_words(row.mean - SIGMA_90 * row.sd, row.mean + SIGMA_90 * row.sd)
+    return words.dep_words(row.q05, row.q95)
 
 
 def _card(what: str, before: str, after: str, unit: str, note: str) -> dict[str, str]:
@@ -465,11 +453,11 @@ def unit(name: str) -> str:
     return "" if found == "1" else found
 
 
-def change(name: str, row: Mapping[str, Mapping[str, Any]]) -> str:
+def change(name: str, row: Mapping[str, Any]) -> str:
     """Say by how much a parameter changed: per cent, but of gamma, which may be 0, the difference."""
-    before = number(row["before"].get("mean"))
-    moved = number(row["after"].get("mean")) - before
-    if not math.isfinite(moved) or undetermined(name, row["before"]) or undetermined(name, row["after"]):
+    before = row["before"].mean
+    moved = row["after"].mean - before
+    if undetermined(name, row["before"]) or undetermined(name, row["after"]):
         return "not known"
     if base_of(name) == "gamma" or before == 0:
         return f"{moved:+.2g}" if abs(moved) >= 5e-5 else "none"

@@ -1,11 +1,14 @@
 """The unit in which pages and terminal show the forces of a device."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from shj_bayes.recording import force_unit as rule
 from shj_bayes.report.words import short
+from shj_bayes.results.diagnosis import EffectParameter
+from shj_bayes.results.fit import FitRecord, ParameterRow
+
+Row = TypeVar("Row", ParameterRow, EffectParameter)
 
 
 @dataclass(frozen=True)
@@ -25,19 +28,20 @@ class ForceUnit:
         """Write a force of so many kN, with its unit."""
         return f"{short(kN * self.factor)} {self.name}"
 
-    def row(self, row: Mapping[str, Any]) -> dict[str, Any]:
+    def row(self, row: Row) -> Row:
         """Row of a parameter table in the unit that is shown."""
-        unit, factor = self.of(str(row["unit"]))
-        keys = ("mean", "sd", "q05", "q50", "q95")
-        return {**row, "unit": unit} | {k: row[k] * factor for k in keys if row.get(k) is not None}
+        unit, factor = self.of(row.unit)
+        values = {key: getattr(row, key) for key in ("mean", "sd", "q05", "q50", "q95")}
+        return replace(row, unit=unit, **{key: value * factor for key, value in values.items() if value is not None})
 
 
 KN = ForceUnit("kN", 1.0)
 
 
-def force_unit(record: Mapping[str, Any]) -> ForceUnit:
+def force_unit(record: FitRecord) -> ForceUnit:
     """Choose the unit for a device by its sliding force in ``fit.json``."""
-    return unit_for(next((row["q50"] for row in record["parameters"] if row["name"] == "Fy"), None))
+    row = record.parameter("Fy")
+    return unit_for(row.q50 if row else None)
 
 
 def unit_for(sliding_kN: float | None) -> ForceUnit:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.population.quantities import LEVELS, band_of
 from shj_bayes.report.beforehand import Beforehand, beforehand
-from shj_bayes.report.binned import StrokeProfile, stroke_profiles
-from shj_bayes.report.data import DeviceData, RunData
+from shj_bayes.report.binned import StrokeProfile, residual, stroke_profiles
+from shj_bayes.results.device import DeviceData, RunData
+from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
+from shj_bayes.results.store import diagnosis_in, find
 
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
@@ -250,3 +253,25 @@ def numbers_of(device: DeviceData) -> Numbers:
         one_peak_speed(energies),
         beforehand(device, amplitude, speed),
     )
+
+
+def left_over(device: DeviceData, folder: Path | None = None) -> LeftOver:
+    """Measure what the model leaves over; a diagnosis of the same recordings in `folder` is taken note of."""
+    parts = [residual(run)[run.used] for run in device.runs]
+    rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    # Median-based, so that the jumps at reversals do not count as scatter.
+    short = 1.4826 * float(np.median(np.abs(np.concatenate([np.diff(part) for part in parts])))) / np.sqrt(2)
+    capacity = max(abs(float(np.median(device.draws["Fy"]))), 1e-12)
+    widening = device.record.cycles.widening
+    return LeftOver(
+        100.0 * float(np.sqrt(max(rms**2 - short**2, 0.0))) / capacity,
+        sum(max(0, cycle_marks(run).size - 1) for run in device.runs),
+        max(widening.values(), default=1.0),
+        _diagnosed(device, folder) if folder else "",
+    )
+
+
+def _diagnosed(device: DeviceData, folder: Path) -> str:
+    """Verdict of ``diagnosis.json``; empty where it is missing, unreadable, or of other recordings."""
+    record = find(DiagnosisRecord, folder / diagnosis_in(folder))
+    return record.verdict if record and record.sha256_of_inputs == device.record.sha256_of_inputs else ""

@@ -1,7 +1,7 @@
 """The page of a plan and its summary in words: what to run next, what it would tell, and what it is compared with."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +9,17 @@ import numpy as np
 
 from shj_bayes.model.history import histories
 from shj_bayes.planning.devices import ASSURANCE, WITHIN
+from shj_bayes.planning.files import PlanRecord
 from shj_bayes.planning.known import Belief, Known, mechanisms_of
-from shj_bayes.planning.plan import FORCE, WHICH, Plan, Worth
+from shj_bayes.planning.plan import WHICH, Plan, Worth
 from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.page import write_page
 
 
-def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> Path:
+def render_plan(folder: Path, record: PlanRecord, plan: Plan | None) -> Path:
     """Write ``plan.html`` from the content of ``plan.json``; the plan itself is for the pictures of a next test."""
     content = {
-        "names": ", ".join(d["name"] for d in record["devices"]),
+        "names": ", ".join(d.name for d in record.devices),
         "headline": headline(record),
         "lines": lines(record),
         "record": record,
@@ -28,101 +29,98 @@ def render_plan(folder: Path, record: Mapping[str, Any], plan: Plan | None) -> P
     return write_page(folder, "plan.html", content)
 
 
-def headline(record: Mapping[str, Any]) -> str:
+def headline(record: PlanRecord) -> str:
     """Give the answer in one sentence."""
-    if record["question"] == FORCE:
-        n = record["further_devices"]["n_further"]
+    if record.further_devices:
+        n = record.further_devices.n_further
         words = {
             None: "No affordable number of further devices makes the 5 % force known to 5 %: they differ too much.",
             0: "The 5 % force is known to 5 % already.",
         }
         chance = f"with a chance of {100 * ASSURANCE:.0f} %"
         return words.get(n, f"{n} further devices make the 5 % force known to 5 %, {chance}.")
-    if record["worth"] == Worth.DECIDED:
-        p = record["now"]["largest_probability"]
+    if record.worth == Worth.DECIDED:
+        p = record.now.largest_probability or 0.0
         return f"No test is needed for this question: it is decided already ({100 * p:.3g} %)."
-    if not record["candidates"]:
+    if not record.candidates:
         return "No protocol keeps to the limits of the rig; raise the limit that each breaks."
-    best = record["candidates"][0]
-    if record["worth"] == Worth.LITTLE:
+    best = record.candidates[0]
+    if record.worth == Worth.LITTLE:
         return (
             "No test within these limits is worth its time for this question; another limit (speed, time) or another "
             "question may be."
         )
-    if record["question"] == WHICH:
-        gives = f"it is expected to name the right one with a chance of {100 * best['chance_right']:.3g} %"
+    if record.question == WHICH:
+        gives = f"it is expected to name the right one with a chance of {100 * best.chance_right:.3g} %"
     else:
-        now = record["now"]
-        gives = (
-            f"it should take the standard deviation of {record['question']} from {now['sd']:.3g} to {best['sd']:.3g}"
-        )
-        gives += f" {now['unit']}"
-    return f"Run {best['file']}, {best['minutes']:.1f} minutes on the rig: {gives}."
+        now = record.now
+        gives = f"it should take the standard deviation of {record.question} from {now.sd:.3g} to {best.sd:.3g}"
+        gives += f" {now.unit}"
+    return f"Run {best.file}, {best.minutes:.1f} minutes on the rig: {gives}."
 
 
-def lines(record: Mapping[str, Any]) -> list[str]:
+def lines(record: PlanRecord) -> list[str]:
     """Sentences below the headline."""
-    if record["question"] == FORCE:
-        f = record["further_devices"]
+    if f := record.further_devices:
         return [
-            f"From {f['n_tested']} devices: 95 % of devices exceed {f['force_kN']:.4g} kN, known to "
-            f"{100 * f['half_width_now']:.3g} % (half of the 90 % interval).",
-            f"Devices differ by {100 * f['spread']:.3g} % (standard deviation).",
+            f"From {f.n_tested} devices: 95 % of devices exceed {f.force_kN:.4g} kN, known to "
+            f"{100 * f.half_width_now:.3g} % (half of the 90 % interval).",
+            f"Devices differ by {100 * f.spread:.3g} % (standard deviation).",
             f"Wanted: {100 * WITHIN:.0f} %.",
         ]
     out = []
-    if record["question"] == WHICH:
-        for d in record["devices"]:
-            listed = "; ".join(f"{set_words(s)} {100 * s['probability']:.3g} %" for s in d["sets"][:4])
-            out.append(f"{d['name']}: {listed}.")
-    for d in record["devices"]:
-        for c in d.get("channels") or ():
-            value = f"{c['value']:.4g} {c['unit']}".strip()
+    if record.question == WHICH:
+        for d in record.devices:
+            listed = "; ".join(f"{set_words(s.classes, s.mechanisms)} {100 * s.probability:.3g} %" for s in d.sets[:4])
+            out.append(f"{d.name}: {listed}.")
+    for d in record.devices:
+        for c in d.channels or ():
+            value = f"{c.value:.4g} {c.unit}".strip()
             out.append(
-                f"{d['name']}: {over_words(c['coordinate'])} is taken to stay at {value}, its median so far, in the "
+                f"{d.name}: {over_words(c.coordinate)} is taken to stay at {value}, its median so far, in the "
                 "planned test. Record it again: a test in which it changes on its own tells most of it."
             )
-    if record["worth"] == Worth.YES and record["candidates"]:
-        best, table = record["candidates"][0], record["compared"][0]
-        if record["question"] == WHICH:
+    if record.worth == Worth.YES and record.candidates:
+        best, table = record.candidates[0], record.compared[0]
+        if record.question == WHICH:
             out.append(
-                f"{table['name']} ({table['minutes']:.1f} minutes) names it with a chance of "
-                f"{100 * table['chance_right']:.3g} %."
+                f"{table.name} ({table.minutes:.1f} minutes) names it with a chance of "
+                f"{100 * table.chance_right:.3g} %."
             )
         else:
-            out.append(f"{table['name']} ({table['minutes']:.1f} minutes) takes it to {table['sd']:.3g}.")
-        if best["simulated"]:
-            s = best["simulated"]
+            out.append(f"{table.name} ({table.minutes:.1f} minutes) takes it to {table.sd:.3g}.")
+        if best.simulated:
+            s = best.simulated
             out.append(
-                f"In {s['n']} full simulations of it, as many of each rival, the most probable set was the true one "
-                f"{s['right']} times. With each rival counted by its probability, the true one had a mean of "
-                f"{100 * s['of_truth']:.3g} %."
+                f"In {s.n} full simulations of it, as many of each rival, the most probable set was the true one "
+                f"{s.right} times. With each rival counted by its probability, the true one had a mean of "
+                f"{100 * s.of_truth:.3g} %."
             )
     return out
 
 
-def plan_text(record: Mapping[str, Any]) -> str:
+def plan_text(record: PlanRecord) -> str:
     """Give the summary for the terminal."""
     rows = [headline(record), *(f"  {line}" for line in lines(record))]
-    if record["candidates"] or record["compared"]:
+    if record.candidates or record.compared:
         head = f"{'protocol':44} {'min':>6} {'gain':>8} {'per min':>8} {'apart':>8} {'right':>7} {'simulated':>9}"
         rows += ["", f"  {head}"]
-        for r in (*record["candidates"], *record["compared"]):
-            done = "" if not r["simulated"] else f"{r['simulated']['right']} of {r['simulated']['n']}"
-            mark = "  (outside the limits)" if r["limits_broken"] else ""
+        for r in (*record.candidates, *record.compared):
+            done = "" if not r.simulated else f"{r.simulated.right} of {r.simulated.n}"
+            mark = "  (outside the limits)" if r.limits_broken else ""
             rows.append(
-                f"  {r['name'][:44]:44} {r['minutes']:6.1f} {r['gain_nats']:8.3f} {r['gain_per_minute']:8.3f} "
-                f"{r['apart_nats']:8.1f} {100 * r['chance_right']:6.1f}% {done:>9}{mark}"
+                f"  {r.name[:44]:44} {r.minutes:6.1f} {r.gain_nats:8.3f} {r.gain_per_minute:8.3f} "
+                f"{r.apart_nats:8.1f} {100 * r.chance_right:6.1f}% {done:>9}{mark}"
             )
     return "\n".join(rows)
 
 
-def set_words(one: Mapping[str, Any]) -> str:
+def set_words(classes: Sequence[str], mechanisms: Sequence[str]) -> str:
     """Say what a set of classes is."""
-    if not one["classes"]:
+    if not classes:
         return "nothing beyond the base law"
-    names = " or ".join(str(m).replace("_", " ") for m in one["mechanisms"])
-    where = ", ".join(one["classes"])
+    names = " or ".join(m.replace("_", " ") for m in mechanisms)
+    where = ", ".join(classes)
     return f"{names} ({where})" if names else where
 
 
@@ -142,8 +140,8 @@ def _pictures(plan: Plan) -> dict[str, Any]:
         return drawn
     history = known.placed(histories([time], [motion])[0])
     first, second = (_force(b, history) for b in leading)
-    sets = [{"classes": sorted(b.key), "mechanisms": mechanisms_of(b.key)} for b in leading]
-    names = (set_words(sets[0]), set_words(sets[1]))
+    first_name, second_name = (set_words(sorted(b.key), mechanisms_of(b.key)) for b in leading)
+    names = (first_name, second_name)
     noise = _noise(known)
     return drawn | {
         "rivals": draw.rivals(x, first, second, names),
@@ -154,13 +152,13 @@ def _pictures(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _devices(record: Mapping[str, Any]) -> dict[str, str]:
+def _devices(record: PlanRecord) -> dict[str, str]:
     """Half width of what is known over the number of further devices."""
     from shj_bayes.report.figures import plan as draw  # noqa: PLC0415
 
-    table = record["further_devices"]["table"]
+    table = record.further_devices.table if record.further_devices else ()
     keys = ("n_further", "half_width_expected", "half_width_assured")
-    n, expected, assured = ([float(row[key]) for row in table] for key in keys)
+    n, expected, assured = ([float(getattr(row, key)) for row in table] for key in keys)
     return {"devices": draw.devices(n, expected, assured, WITHIN)} if table else {}
 
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.record import read_group
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.compare import Comparison, compare
 from shj_bayes.population.posterior import PopulationResult
 from shj_bayes.population.predict import dep_words, how_wide, never_tested_words, sets_suffice
 from shj_bayes.report import sets, words
 from shj_bayes.report.campaign_physics import NUMBERS
+from shj_bayes.results.device import read_group
 
 
 def population_content(

@@ -9,10 +9,10 @@ import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import numbers as n
-from shj_bayes.report.data import DeviceData, IntArray
 from shj_bayes.report.diagnosis_data import DiagnosisData
 from shj_bayes.report.force_unit import force_unit
 from shj_bayes.report.numbers import Numbers
+from shj_bayes.results.device import DeviceData, IntArray
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
 MOST = 6  # runs that can be looked into

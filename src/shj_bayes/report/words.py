@@ -1,13 +1,11 @@
 """Numbers in words: what a laboratory engineer or a designer reads on the page."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from shj_bayes.inference.record import Remark, Trust
-from shj_bayes.mismatch.schema import Verdict
 from shj_bayes.model.parameters import base_of
-from shj_bayes.report.residual_file import FAIR_PERCENT, FEWEST_CYCLES, LeftOver
+from shj_bayes.results.diagnosis import FAIR_PERCENT, FEWEST_CYCLES, LeftOver, Verdict
+from shj_bayes.results.fit import ParameterRow, Remark, RemarkRecord, Trust
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
 CONVERGENCE: dict[str, tuple[str, str, str]] = {
@@ -70,14 +68,13 @@ def digits(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def interval(row: Mapping[str, Any]) -> str:
+def interval(row: ParameterRow) -> str:
     """90 % interval of a row of the parameter table."""
-    return f"{rounded(row['q05'], row['sd'])} to {rounded(row['q95'], row['sd'])}"
+    return f"{rounded(row.q05, row.sd)} to {rounded(row.q95, row.sd)}"
 
 
-def dep_words(row: Mapping[str, Any]) -> str:
+def dep_words(low: float, high: float) -> str:
     """Interval of gamma, s/mm, said as dep = 1/gamma, mm/s."""
-    low, high = float(row["q05"]), float(row["q95"])
     if low <= 0 <= high:
         sides = [f"below {1 / low:+.0f}"] if low < 0 else []
         sides += [f"above {1 / high:+.0f}"] if high > 0 else []
@@ -88,9 +85,9 @@ def dep_words(row: Mapping[str, Any]) -> str:
     return f"dep between {first:+.{places}f} and {second:+.{places}f} mm/s"
 
 
-def speed_words(row: Mapping[str, Any], peak_mm_s: float) -> str:
-    """Say what gamma means at the largest tested speed."""
-    low, high = sorted(100 * float(row[q]) * peak_mm_s for q in ("q05", "q95"))
+def speed_words(row: ParameterRow | None, peak_mm_s: float) -> str:
+    """Say what gamma means at the largest tested speed; None where the law was run without speed dependence."""
+    low, high = sorted(100 * q * peak_mm_s for q in ((row.q05, row.q95) if row else (0.0, 0.0)))
     if low <= 0 <= high:
         return f"At {short(peak_mm_s)} mm/s the force differs from that at standstill by {low:+.1f} to {high:+.1f} %."
     kind = "higher" if low > 0 else "lower"
@@ -110,22 +107,22 @@ def alias_words(peak_mm_s: float | None) -> str:
     )
 
 
-def remark(finding: Mapping[str, Any], unit: str = "", factor: float = 1.0, *, family: str = "") -> str:
+def remark(finding: RemarkRecord, unit: str = "", factor: float = 1.0, *, family: str = "") -> str:
     """Say what the recordings do not tell of a parameter, from one of the ``remarks`` in ``fit.json``.
 
     Numbers are shown in `unit` (empty for none), `factor` of it in that of the file; `family` is that of the priors.
     """
-    name = str(finding["parameter"])
-    low, high = (short(factor * float(finding[key])) for key in ("prior_q05", "prior_q95"))
+    name = finding.parameter
+    low, high = (short(factor * value) for value in (finding.prior_q05, finding.prior_q95))
     unit = "" if unit in ("", "1") else f" {unit}"
-    if finding["kind"] == Remark.UNDETERMINED:
+    if finding.kind == Remark.UNDETERMINED:
         wanted = _DETERMINES.get(base_of(name))
         return (
             f"{name} is not determined by this recording: it may lie almost anywhere in its prior, {low} to {high}"
             f"{unit} (90 %)" + (f"; {wanted} would tell." if wanted else ".")
         )
-    value = f"{name} is {short(factor * float(finding['q50']))}{unit}"
-    if finding["kind"] == Remark.AGAINST_EARLIER:
+    value = f"{name} is {short(factor * finding.q50)}{unit}"
+    if finding.kind == Remark.AGAINST_EARLIER:
         return (
             f"{value}, and the earlier result {low} to {high}{unit} (90 %): the two disagree, and this one is drawn "
             "towards it. Leave --priors-from out; for another device of the same kind name a campaign's set there."

@@ -86,10 +86,10 @@ def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:
     shown = misfit.posterior.model.unbounded(draws_of(misfit)).std(axis=0)
     i = misfit.floor.names.index("Fy")
     assert shown[i] == pytest.approx(gaussian[i] * misfit.floor.factor[i], rel=0.2)
-    cycles = misfit.record["cycles"]
-    assert cycles["n_pieces"] == misfit.floor.n_pieces
-    assert cycles["widening"]["Fy"] == misfit.floor.factor[i] > 1.0
-    assert cycles["scatter_over_posterior"]["Fy"] >= cycles["widening"]["Fy"]
+    cycles = misfit.record.cycles
+    assert cycles.n_pieces == misfit.floor.n_pieces
+    assert cycles.widening["Fy"] == misfit.floor.factor[i] > 1.0
+    assert cycles.scatter_over_posterior["Fy"] >= cycles.widening["Fy"]
 
 
 def draws_of(result) -> np.ndarray:

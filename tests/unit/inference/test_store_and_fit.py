@@ -14,19 +14,22 @@ import pytest
 import xarray as xr
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference import record as record_file
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.record import read_record
 from shj_bayes.inference.sampler import LIBRARY, Plan
 from shj_bayes.model.device import effects_named
 from shj_bayes.model.noise.filter import Timing, log_density, simulate
 from shj_bayes.model.simulate import Truth
-from shj_bayes.report.data import read_device
+from shj_bayes.results import device as device_file
+from shj_bayes.results import store as store_file
+from shj_bayes.results.codec import to_json
+from shj_bayes.results.device import read_device
+from shj_bayes.results.fit import SCHEMA, FitRecord
+from shj_bayes.results.store import read
 
 Fitted = tuple[Fit, Path]
 COLUMNS = ["name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat"]
@@ -64,16 +67,16 @@ def test_summary_has_the_columns_of_the_interface(fitted: Fitted) -> None:
 
 def test_record_says_where_everything_comes_from(fitted: Fitted) -> None:
     result, folder = fitted
-    record = record_file.read_record(folder)
-    assert record == json.loads(json.dumps(result.record))
-    assert record["schema"] == record_file.SCHEMA
-    assert record["verdict"] == result.verdict.word == judge(result.figures).word
-    assert record["reasons"] == list(result.verdict.reasons)
-    assert (record["seed"], record["key"], record["device"]) == (3, "abc", "small")
-    assert {name: record["versions"][name] for name in store.PACKAGES} == {n: version(n) for n in store.PACKAGES}
-    assert [entry["name"] for entry in record["inputs"]] == ["simulated-run1", "simulated-run2"]
-    assert [law["name"] for law in record["prior_laws"]] == list(result.posterior.names)
-    assert all(law["source"] for law in record["prior_laws"])
+    record = store_file.read(FitRecord, folder)
+    assert record == result.record
+    assert record.schema == SCHEMA
+    assert record.verdict == result.verdict.word == judge(result.figures).word
+    assert record.reasons == result.verdict.reasons
+    assert (record.seed, record.key, record.device) == (3, "abc", "small")
+    assert {name: record.versions[name] for name in store.PACKAGES} == {n: version(n) for n in store.PACKAGES}
+    assert [entry.name for entry in record.inputs] == ["simulated-run1", "simulated-run2"]
+    assert [law.name for law in record.prior_laws] == list(result.posterior.names)
+    assert all(law.source for law in record.prior_laws)
 
 
 def test_groups_read_back_as_they_were_made(fitted: Fitted) -> None:
@@ -93,12 +96,12 @@ def test_groups_read_back_as_they_were_made(fitted: Fitted) -> None:
         assert {"meaning", "inference_library_version", "creation_library_version"} <= set(back[group].attrs)
     assert list(back["posterior"].data_vars) == list(result.posterior.names)
     assert back["posterior"].sizes["chain"] == 4
-    assert back.attrs["schema"] == record_file.SCHEMA
-    record = record_file.read_record(folder)
-    without = {key: value for key, value in record.items() if key not in ("files", "digest")}
+    assert back.attrs["schema"] == SCHEMA
+    record = store_file.read(FitRecord, folder)
+    without = {key: value for key, value in to_json(record).items() if key not in ("files", "digest")}
     assert json.loads(back.attrs["provenance"]) == without
     for group in ("posterior", "constant_data"):
-        for name, array in record_file.read_group(folder, group).items():
+        for name, array in device_file.read_group(folder, group).items():
             assert np.array_equal(array, back[group][name].to_numpy()), name
 
 
@@ -187,7 +190,7 @@ def test_noise_of_averages_is_that_of_samples_averaged(make_small: Callable[...,
 def test_noise_at_low_speed_is_stated_and_drawn(make_small: Callable[..., Posterior], fitted: tuple[Fit, Path]) -> None:
     """Draws at the points of a recording scatter as the noise at each speed does: 2.97 +- 0.022 over 30 seeds."""
     result, folder = fitted
-    stated = read_record(folder)["noise_at_rest"]
+    stated = read(FitRecord, folder).noise_at_rest
     assert stated == pytest.approx(np.exp(result.posterior.at_rest))
     small = make_small(noise="independent", n_runs=1).rougher(np.log(3.0))
     theta = np.tile(small.natural(np.zeros((1, len(small.names)))), (4000, 1))
@@ -379,7 +382,7 @@ def test_results_that_cannot_be_read(tmp_path: Path, text: str | None, message: 
     if text is not None:
         (tmp_path / "fit.json").write_text(text, encoding="utf-8")
     with pytest.raises(InferenceError, match=re.escape(message)):
-        record_file.read_record(tmp_path)
+        store_file.read(FitRecord, tmp_path)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not a netCDF file at all"])
@@ -387,4 +390,4 @@ def test_posteriors_that_cannot_be_read(tmp_path: Path, content: bytes | None) -
     if content is not None:
         (tmp_path / "posterior.nc").write_bytes(content)
     with pytest.raises(InferenceError, match=r"posterior\.nc in .* cannot be read .*; run the fit again"):
-        record_file.read_group(tmp_path, "posterior")
+        device_file.read_group(tmp_path, "posterior")

@@ -1,40 +1,42 @@
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from made_diagnosis import made
+from page_tools import read_old
 
 from shj_bayes.commands import design
-from shj_bayes.inference.record import KINDS, SCHEMA
 from shj_bayes.margins.diagnosed import Diagnosed, find_diagnosis, words_of
-from shj_bayes.mismatch.schema import Verdict
+from shj_bayes.results import store
+from shj_bayes.results.campaign import CampaignRecord, DeviceEntry, SetEntry, SetTogether
+from shj_bayes.results.codec import to_json
+from shj_bayes.results.diagnosis import Verdict
+
+SHA256 = "00" * 32
 
 
 def write(folder, **change):
     folder.mkdir(parents=True, exist_ok=True)
-    inputs = [{"name": "a.csv", "sha256": "00"}]
-    record = {
-        "schema": "shj-bayes/diagnosis/1",
-        "verdict": "named",
-        "effects": [{"id": "prying", "title": "Prying"}],
-        "family": [],
-        "quick": False,
-        "inputs": inputs,
-    }
+    record = to_json(made("named", inputs=[{"name": "a.csv", "sha256": SHA256}]))
+    record["effects"][0]["title"] = "Prying"
     (folder / "diagnosis.json").write_text(json.dumps({**record, **change}), encoding="utf-8")
-    return inputs
 
 
 @pytest.fixture
 def fitted(tmp_path):
-    record = {key: kind() for key, kind in KINDS.items()}
-    record |= {"schema": SCHEMA, "inputs": [{"name": "a.csv", "sha256": "00"}]}
-    (tmp_path / "fit.json").write_text(json.dumps(record), encoding="utf-8")
+    record = read_old()
+    store.write(replace(record, inputs=(replace(record.inputs[0], sha256=SHA256),)), tmp_path)
     return tmp_path
 
 
 def test_a_diagnosis_is_found_beside_the_fit_or_below_it(fitted):
     assert find_diagnosis(fitted) == (None, "")
-    write(fitted / "diagnosis", verdict="family", family=[{"id": "prying"}, {"id": "velocity"}])
+    write(
+        fitted / "diagnosis",
+        verdict="family",
+        family=[{"id": name, "probability": 0.5} for name in ("prying", "velocity")],
+    )
     found, why = find_diagnosis(fitted)
     assert (found.verdict, found.found, why) == ("family", ("prying", "velocity"), "")
     write(fitted)
@@ -47,8 +49,8 @@ def test_a_diagnosis_is_found_beside_the_fit_or_below_it(fitted):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"inputs": [{"sha256": "11"}]}, "of other recordings"),
-        ({"schema": "else"}, "has the schema 'else'"),
+        ({"inputs": [{"name": "a.csv", "sha256": "11" * 32}]}, "of other recordings"),
+        ({"schema": "else"}, "has none of the schemas"),
         ({"verdict": "perhaps"}, "cannot be read"),
         ({"effects": None}, "cannot be read"),
     ],
@@ -75,11 +77,8 @@ def test_what_was_found_is_said_device_by_device(tmp_path):
 def test_a_first_look_that_was_fitted_with_its_set_rests_on_that_fit(fitted, monkeypatch):
     write(fitted / "device" / "diagnosis", quick=True)
     (fitted / "fit.json").replace(fitted / "device" / "fit.json")
-    (fitted / "campaign.json").touch()
-    device = {"folder": "device", "name": "A1", "with_set": "reliable"}
-    campaign = {"sets": [{"name": "bare", "devices": [device]}]}
-    monkeypatch.setattr(design, "read_campaign", lambda folder: campaign)
-    monkeypatch.setattr(design, "statements", lambda campaign: ())
+    device = DeviceEntry(name="A1", folder="device", status="done", reason="", verdict="", with_set="reliable")
+    store.write(CampaignRecord(name="c", sets=(SetEntry(name="bare", devices=(device,)),)), fitted)
     monkeypatch.setattr(design, "read_specimen", lambda folder, name, of_set, better: better)
     population = SimpleNamespace(sets=[SimpleNamespace(name="bare", devices=["A1"])])
     _, specimens, words = design.read_devices(fitted, population)
@@ -92,11 +91,14 @@ def test_what_diagnoses_found_is_told_of_the_sets_that_are_asked_for(fitted, mon
     for name in ("bare", "zinc"):
         write(fitted / name / "diagnosis", quick=True)
         (fitted / name / "fit.json").write_bytes((fitted / "fit.json").read_bytes())
-        sets.append({"name": name, "devices": [{"folder": name, "name": "1"}, {"folder": f"{name}-2", "name": "2"}]})
-    (fitted / "campaign.json").touch()
-    together = [{"set": name, "devices": ["1", "2"], "classes": []} for name in ("", "bare", "zinc")]
-    monkeypatch.setattr(design, "read_campaign", lambda folder: {"sets": sets, "together": together})
-    monkeypatch.setattr(design, "statements", lambda record: tuple(one["set"] for one in record["together"]))
+        devices = [
+            DeviceEntry(name=number, folder=place, status="done", reason="", verdict="")
+            for number, place in (("1", name), ("2", f"{name}-2"))
+        ]
+        sets.append(SetEntry(name=name, devices=tuple(devices)))
+    together = [SetTogether(set=name, devices=("1", "2"), classes=()) for name in ("", "bare", "zinc")]
+    store.write(CampaignRecord(name="c", sets=tuple(sets), together=tuple(together)), fitted)
+    monkeypatch.setattr(design, "statements", lambda told: tuple(one.set for one in told))
     monkeypatch.setattr(design, "read_specimen", lambda folder, *rest: folder.name)
     population = SimpleNamespace(sets=[SimpleNamespace(name=name, devices=["1", "2"]) for name in ("bare", "zinc")])
     _, specimens, words = design.read_devices(fitted, population, ("zinc",))

@@ -17,6 +17,8 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.diagnosis_words import sentences
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
 
 TOOTH_KN = 6.0
 
@@ -82,21 +84,21 @@ def chattering(trials):
 
 
 def test_chatter_is_named_and_hides_no_larger_effect_and_no_law(chattering, look):
-    record = look(chattering).record
+    record = look(chattering).content
     assert record["verdict"] == "named", record["reason"]
     (effect,) = record["effects"]
     assert (effect["id"], effect["form"], effect["probability"]) == ("stick_slip", "chatter", SURE)
     row = record["coordinates"][0]
     assert (row["action"], row["coordinate"], row["matches"]) == ("motion", "stick-slip", ["stick_slip"])
     assert record["modelled"] == {}
-    (said,) = sentences(record)
+    (said,) = sentences(from_json(DiagnosisRecord, record))
     assert "it sticks and jumps" in said
     assert next(c for c in record["candidates"] if c["id"] == "stick_slip")["kept"]
 
 
 def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
     runs = runs_of(chattering)
-    record = diagnose(runs, DeviceModel(2, read_priors("afc")), Look(quick=True, without=("stick_slip",))).record
+    record = diagnose(runs, DeviceModel(2, read_priors("afc")), Look(quick=True, without=("stick_slip",))).content
     assert "stick_slip" not in {effect["id"] for effect in record["effects"]}
 
 

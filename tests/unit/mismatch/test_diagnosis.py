@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_diagnosis import made
 
 import shj_bayes.mismatch.proven as proven_module
 from shj_bayes.errors import ModelError
@@ -27,6 +28,8 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.diagnosis_words import sentences
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_validation.proof.cases import Key, development_keys, draw_keys
 from shj_validation.proof.make import make
 
@@ -73,12 +76,12 @@ def prying(trials, look):
 
 @pytest.fixture(scope="module")
 def wear(trials, look):
-    return look(trials.simulate({"wear": {"size": 0.02}}, 4)).record
+    return look(trials.simulate({"wear": {"size": 0.02}}, 4)).content
 
 
 @pytest.mark.parametrize("seed", [2, 3])
 def test_nothing_is_found_where_nothing_is_missing(seed, trials, look):
-    record = look(trials.simulate({}, seed)).record
+    record = look(trials.simulate({}, seed)).content
     assert record["verdict"] == "adequate", record["reason"]
     assert record["effects"] == record["family"] == []
     assert record["unknown"] is None
@@ -108,7 +111,7 @@ def test_where_a_constant_was_fitted_first_the_law_alone_is_followed_too(trials,
 def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials, look):
     """1.5 % of Fy in both runs is within three standard deviations of a zero before the test."""
     recordings = [Recording(r.time_s, r.displacement_mm, r.force_kN + 1.0) for r in trials.simulate({}, 52)]
-    record = look(recordings).record
+    record = look(recordings).content
     assert record["verdict"] == "named"
     assert names(record) == {"load_offset"}
 
@@ -158,7 +161,7 @@ def test_clamping_that_changes_in_push_alone_is_a_curve_for_push(trials, look):
         change = np.interp(moment, [0.0, 0.15, 0.3, 0.5, 0.6, 0.8, 1.0], [0.0, 0.12, 0.02, 0.1, -0.05, 0.03, 0.15])
         return 1.0 + np.where(history.direction > 0, change, 0.0)
 
-    record = look(trials.simulate({}, 62, clamping=clamping)).record
+    record = look(trials.simulate({}, 62, clamping=clamping)).content
     assert record["verdict"] == "unknown"
     assert classes(record) == {("capacity", "time")}
     push, pull, *others = record["coordinates"]
@@ -168,7 +171,7 @@ def test_clamping_that_changes_in_push_alone_is_a_curve_for_push(trials, look):
     assert push["range_percent"] > 12.0
     assert pull["range_percent"] < 3.0
     assert push["curve"] != pull["curve"]
-    assert sum("depends on the time" in line for line in sentences(record)) == 2
+    assert sum("depends on the time" in line for line in sentences(from_json(DiagnosisRecord, record))) == 2
 
 
 def test_noise_beside_what_the_law_misses_is_at_most_that_of_a_load_cell(trials):
@@ -191,7 +194,7 @@ def test_what_comes_again_is_found_with_its_period(trials, look):
     for r in trials.simulate({}, 21):
         wave = 2.0 * np.sin(2 * np.pi * r.time_s / 20.0)
         recordings.append(Recording(r.time_s, r.displacement_mm, r.force_kN + wave))
-    record = look(recordings).record
+    record = look(recordings).content
     assert record["verdict"] == "unknown"
     assert classes(record) == {("added", "time")}
     assert record["coordinates"][0]["period"] == pytest.approx(20.0, rel=0.005)
@@ -213,7 +216,7 @@ def test_a_force_that_fluctuates_is_not_adequate(trials):
         for r in trials.simulate({"taper": {"size": 0.02}}, 3)
     ]
     runs, said = runs_of(recordings), []
-    record = diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True), tell=said.append).record
+    record = diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True), tell=said.append).content
     assert sum(line.startswith("looking beyond") for line in said) <= 2
     assert (record["verdict"], record["effects"]) == ("unknown", [])
     assert classes(record) == {("motion", "stick-slip")}
@@ -221,7 +224,7 @@ def test_a_force_that_fluctuates_is_not_adequate(trials):
 
 
 def test_prying_is_named_and_gives_the_speed_coefficient_back(prying):
-    record = prying[1].record
+    record = prying[1].content
     assert record["verdict"] == "named"
     assert [effect["id"] for effect in record["effects"]] == ["prying"]
     # seed 1 draws the device's gamma: the published law misses it, the augmented one does not
@@ -238,7 +241,7 @@ def test_prying_is_named_and_gives_the_speed_coefficient_back(prying):
 
 
 def test_prying_depends_on_the_distance_from_the_middle(prying):
-    record = prying[1].record
+    record = prying[1].content
     assert classes(record) == {("capacity", "distance")}
     row = record["coordinates"][0]
     assert "prying" in row["matches"]
@@ -256,7 +259,7 @@ def test_prying_depends_on_the_distance_from_the_middle(prying):
 
 
 def test_prying_is_located_where_it_is(prying):
-    location = prying[1].record["location"]
+    location = prying[1].content["location"]
     assert "position" in {where["coordinate"] for where in location}
     assert all(0.0 <= where["p_value"] <= 0.05 for where in location)
 
@@ -274,7 +277,7 @@ def test_wear_depends_on_travel(wear):
 
 def test_the_record_keeps_the_contract(prying, tmp_path):
     diagnosis = prying[1]
-    assert set(diagnosis.record) >= CONTRACT
+    assert set(diagnosis.content) >= CONTRACT
     diagnosis.write(tmp_path)
     again = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert again["schema"] == "shj-bayes/diagnosis/2"
@@ -297,16 +300,16 @@ def test_the_record_keeps_the_contract(prying, tmp_path):
 
 def test_candidates_are_all_mechanisms_but_the_speed_of_the_law(prying):
     """Whatever form was matched, a mechanism is listed once."""
-    listed = [row["id"] for row in prying[1].record["candidates"]]
+    listed = [row["id"] for row in prying[1].content["candidates"]]
     assert set(listed) == {effect.mechanism for effect in catalogue().values()} - {"velocity"}
     assert len(listed) == len(set(listed))
-    kept = [row["id"] for row in prying[1].record["candidates"] if row["kept"]]
+    kept = [row["id"] for row in prying[1].content["candidates"] if row["kept"]]
     assert kept == listed[: len(kept)] == ["prying"]
-    assert all(math.isfinite(row["score"]) for row in prying[1].record["candidates"])
+    assert all(math.isfinite(row["score"]) for row in prying[1].content["candidates"])
 
 
 def test_the_channels_are_those_of_the_record(prying):
-    record, channels = prying[1].record, prying[1].channels
+    record, channels = prying[1].content, prying[1].channels
     used = channels["weight"].to_numpy() > 0
     for key, model in (("before", "before_kN"), ("after", "after_kN")):
         left = (channels["force_kN"] - channels[model]).to_numpy()[used]
@@ -316,8 +319,8 @@ def test_the_channels_are_those_of_the_record(prying):
 
 def test_same_seed_same_record(prying, look):
     recordings, first = prying
-    second = look(recordings).record
-    assert {k: v for k, v in first.record.items() if k != "seconds"} == {
+    second = look(recordings).content
+    assert {k: v for k, v in first.content.items() if k != "seconds"} == {
         k: v for k, v in second.items() if k != "seconds"
     }
 
@@ -326,7 +329,7 @@ def test_same_seed_same_record(prying, look):
     "name", ["tension_step", "breakaway", *(pytest.param(n, marks=pytest.mark.slow) for n in ("slack", "asymmetry"))]
 )
 def test_effects_are_named(name, trials, look):
-    assert is_right(look(trials.simulate({name: trials.EFFECTS[name]}, 4)).record, {name})
+    assert is_right(look(trials.simulate({name: trials.EFFECTS[name]}, 4)).content, {name})
 
 
 @pytest.fixture(scope="module")
@@ -361,27 +364,27 @@ def test_what_does_not_improve_cycles_that_were_left_out_is_not_named(lost_clamp
     assert found.dropped[-1].of == "capacity over time"
     assert found.after is found.before
     row = heldout_row(found)
-    assert row["dropped"][-1]["with_kN"] > row["dropped"][-1]["without_kN"]
-    told = {"heldout": row, "effects": [], "verdict": "adequate", "shift": {}}
+    assert row.dropped[-1].with_kN > row.dropped[-1].without_kN
+    told = replace(made("adequate"), heldout=row)
     assert any("does not improve cycles that were left out" in line for line in sentences(told))
 
 
 @pytest.mark.slow
 def test_two_effects_are_both_found(trials, look):
     both = {name: trials.EFFECTS[name] for name in ("slack", "asymmetry")}
-    assert is_right(look(trials.simulate(both, 5)).record, set(both))
+    assert is_right(look(trials.simulate(both, 5)).content, set(both))
 
 
 def test_two_effects_over_position_are_not_one_curve(trials, look):
     """A curve over position holds a taper and prying both, and no formula follows it."""
-    record = look(trials.simulate({"taper": {"size": 0.05}, "prying": {"size": 0.08, "power": 2.0}}, 5)).record
+    record = look(trials.simulate({"taper": {"size": 0.05}, "prying": {"size": 0.08, "power": 2.0}}, 5)).content
     assert is_right(record, {"taper", "prying"})
     assert {c["coordinate"] for c in record["coordinates"]} == {"position", "distance"}
 
 
 def test_a_drift_that_is_zeroed_before_each_run_is_one_effect(trials, look):
     """Beside the going-on drift of another form a constant would stand for the zeroing."""
-    record = look(trials.simulate({"drift_zeroed": {"size": 0.06, "warming": 3.0}}, 5)).record
+    record = look(trials.simulate({"drift_zeroed": {"size": 0.06, "warming": 3.0}}, 5)).content
     assert names(record) == {"drift"}
     assert record["effects"][0]["form"] == "zeroed"
     assert classes(record) == {("added", "time")}
@@ -389,14 +392,14 @@ def test_a_drift_that_is_zeroed_before_each_run_is_one_effect(trials, look):
 
 def test_slow_noise_is_no_drift(with_noise_of_30_s, look):
     """A memory of half a minute in tests of ten minutes: the force channel wanders, and does not drift."""
-    record = look(with_noise_of_30_s).record
+    record = look(with_noise_of_30_s).content
     assert "drift" not in names(record)
     assert record["verdict"] == "adequate", (record["reason"], classes(record))
 
 
 @pytest.mark.slow
 def test_an_effect_outside_the_catalogue_is_unknown(trials, look):
-    record = look(trials.simulate({}, 6, shape=trials.OUTSIDE["screw ripple, 25 mm"])).record
+    record = look(trials.simulate({}, 6, shape=trials.OUTSIDE["screw ripple, 25 mm"])).content
     assert record["verdict"] == "unknown"
     assert ("capacity", "position") in classes(record)
     assert record["unknown"]["size_kN"] > 1.0
@@ -413,22 +416,25 @@ def test_a_speed_coefficient_that_changes_with_the_distance_slid_is_a_curve_over
         grown = 1.0 - np.exp(-history.travel_m / 2.0)
         return 1.0 + 0.1 * history.speed_mm_s / history.peak_speed_mm_s * grown
 
-    record = look(trials.simulate({}, 64, clamping=clamping)).record
+    record = look(trials.simulate({}, 64, clamping=clamping)).content
     assert record["verdict"] == "unknown"
     assert classes(record) == {("capacity", "speed_by_travel")}
     assert record["coordinates"][0]["range_percent"] == pytest.approx(10.0, abs=2.0)
-    assert any("depends on the speed, in a way that changes with the distance slid" in s for s in sentences(record))
+    assert any(
+        "depends on the speed, in a way that changes with the distance slid" in s
+        for s in sentences(from_json(DiagnosisRecord, record))
+    )
 
 
 @pytest.mark.slow
 def test_a_misfit_that_follows_the_clock_is_seen(trials, look):
-    record = look(trials.simulate({}, 10, shape=trials.OUTSIDE["mains wave, 40 s"])).record
+    record = look(trials.simulate({}, 10, shape=trials.OUTSIDE["mains wave, 40 s"])).content
     assert record["verdict"] == "unknown"
 
 
 @pytest.mark.slow
 def test_a_catalogue_without_the_effect_does_not_name_another_with_confidence(trials, look):
-    record = look(trials.simulate({"taper": {"size": 0.08}}, 7), without=("taper",)).record
+    record = look(trials.simulate({"taper": {"size": 0.08}}, 7), without=("taper",)).content
     assert record["verdict"] == "unknown"
     assert all(effect["partial"] for effect in record["effects"])
     assert "taper" not in names(record) | {row["id"] for row in record["candidates"]}
@@ -440,7 +446,7 @@ def test_what_is_given_is_not_looked_for(trials):
 
     runs = runs_of(trials.simulate({"asymmetry": {"size": 0.08}}, 4))
     device = DeviceModel(2, read_priors("afc"), effects=effects_named(["asymmetry"]))
-    record = diagnose(runs, device, Look(quick=True)).record
+    record = diagnose(runs, device, Look(quick=True)).content
     assert record["verdict"] == "adequate", record["reason"]
     assert record["model"]["given"] == ["asymmetry"]
     assert not {"asymmetry", "velocity"} & {row["id"] for row in record["candidates"]}
@@ -449,7 +455,7 @@ def test_what_is_given_is_not_looked_for(trials):
 def test_the_paper_is_rediscovered_without_velocity(look):
     """The base law runs without speed dependence on a device that has it (Table 3, Bisalloy 500)."""
     truth = Truth(K=18.0, Fy=80.0, beta=100.0, gamma=1 / 60, ratio=0.875)
-    record = look(list(simulate_device(truth, seed=8, rate_Hz=5.0)), without=("velocity",)).record
+    record = look(list(simulate_device(truth, seed=8, rate_Hz=5.0)), without=("velocity",)).content
     assert "speed" in {row["coordinate"] for row in record["coordinates"]}
     assert {"velocity", "velocity_law"} & names(record)
     assert "gamma" not in record["shift"]

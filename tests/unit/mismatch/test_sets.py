@@ -10,6 +10,8 @@ from shj_bayes.mismatch.classes import PRESENT
 from shj_bayes.mismatch.search import ODDS
 from shj_bayes.mismatch.sets import ALONE, DeviceEvidence, common_to, device_evidence, log_shared
 from shj_bayes.mismatch.together import Diagnosed, together
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.diagnosis import EvidenceRecord
 
 N = 401  # points of the brute force, over each share
 
@@ -161,7 +163,7 @@ RECORD = {
 
 
 def test_a_record_is_read_as_it_was_written():
-    one = device_evidence(RECORD)
+    one = device_evidence(from_json(EvidenceRecord, RECORD))
     assert one.classes == (A, B)
     assert one.holds.tolist() == [[False, False], [True, False], [True, True]]
     assert one.log_factor(A, {A: ODDS, B: -50.0}) == pytest.approx(3.0 - ODDS)
@@ -172,7 +174,7 @@ def test_a_record_is_read_as_it_was_written():
 )
 def test_a_damaged_record_is_refused(change):
     with pytest.raises(ValueError, match="set"):
-        device_evidence(RECORD | change)
+        device_evidence(from_json(EvidenceRecord, RECORD | change))
 
 
 def held(folder, *, own=(), sampled=False, evidence=(1.2, -1.0, 0.2)):
@@ -187,7 +189,7 @@ def test_what_enters_is_fitted_with_what_the_device_shows_alone():
     found = together([*rest, ("bare", held("quick", **own)), ("bare", held("full", **own, sampled=True))])
     (one,) = found
     assert one.effects == {f"weak {i}": (f"curve {A}",) for i in range(6)} | {"quick": ("effect",)}
-    assert one.to_dict()["classes"][0]["effects"] == [f"curve {A}"] * 6 + ["effect"] * 2
+    assert one.record.classes[0].effects == (f"curve {A}",) * 6 + ("effect",) * 2
 
 
 def test_a_device_that_has_it_not_is_left_as_it_is():

@@ -12,7 +12,8 @@ from shj_bayes.population.loops import loop_band
 from shj_bayes.population.measurement import Rounded
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.predict import NewDevice, dep_words, how_wide, new_device, new_device_table
-from shj_bayes.population.results import load_population, safe_cell, to_json, write_population
+from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
+from shj_bayes.results.codec import to_json
 
 ALKYD = "=cmd|' /C calc'!A0"
 
@@ -125,12 +126,12 @@ def test_a_folder_without_a_population_is_refused(tmp_path):
         load_population(tmp_path)
     (tmp_path / "population.json").write_text('{"schema": "other"}')
     np.savez(tmp_path / "population.npz", x=np.zeros(1))
-    with pytest.raises(PopulationError, match=r"not of schema shj-bayes/population/1"):
+    with pytest.raises(PopulationError, match=r"none of the schemas shj-bayes/population/1"):
         load_population(tmp_path)
 
 
 def test_tables_say_what_they_rest_on(result):
-    rows = to_json(result)["quantities"]
+    rows = to_json(record_of(result))["quantities"]
     assert all(row["converged"] and row["chains"] >= 4 for row in rows)
     assert result.converged
 

@@ -6,11 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
+from made_diagnosis import made
 from scipy.io import savemat
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
 from shj_bayes.model.device import effect_named
+from shj_bayes.results.codec import to_json
 from shj_validation.proof import pool
 from shj_validation.proof.answers import CASES, band_of, clamping_changes
 from shj_validation.proof.real import prove_recordings
@@ -19,25 +21,29 @@ BY_ID = {case.id: case for case in CASES}
 
 
 def diagnosis(verdict="named", where=(), fy_kN=0.02, gamma=0.0, heldout=0.5, **effects):
-    """As much of a diagnosis as the comparisons read."""
+    """A diagnosis with what the comparisons read."""
+    base = to_json(made("named"))
+
+    def spread(value):
+        return {"mean": value, "sd": 0.0, "q05": value, "q50": value, "q95": value}
+
     found = [
-        {
+        base["effects"][0]
+        | {
             "id": k,
-            "form": "",
             "size_kN": fy_kN * abs(values["size"]),
-            "parameters": {n: dict.fromkeys(("q05", "q50", "q95"), v) for n, v in values.items()},
+            "parameters": {n: spread(v) | {"unit": "1"} for n, v in values.items()},
         }
         for k, values in effects.items()
     ]
     law = {"K": 10.0, "beta": 20.0, "Fy": fy_kN, "gamma": gamma}
-    return {
+    return base | {
         "verdict": verdict,
         "effects": found,
-        "words": ["words"],
-        "location": [{"coordinate": name} for name in where],
+        "location": [base["location"][0] | {"coordinate": name} for name in where],
         "modelled": effects,
-        "shift": {name: {"after": {"q50": value}} for name, value in law.items()},
-        "after": {"heldout_rmse_kN": heldout},
+        "shift": {name: {"before": spread(value), "after": spread(value)} for name, value in law.items()},
+        "after": base["after"] | {"heldout_rmse_kN": heldout},
     }
 
 

@@ -13,6 +13,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.reader import read
+from shj_bayes.results.diagnosis import Sampled
 
 N_STEPS = 600  # enough for 5 and 95 % quantiles of a posterior with one top, from a start at that top
 
@@ -55,10 +56,10 @@ def diagnose_blind(
     recordings = [read(path, columns=columns, units=units) for path in paths]
     runs = runs_of(recordings)
 
-    def sample(found: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    def sample(found: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], Sampled]:
         result = fit(runs, found, plan=Plan(max_steps=N_STEPS, tops=(top,), threads=1))
         draws = {str(n): v.to_numpy().ravel() for n, v in result.data["posterior"].data_vars.items()}
-        return draws, {"how": f"{LIBRARY}; {'; '.join(result.verdict.reasons)}", "verdict": result.verdict.word}
+        return draws, Sampled(how=f"{LIBRARY}; {'; '.join(result.verdict.reasons)}", verdict=result.verdict.word)
 
     device = DeviceModel(len(runs), read_priors(priors), variant=model)
-    return diagnose(runs, device, Look(tuple(without), quick), sample=sample if intervals else None).record
+    return diagnose(runs, device, Look(tuple(without), quick), sample=sample if intervals else None).content

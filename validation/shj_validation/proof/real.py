@@ -15,6 +15,8 @@ from shj_bayes.recording.reader import read
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.report.page import head
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_validation.proof.answers import CASES, Case, Judged, band_of, clamping_changes
 from shj_validation.proof.page import environment
 from shj_validation.proof.pictures import clamping
@@ -143,6 +145,6 @@ def _row(case: Case, answer: dict[str, Any], folder: Path, answers: dict[str, di
     return row | {
         "verdict": answer["verdict"],
         "found": [effect["id"] for effect in answer["effects"]],
-        "words": sentences(answer),
+        "words": sentences(from_json(DiagnosisRecord, answer)),
         "judged": [vars(one) for one in case.judge(answer, folder / case.file, answers)],
     }

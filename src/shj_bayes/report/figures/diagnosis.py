@@ -9,7 +9,6 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.data import BoolArray
 from shj_bayes.report.diagnosis_numbers import Map, Profile
 from shj_bayes.report.figures.canvas import (
     BLUE,
@@ -28,6 +27,7 @@ from shj_bayes.report.figures.canvas import (
     tidy,
 )  # fmt: skip
 from shj_bayes.report.force_unit import ForceUnit
+from shj_bayes.results.device import BoolArray
 
 BASE, MORE = RED, BLUE  # the base law, the law with what was found
 # White in the middle; red and blue stay apart with every common form of colour blindness. Grey: not visited.

@@ -10,7 +10,6 @@ from matplotlib.ticker import MaxNLocator
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.binned import StrokeProfile
-from shj_bayes.report.data import IntArray
 from shj_bayes.report.figures.canvas import (
     BLUE,
     GREEN,
@@ -30,6 +29,7 @@ from shj_bayes.report.figures.canvas import (
 )
 from shj_bayes.report.force_unit import KN, ForceUnit
 from shj_bayes.report.numbers import Band, CycleEnergy, CycleShape
+from shj_bayes.results.device import IntArray
 
 STROKE, FORCE = "displacement (mm)", "force (kN)"
 MAX_POINTS, MAX_OVER_TIME, MAX_OVER_SPEED = 20_000, 6000, 4000

@@ -1,0 +1,123 @@
+"""``campaign.json``: what became of the devices of a campaign, and what those of each set have in common."""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from shj_bayes.errors import ReportError, ShjError, shown
+from shj_bayes.results import store
+from shj_bayes.results.codec import Probability
+from shj_bayes.results.diagnosis import Verdict
+from shj_bayes.results.fit import USABLE, Trust
+
+SCHEMA: Literal["shj-bayes/campaign/1"] = "shj-bayes/campaign/1"
+WITH_SET = "with-set"  # in the folder of a device: its fit with its set's physics
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceEntry:
+    """What became of a device; `Outcome` explains the words."""
+
+    name: str
+    folder: str
+    status: Annotated[str, {"enum": ("done", "kept", "failed")}]
+    reason: str
+    verdict: Annotated[str, {"enum": (*Trust, "")}]
+    diagnosis: Annotated[str, {"enum": (*Verdict, "off", "failed", "")}] = ""
+    diagnosis_reason: str = ""
+    with_set: Annotated[str, {"enum": (*Trust, "failed", "")}] = ""
+    with_set_reason: str = ""
+
+    @property
+    def usable_with_set(self) -> bool:
+        """Whether it has a usable fit with what its set has."""
+        return self.with_set in USABLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetEntry:
+    """A set and its devices."""
+
+    name: str
+    devices: tuple[DeviceEntry, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClassOfSet:
+    """A class of coordinates in a set; lists are in the order of its diagnosed devices."""
+
+    action: str
+    coordinate: str
+    unit: str
+    probability: Probability  # that the set has it
+    enters: bool  # whether models of its devices hold it
+    rivals: tuple[str, ...]  # classes that may stand in its place
+    of_devices: tuple[float, ...]  # that each device has it
+    alone: tuple[bool, ...]  # whether each device shows it alone
+    effects: tuple[str, ...]  # effect that stands, or would stand, for it in each
+    # size_percent, change_percent: size in each, and its change from one end of the coordinate to the other, per cent
+    # of Fy
+    size_percent: tuple[float | None, ...]
+    change_percent: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetTogether:
+    """What the diagnosed devices of a set have in common."""
+
+    set: str  # empty for all devices of the campaign
+    devices: tuple[str, ...]  # their folders
+    classes: tuple[ClassOfSet, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what does not belong together."""
+        for one in self.classes:
+            lists = (one.of_devices, one.alone, one.effects, one.size_percent, one.change_percent)
+            if any(len(values) != len(self.devices) for values in lists):
+                raise ValueError(f"{one.action} over {one.coordinate} of {shown(self.set)} is not told of each device")
+        if not all(map(safe_folder, self.devices)):
+            raise ValueError(f"what {shown(self.set)} has in common names a folder that is none of its devices")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignRecord:
+    """Content of ``campaign.json``."""
+
+    FILE: ClassVar[str] = "campaign.json"
+    ERROR: ClassVar[type[ShjError]] = ReportError
+    MISSING: ClassVar[str] = "holds no campaign.json; run shj-bayes campaign first"
+    AGAIN: ClassVar[str] = "restore it, or run shj-bayes campaign again"
+
+    schema: Literal["shj-bayes/campaign/1"] = SCHEMA
+    name: str
+    simulated: bool = False
+    warnings: tuple[str, ...] = ()
+    sets: tuple[SetEntry, ...]
+    together: tuple[SetTogether, ...] = ()
+    digest: str = ""
+
+    @property
+    def devices(self) -> list[tuple[str, DeviceEntry]]:
+        """All devices, each behind the name of its set."""
+        return [(group.name, device) for group in self.sets for device in group.devices]
+
+
+def read_campaign(folder: Path) -> CampaignRecord:
+    """Read the record of a campaign; `ReportError` where that fails, or the folder of a device is not below its own."""
+    record = store.read(CampaignRecord, folder)
+    inside = os.path.realpath(folder) + os.sep  # of links, too
+    for set_name, device in record.devices:
+        if not (safe_folder(device.folder) and os.path.realpath(folder / device.folder).startswith(inside)):
+            raise ReportError(
+                f"campaign.json in {folder.name} names the folder {shown(device.folder)} for the device "
+                f"{shown(device.name)} of the set {shown(set_name)}; it must be one below {folder.name}; "
+                f"{CampaignRecord.AGAIN}"
+            )
+    return record
+
+
+def safe_folder(place: str) -> bool:
+    """Whether a folder named in ``campaign.json`` is written as one below the campaign's, and so may be linked to."""
+    return bool(re.fullmatch(r"[\w][\w. -]*(/[\w][\w. -]*)*", place))

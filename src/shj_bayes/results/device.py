@@ -1,0 +1,222 @@
+"""``posterior.nc`` and ``diagnosis.nc``: draws, channels and predictions of a device, and its model rebuilt."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shj_bayes._util.vetting import vet
+from shj_bayes.errors import InferenceError, ReportError
+from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.noise.catalogue import noise_model
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import check_files, has, read
+
+EXTRA = "extra_"  # before the names of further channels
+FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
+OLD = ("posterior_predictive", "observed_data")  # groups with every sample in files of shj-bayes/fit/1
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """One run: what was measured and what the posterior predicts, at all samples or, of a long one, at some."""
+
+    number: int  # 1 for the first run
+    # time_s to force_kN: shape (n,): channels; displacement and speed as the law used them
+    time_s: FloatArray = field(repr=False)
+    displacement_mm: FloatArray = field(repr=False)
+    speed_mm_s: FloatArray = field(repr=False)
+    force_kN: FloatArray = field(repr=False)
+    used: BoolArray = field(repr=False)  # shape (n,): samples that are evidence
+    half_cycle: IntArray = field(repr=False)  # shape (n,): index of the half-cycle of each sample
+    # law_kN, predicted_kN: shape (m, n): posterior draws of the force without noise, and as it would be measured
+    law_kN: FloatArray = field(repr=False)
+    predicted_kN: FloatArray = field(repr=False)
+    extras: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)  # shape (n,): further channels by name
+
+    @property
+    def reversals(self) -> IntArray:
+        """First sample of every half-cycle but the first."""
+        return np.asarray(np.flatnonzero(np.diff(self.half_cycle)) + 1, dtype=np.int64)
+
+    @property
+    def starts(self) -> IntArray:
+        """First sample of every half-cycle."""
+        return np.concatenate([[0], self.reversals]).astype(np.int64)
+
+    @property
+    def travel_m(self) -> float:
+        """Distance moved in the run, from turning point to turning point, m."""
+        turns = np.append(self.displacement_mm[self.starts], self.displacement_mm[-1])
+        return float(np.abs(np.diff(turns)).sum()) / 1000.0
+
+    @property
+    def direction(self) -> IntArray:
+        """+1 where displacement grows within the half-cycle of a sample (push), -1 where it falls; shape (n,)."""
+        ends = np.concatenate([self.reversals, [self.time_s.size]]) - 1
+        x = self.displacement_mm
+        sign = np.where(x[ends] >= x[self.starts], 1, -1)
+        return np.asarray(np.repeat(sign, ends - self.starts + 1), dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceData:
+    """One device: its record, its draws and its runs."""
+
+    record: FitRecord
+    # shape (n_ensembles, n_draws): posterior in natural units, in the order of the record
+    draws: Mapping[str, FloatArray] = field(repr=False)
+    prior: Mapping[str, FloatArray] = field(repr=False)  # shape (n,): prior draws
+    runs: tuple[RunData, ...] = field(repr=False)  # in the order they were made
+
+    @property
+    def name(self) -> str:
+        """Name of the device, as given."""
+        return self.record.device
+
+
+def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
+    """Read the arrays of one group of ``posterior.nc``, by variable in the shape in which they are stored.
+
+    A campaign's summary asks three times for a little of every device; all groups with their coordinates through
+    xarray took a third of a second each time. `InferenceError` where the file is missing or damaged.
+    """
+    import h5py  # noqa: PLC0415
+
+    with whole(folder, group) as path, h5py.File(path, "r") as file:
+        return {name: np.asarray(part) for name, part in file[group].items() if isinstance(part, h5py.Dataset)}
+
+
+@contextmanager
+def whole(folder: Path, group: str = "") -> Iterator[Path]:
+    """Give ``posterior.nc`` to read one group of, or all; a damaged one is told in one line."""
+    if has(FitRecord, folder):
+        check_files(folder, read(FitRecord, folder))
+    try:
+        vet(folder / "posterior.nc", group)
+        yield folder / "posterior.nc"
+    except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
+        raise InferenceError(
+            f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
+        ) from error
+
+
+def model_of(record: FitRecord) -> DeviceModel:
+    """Rebuild the model of a fit with the priors that it was fitted with."""
+    said = record.model
+    return DeviceModel(
+        len(record.inputs),
+        priors_of(record),
+        effects=effects_named(said.effects),
+        noise=noise_model(said.noise),
+        free=said.free_between_runs,
+        variant=said.variant,
+        speed=said.speed,
+    )
+
+
+def priors_of(record: FitRecord) -> Priors:
+    """Priors that a fit used."""
+    laws = {law.name: Prior(**vars(law)) for law in record.prior_laws if "." not in law.name}
+    laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
+    return Priors(record.model.priors, record.model.priors_statement, laws, str(record.model.priors_sha256))
+
+
+def read_device(folder: Path) -> DeviceData:
+    """Read ``fit.json`` and ``posterior.nc`` of a finished fit.
+
+    `InferenceError` if a file is missing or damaged, or the posterior lacks what a page needs.
+    """
+    import h5py  # noqa: PLC0415
+
+    record = read(FitRecord, folder)
+    names = [row.name for row in record.parameters]
+    # Of a dozen groups four are drawn; all of them through xarray took as long as drawing a fifth of the page.
+    with whole(folder) as path, h5py.File(path, "r") as file:
+        loops, measured = (file[name] for name in (("loops", "constant_data") if "loops" in file else OLD))
+        force = _values(measured["force"])
+        constant = {name: _values(part) for name, part in file["constant_data"].items() if part.shape == force.shape}
+        law, predicted = (_values(loops[name]).reshape(-1, force.size) for name in ("force_model", "force"))
+        draws = {name: _values(file["posterior"][name]) for name in names}
+        prior = {name: _values(file["prior"][name]).ravel() for name in names}
+    runs = []
+    for number in np.unique(constant["run"]):
+        mine = constant["run"] == number
+        runs.append(
+            RunData(
+                int(number),
+                constant["time_s"][mine],
+                constant["displacement_mm"][mine],
+                constant["speed_mm_s"][mine],
+                force[mine],
+                constant["used"][mine].astype(np.bool_),
+                constant["half_cycle_of_sample"][mine],
+                law[:, mine],
+                predicted[:, mine],
+                {name[len(EXTRA) :]: values[mine] for name, values in constant.items() if name.startswith(EXTRA)},
+            )
+        )
+    return DeviceData(record, draws, prior, tuple(runs))
+
+
+def _values(part: Any) -> NDArray[Any]:
+    """Array of a netCDF variable, unpacked where it is stored in whole numbers (netCDF attribute ``scale_factor``)."""
+    scale = part.attrs.get("scale_factor")
+    return np.asarray(part) if scale is None else np.asarray(part, dtype=np.float32) * np.float32(np.squeeze(scale))
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Samples of all runs, one after the other; arrays have shape (n,)."""
+
+    # time_s to travel_m: time, displacement from mid-stroke, speed, distance since the last reversal, distance in all
+    time_s: FloatArray = field(repr=False)
+    position_mm: FloatArray = field(repr=False)
+    speed_mm_s: FloatArray = field(repr=False)
+    slip_mm: FloatArray = field(repr=False)
+    travel_m: FloatArray = field(repr=False)
+    direction: IntArray = field(repr=False)  # +1 while displacement grows (push), -1 while it falls
+    run: IntArray = field(repr=False)  # number of the run
+    used: BoolArray = field(repr=False)  # samples that are evidence
+    # force_kN to after_kN: measured, modelled by the base law, modelled by the law with what was found
+    force_kN: FloatArray = field(repr=False)
+    before_kN: FloatArray = field(repr=False)
+    after_kN: FloatArray = field(repr=False)
+
+    @property
+    def changed(self) -> bool:
+        """True when something was added to the base law."""
+        return not np.array_equal(self.before_kN, self.after_kN)
+
+    @property
+    def residuals(self) -> tuple[FloatArray, FloatArray]:
+        """Measured less modelled force, before and after, kN."""
+        return self.force_kN - self.before_kN, self.force_kN - self.after_kN
+
+
+def read_channels(folder: Path) -> Channels:
+    """Read ``diagnosis.nc``; `ReportError` where it is missing or damaged."""
+    import xarray as xr  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
+
+    try:
+        vet(folder / "diagnosis.nc")
+        with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
+            channels = Channels(
+                **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
+                direction=np.sign(data["direction"].to_numpy()).astype(np.int64),
+                run=data["run"].to_numpy().astype(np.int64),
+                used=np.asarray(data["weight"].to_numpy() > 0),
+            )
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise ReportError(f"diagnosis.nc in {folder.name} cannot be read: {error}; run the diagnosis again") from error
+    if not channels.used.any():
+        raise ReportError(f"diagnosis.nc in {folder.name} holds no sample that is evidence")
+    return channels

@@ -1,0 +1,90 @@
+"""Files of results: the only place that opens, writes and seals them."""
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_type_hints
+
+from shj_bayes._util.files import check_seal, file_digest, read_json, sealed, write_text
+from shj_bayes.errors import InferenceError, ShjError
+from shj_bayes.results.codec import from_json, to_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.fit import FitRecord
+
+DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
+FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
+
+
+class _Stored(Protocol):
+    """A record that has a file of its own."""
+
+    FILE: ClassVar[str]
+    ERROR: ClassVar[type[ShjError]]
+    MISSING: ClassVar[str]  # what is said of a folder without the file
+    AGAIN: ClassVar[str]  # what to do about a damaged one
+
+
+Kind = TypeVar("Kind", bound=_Stored)
+
+
+def has(kind: type[_Stored], folder: Path) -> bool:
+    """Whether a folder holds the file of a record."""
+    return (folder / kind.FILE).is_file()
+
+
+def written_ns(kind: type[_Stored], folder: Path) -> int:
+    """When the file of a record was written, in nanoseconds; -1 where there is none."""
+    return (folder / kind.FILE).stat().st_mtime_ns if has(kind, folder) else -1
+
+
+def read(kind: type[Kind], folder: Path) -> Kind:
+    """Read a record; the error of its kind where the file is missing, damaged, altered or of another schema."""
+    path = folder / kind.FILE
+    if not path.exists():
+        raise kind.ERROR(f"{folder.name} {kind.MISSING}")
+    content = read_json(path, kind.ERROR)
+    schemas = get_args(get_type_hints(kind)["schema"])
+    if not isinstance(content, dict) or content.get("schema") not in schemas:
+        raise kind.ERROR(f"{kind.FILE} in {folder.name} has none of the schemas {', '.join(schemas)}; {kind.AGAIN}")
+    check_seal(content, path, kind.ERROR)
+    try:
+        return from_json(kind, content)
+    except (ValueError, ShjError) as error:
+        raise kind.ERROR(f"{kind.FILE} in {folder.name}: {error}; {kind.AGAIN}") from error
+
+
+def find(kind: type[Kind], folder: Path) -> Kind | None:
+    """Read a record; None where there is none that can be read."""
+    try:
+        return read(kind, folder)
+    except kind.ERROR:
+        return None
+
+
+def diagnosis_in(folder: Path) -> str:
+    """Where the diagnosis of a device lies, below the folder of its fit: beside a fit that it ended in, or alone."""
+    return "." if has(DiagnosisRecord, folder) else DIAGNOSIS
+
+
+def write(record: Any, folder: Path, *, allow_nan: bool = False, ascii_only: bool = True) -> dict[str, Any]:
+    """Write a record whole or not at all, and give its content; one that has a digest is sealed."""
+    content: dict[str, Any] = to_json(record)
+    if any(f.name == "digest" for f in fields(record)):
+        content = sealed(content)
+    text = json.dumps(content, indent=1, allow_nan=allow_nan, ensure_ascii=ascii_only)
+    write_text(folder / record.FILE, text if ascii_only else f"{text}\n")
+    return content
+
+
+def check_files(folder: Path, record: FitRecord) -> None:
+    """Refuse files of a fit that are missing or altered; a fit of an earlier version has no digests."""
+    for name in FILES:
+        path = folder / name
+        if not path.is_file():
+            raise InferenceError(f"{name} is missing in {folder.name}; run the fit again")
+        wanted = record.files.get(name)
+        if wanted is not None and file_digest(path) != wanted:
+            raise InferenceError(
+                f"{name} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one "
+                "in fit.json); restore it or run the fit again"
+            )
