@@ -14,7 +14,6 @@ from scipy.special import logsumexp
 from shj_bayes.mismatch.classes import Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.hypothesis import Hypothesis
-from shj_bayes.mismatch.scene import beside
 from shj_bayes.mismatch.search import ODDS, RIVAL, Search
 from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
@@ -89,7 +88,7 @@ class _FirstOrder:
 
     def __init__(self, out: Search, h: Hypothesis, candidates: Sequence[Candidate]) -> None:
         self.columns = [unit_columns(c) for c in candidates]
-        self._along, self._inner = beside(out.metric.products(h.state.beside(*self.columns)), h.state.z.size)
+        self._beside = out.metric.gaussian(h.state.beside(*self.columns)).given(h.state.z.size)
         ends = np.cumsum([0, *(c.shape[1] for c in self.columns)])
         self._places = [np.arange(a, b) for a, b in pairwise(ends)]
         self._known: dict[int, tuple[float, float]] = {}
@@ -115,15 +114,11 @@ class _FirstOrder:
         """Log Bayes factor of candidates of some size each together; their coefficients have standard normal priors."""
         own = np.concatenate([self._places[i] for i, _ in which])
         size = np.concatenate([np.full(self._places[i].size, size) for i, size in which])
-        inner = np.eye(own.size) + self._inner[np.ix_(own, own)] * np.outer(size, size)
-        along = self._along[own] * size
-        return float(0.5 * along @ np.linalg.solve(inner, along) - 0.5 * np.linalg.slogdet(inner)[1])
+        return self._beside.some(own).sized(size).gain
 
     def mean(self, i: int) -> FloatArray:
         """Posterior mean of the coefficients of one candidate alone."""
-        own = self._places[i]
-        inner = np.eye(own.size) + self._inner[np.ix_(own, own)]
-        return np.asarray(np.linalg.solve(inner, self._along[own]), dtype=np.float64)
+        return self._beside.some(self._places[i]).mean
 
 
 def _best(listed: Sequence[Candidate]) -> dict[str, Candidate]:

@@ -12,7 +12,6 @@ from scipy.special import expit, logsumexp
 from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate
 from shj_bayes.mismatch.hypothesis import SLIP, Hypothesis, columns_of, replaced, second_of
 from shj_bayes.mismatch.missed import missed_by
-from shj_bayes.mismatch.scene import log_evidence
 from shj_bayes.mismatch.search import Search
 from shj_bayes.mismatch.sizes import MOTION, away, largest_size_of, may_miss, size_of
 from shj_bayes.mismatch.state import State, visible
@@ -199,8 +198,7 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
             if over is not None and over.id not in drawn:
                 missed.append(missed_by(out.scene, one.state, over, larger[of.id]))
         beside = one.state.beside(*(curves for curves in missed if curves is not None))
-        alone = log_evidence(metric.log_constant, one.state.products)
-        weights.append(one.log_weight + log_evidence(metric.log_constant, metric.products(beside)) - alone)
+        weights.append(one.log_weight + metric.gaussian(beside).log_evidence - one.state.gaussian.log_evidence)
     return weights[0] - weights[1]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import expit
 
 from shj_bayes.mismatch.classes import EXPLAINED, Candidate, Class, candidates, unit_columns
-from shj_bayes.mismatch.scene import Metric, Scene, solve
+from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.search import ODDS
 from shj_bayes.mismatch.state import State
@@ -72,6 +72,6 @@ def beside_missed(
 def _spread(metric: Metric, state: State, *columns: FloatArray) -> FloatArray:
     """Covariance of the parameters beside further columns, with the square of how far they move from where they are."""
     d = state.z.size
-    mean, covariance = solve(metric.products(state.beside(*columns)))
-    moved = mean[:d] - state.z
-    return np.asarray(covariance[:d, :d] + np.outer(moved, moved))
+    wide = metric.gaussian(state.beside(*columns))
+    moved = wide.mean[:d] - state.z
+    return np.asarray(wide.covariance[:d, :d] + np.outer(moved, moved))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from shj_bayes.mismatch.scene import Metric, Scene, beside
+from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.parameters import FloatArray
@@ -84,5 +84,5 @@ def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray
 
 def _p_values(metric: Metric, base: State, table: FloatArray) -> FloatArray:
     """Two-sided chance of each column's product with the residual, beside the parameters of the law."""
-    along, inner = beside(metric.products(base.beside(table)), base.z.size)
-    return np.asarray(2.0 * norm.sf(np.abs(along) / np.sqrt(np.maximum(np.diag(inner), 1e-300))))
+    rest = metric.gaussian(base.beside(table)).given(base.z.size)
+    return np.asarray(2.0 * norm.sf(np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300))))

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts, started
@@ -321,9 +321,8 @@ class Metric:
         self.missed = scene.missed(slope)
         white, constant = setting.whitened(scene, self.missed, slope)
         self.other = self._counted(white) * setting.sizes(scene)
-        inner = np.eye(white.shape[1]) + self.other.T @ self.other
-        self._root = cho_factor(inner, lower=True)
-        self.log_constant = constant - float(np.log(np.diag(self._root[0])).sum())
+        self._missed = Gaussian(0.0, np.zeros(white.shape[1]), self.other.T @ self.other, constant)
+        self.log_constant = self._missed.log_evidence
 
     def without(self, rows: BoolArray) -> Metric:
         """Give the same metric for a fit that does not see some of the evidence, `rows` of shape (n_evidence,)."""
@@ -340,6 +339,10 @@ class Metric:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
         white, taken = self.factors(columns)
         return np.asarray(white.T @ white - taken.T @ taken)
+
+    def gaussian(self, columns: FloatArray) -> Gaussian:
+        """Linear model of data, the first of the columns, by the others, shape (n, 1 + p)."""
+        return Gaussian.of(self.products(columns), self.log_constant)
 
     @property
     def fluctuation(self) -> float:
@@ -363,7 +366,7 @@ class Metric:
         Shapes (n_evidence, p) and (p + 1 + 2 n_runs, p), the rows of the latter being those of `other` made orthogonal.
         """
         white = self.whitened(columns)
-        return white, np.asarray(solve_triangular(self._root[0], self.other.T @ white, lower=True))
+        return white, self._missed.whitened(self.other.T @ white)
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""
@@ -375,42 +378,10 @@ class Metric:
 
     def _parts_of(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Give what the discrepancy takes up of a residual, and what the others do that are integrated out, kN."""
-        mean = cho_solve(self._root, self.other.T @ self.whitened(residual[:, None])[:, 0])
+        mean = self._missed.solve(self.other.T @ self.whitened(residual[:, None])[:, 0])
         mean *= self.setting.sizes(self.scene)
         n = self.scene.discrepancy.shape[1]
         return self.scene.discrepancy @ mean[:n], self.missed[:, n:] @ mean[n:]
-
-
-def log_evidence(constant: float, products: FloatArray, variances: FloatArray | None = None) -> float:
-    """Log density of the data with all parameters integrated out.
-
-    `products`, shape (1 + p, 1 + p), are those of the data (residual and what the parameters contribute to it) and the
-    derivatives after the p parameters, whose priors are normal with the `variances`, 1 by default; `constant` is what
-    the density does not owe to them, as `Metric.log_constant`.
-    """
-    root = np.ones(products.shape[0] - 1) if variances is None else np.sqrt(variances)
-    g, b = products[1:, 1:] * np.outer(root, root), products[0, 1:] * root
-    factor = cho_factor(np.eye(root.size) + g, lower=True)
-    left = products[0, 0] - b @ cho_solve(factor, b)
-    return float(constant - 0.5 * float(left) - float(np.log(np.diag(factor[0])).sum()))
-
-
-def solve(products: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Posterior mean and covariance of parameters with standard normal priors, from `Metric.products`."""
-    inverse = np.asarray(np.linalg.inv(np.eye(products.shape[0] - 1) + products[1:, 1:]), dtype=np.float64)
-    return inverse @ products[0, 1:], inverse
-
-
-def beside(products: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:
-    """Products of further columns with the data and with one another, once the parameters are integrated out.
-
-    From those of the data, the derivatives after d parameters with standard normal priors, and p further columns, shape
-    (1 + d + p, 1 + d + p), to shapes (p,) and (p, p).
-    """
-    root = cho_factor(np.eye(d) + products[1 : 1 + d, 1 : 1 + d], lower=True)
-    cross = products[1 : 1 + d, 1 + d :]
-    solved = cho_solve(root, cross)
-    return products[0, 1 + d :] - products[0, 1 : 1 + d] @ solved, products[1 + d :, 1 + d :] - cross.T @ solved
 
 
 def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:

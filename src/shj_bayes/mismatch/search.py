@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from shj_bayes.inference.squares import start_values
 from shj_bayes.mismatch.chatter import Chatter, chatter_of
@@ -37,7 +37,7 @@ from shj_bayes.mismatch.hypothesis import (
     second_of,
     without,
 )
-from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.sizes import MOTION, away, may_miss, size_of
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
@@ -166,7 +166,7 @@ class Search:
         try:
             state = settle(self.scene, self.metric, self.model_of(members), start, max(self.floor, floor))
             # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
-            np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.products[1:, 1:])
+            np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.gaussian.inner)
             weight = state.evidence + len(members) * ODDS
             weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
@@ -190,16 +190,10 @@ class Search:
         if curve is None:
             return extra
         own = columns_of(self.scene, state, place)
-        p = state.products
-        gains = []
-        for size in SIZES:
-            v = np.ones(p.shape[0] - 1)
-            v[own] = (size / curve.size) ** 2
-            gains.append(log_evidence(self.metric.log_constant, p, v))
-        base = log_evidence(self.metric.log_constant, p)
-        logs = np.array(gains) - base + np.log(size_weights())
-        top = float(logs.max())
-        return extra + top + math.log(float(np.exp(logs - top).sum()))
+        given = state.gaussian
+        its_own = np.isin(np.arange(state.z.size), own)
+        gains = [given.sized(np.where(its_own, size / curve.size, 1.0)).gain for size in SIZES]
+        return extra + float(logsumexp(np.array(gains) - given.gain + np.log(size_weights())))
 
     def screen(self, h: Hypothesis) -> list[Candidate]:
         """Candidates to add to a hypothesis, the best of each class, best first."""

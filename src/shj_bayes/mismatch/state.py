@@ -6,9 +6,10 @@ from itertools import product
 
 import numpy as np
 
+from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.squares import orthogonal_to, reach_after, root_of, step_within
 from shj_bayes.inference.start import most_probable_noise
-from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -30,7 +31,7 @@ class State:
     residual: FloatArray
     slope: FloatArray
     jacobian: FloatArray  # shape (n, n_law): derivatives of the force
-    products: FloatArray  # shape (1 + n_law, 1 + n_law): scalar products of the linearised data and the derivatives
+    gaussian: Gaussian  # the linearised data and the derivatives
     covariance: FloatArray  # shape (n_law, n_law): of the parameters
     evidence: float  # log density of the data, parameters integrated out (Laplace)
 
@@ -71,13 +72,11 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floo
     reach = REACH
     for left in reversed(range(ROUNDS)):
         columns = scene.jacobian(model, z, residual)
-        products = metric.products(np.column_stack([residual + columns @ z, columns]))
-        inner = np.eye(z.size) + products[1:, 1:]
-        fall = products[0, 1:] - inner @ z
-        covariance = np.asarray(np.linalg.inv(inner), dtype=np.float64)
-        if float(fall @ covariance @ fall) < CLOSE:
+        linear = metric.gaussian(np.column_stack([residual + columns @ z, columns]))
+        fall = linear.along - linear.precision @ z
+        if float(fall @ linear.solve(fall)) < CLOSE:
             break
-        curvature, axes = np.linalg.eigh(inner / np.outer(unit, unit))
+        curvature, axes = np.linalg.eigh(linear.precision / np.outer(unit, unit))
         along = axes.T @ (fall / unit)
         while reach > 1e-3:
             step = step_within(reach, along, curvature)
@@ -96,8 +95,8 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floo
         if now - left * gain > enough:
             break
     # At the top itself: the last step may have stopped beside it.
-    laplace = metric.log_constant - 0.5 * now + 0.5 * float(np.linalg.slogdet(covariance)[1])
-    return State(model, z, residual, slope, columns, products, covariance, laplace)
+    laplace = metric.log_constant - 0.5 * now - linear.half_log_det
+    return State(model, z, residual, slope, columns, linear, linear.covariance, laplace)
 
 
 def settle_under(scene: Scene, setting: NoiseSetting, model: DeviceModel, z: FloatArray) -> tuple[Metric, State]:
@@ -129,12 +128,11 @@ def largest(columns: FloatArray, count: FloatArray) -> FloatArray:
 
 def zero_of(metric: Metric, state: State) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
-    white = metric.whitened(state.beside())
-    columns = np.column_stack([white[:, 1:], metric.other])
+    columns = np.column_stack([metric.whitened(state.beside()), metric.other])
+    whole = Gaussian.of(columns.T @ columns)
     zero = metric.scene.zero_kN / metric.scene.zero_kN.size
-    weights = np.append(np.zeros(columns.shape[1] - zero.size), zero)
-    solved = np.linalg.solve(np.eye(weights.size) + columns.T @ columns, weights)
-    return float(solved @ columns.T @ white[:, 0]), math.sqrt(float(solved @ weights))
+    weights = np.append(np.zeros(whole.along.size - zero.size), zero)
+    return float(weights @ whole.mean), math.sqrt(float(weights @ whole.solve(weights)))
 
 
 def find_noise(
@@ -167,7 +165,7 @@ def find_noise(
         noise = setting(u)
         white, constant = noise.whitened(scene, beside, state.slope)
         try:
-            return -log_evidence(constant, white.T @ white, np.append(known, noise.sizes(scene) ** 2))
+            return -Gaussian.of(white.T @ white, constant).sized(np.append(known, noise.sizes(scene))).log_evidence
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others
             return math.inf
 

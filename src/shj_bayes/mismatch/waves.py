@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
+from shj_bayes.inference.gaussian import Gaussian, log_gains
 from shj_bayes.mismatch.classes import FORMS, Candidate, Class, Variant, candidates, size_weights
 from shj_bayes.mismatch.cycles import by_stroke, is_clock, keep_step
 from shj_bayes.mismatch.scene import Metric, Scene
-from shj_bayes.mismatch.screen import log_gain, screen
+from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.state import State, settle_under
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
@@ -134,11 +134,11 @@ def _gains(metric: Metric, state: State, columns: FloatArray) -> FloatArray:
     wave, taken = metric.factors(columns.reshape(columns.shape[0], 2 * k))
     own = beside.T @ beside - beside_taken.T @ beside_taken
     along, cross = np.split(beside.T @ wave - beside_taken.T @ taken, [1])
-    root = cho_factor(np.eye(state.z.size) + own[1:, 1:], lower=True)
-    solved = cho_solve(root, cross)
-    along = (along[0] - own[0, 1:] @ solved).reshape(k, 2)
+    law = Gaussian.of(own)
+    solved = law.solve(cross)
+    along = (along[0] - law.along @ solved).reshape(k, 2)
     inner = _of_each(wave, wave) - _of_each(taken, taken) - _of_each(cross, solved)
-    return np.asarray(logsumexp(log_gain(inner, along, np.array(SIZES), size_weights()), axis=-1))
+    return np.asarray(logsumexp(log_gains(inner, along, np.array(SIZES)) + np.log(size_weights()), axis=-1))
 
 
 def _of_each(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from shj_bayes.mismatch.classes import FORMS, PRESENT, Class, candidates, classes, size_weights, sized
 from shj_bayes.mismatch.heldout import PARTS, Gain, HeldOut, cycles_of, held_out
-from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene, log_evidence, solve
+from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene
 from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible
 from shj_bayes.model.curve import SIZES
@@ -117,7 +117,7 @@ def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
     rng = np.random.default_rng(4)
     columns = 1e9 * rng.normal(0, 1, (scene.used.size, 1)) * scene.used[:, None] * rng.uniform(0.5, 2.0, 12)
     with pytest.raises(np.linalg.LinAlgError):
-        log_evidence(metric.log_constant, metric.products(state.beside(columns)))
+        _ = metric.gaussian(state.beside(columns)).log_evidence
     found = find_noise(scene, state, columns, metric.setting)
     assert np.all(np.isfinite(found.z))
 
@@ -146,14 +146,13 @@ def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
 ) -> None:
     rng = np.random.default_rng(2)
     used = scene.used > 0
-    for variances in (None, np.array([0.3, 4.0, 1.0])):
+    for v in (np.ones(3), np.array([0.3, 4.0, 1.0])):
         y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
-        v = np.ones(3) if variances is None else variances
         whole = covariance + columns[used] @ np.diag(v) @ columns[used].T
         relative = 0.7 / (MODEL_ERROR * scene.scale_kN)
         prior = -0.5 * float(np.dot(metric.setting.z, metric.setting.z)) - 0.5 * relative**2 + math.log(relative)
         expected = multivariate_normal(np.zeros(used.sum()), whole).logpdf(y[used]) + prior
-        got = log_evidence(metric.log_constant, metric.products(np.column_stack([y, columns])), variances)
+        got = metric.gaussian(np.column_stack([y, columns])).sized(np.sqrt(v)).log_evidence
         assert got == pytest.approx(float(expected), rel=1e-9)
 
 
@@ -163,11 +162,11 @@ def test_solving_gives_mean_and_covariance_of_the_parameters(
     rng = np.random.default_rng(3)
     used = scene.used > 0
     y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
-    mean, spread = solve(metric.products(np.column_stack([y, columns])))
+    found = metric.gaussian(np.column_stack([y, columns]))
     a = columns[used]
     inverse = np.linalg.inv(np.eye(3) + a.T @ np.linalg.solve(covariance, a))
-    np.testing.assert_allclose(spread, inverse, rtol=1e-7)
-    np.testing.assert_allclose(mean, inverse @ a.T @ np.linalg.solve(covariance, y[used]), rtol=1e-7)
+    np.testing.assert_allclose(found.covariance, inverse, rtol=1e-7)
+    np.testing.assert_allclose(found.mean, inverse @ a.T @ np.linalg.solve(covariance, y[used]), rtol=1e-7)
 
 
 def test_the_discrepancy_takes_up_what_is_most_probable(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
@@ -214,7 +213,7 @@ def test_settling_reaches_the_least_squares_of_a_law(
     for one in (state, far):
         assert np.all(np.abs(one.z - best) < 0.2 * sd)
         assert np.all(np.abs(one.z - scene.z) < 4.0 * sd)
-        assert one.evidence == pytest.approx(log_evidence(metric.log_constant, one.products), abs=0.05)
+        assert one.evidence == pytest.approx(one.gaussian.log_evidence, abs=0.05)
     np.testing.assert_allclose(state.residual, scene.residual(scene.device, state.z[None])[0])
 
 
@@ -262,7 +261,7 @@ def test_the_gain_of_a_candidate_is_a_difference_of_evidence(scene: Scene, metri
     """Averaged over sizes before the test, with the weight of the variant; each on its own."""
     looked = candidates(scene, state, wanted())
     wide = [state.residual + state.jacobian @ state.z, state.jacobian]
-    without = log_evidence(metric.log_constant, metric.products(np.column_stack(wide)))
+    without = metric.gaussian(np.column_stack(wide)).log_evidence
     screened = {id(c.columns): c for c in screen(metric, state, looked)}
     assert {c.of.id for c in looked} == set(WANTED)
     assert len(screened) == len(looked)
@@ -271,7 +270,7 @@ def test_the_gain_of_a_candidate_is_a_difference_of_evidence(scene: Scene, metri
         sizes = SIZES_OF_STARTS if curve is None else np.array(SIZES) / curve.size
         weights = np.full(sizes.size, 1 / sizes.size) if curve is None else size_weights()
         with_it = [
-            log_evidence(metric.log_constant, metric.products(np.column_stack([*wide, size * c.columns]))) + math.log(w)
+            metric.gaussian(np.column_stack([*wide, size * c.columns])).log_evidence + math.log(w)
             for size, w in zip(sizes, weights, strict=True)
         ]
         expected = float(logsumexp(with_it)) - without + math.log(c.variant.weight)

@@ -123,9 +123,9 @@ def test_a_fit_that_is_singular_to_rounding_is_no_fit(monkeypatch):
     """A hypothesis with absurd parameters ended the diagnosis of a recording."""
     scene = _brake({"asymmetry": {"size": -0.15}})
     out = search(scene, [one for one in classes() if one.coordinate == "direction"])
-    steep = out.best.state.products.copy()
-    steep[1:, 1:] -= 2.0 * steep[1:, 1:].max() * np.eye(len(steep) - 1)
-    monkeypatch.setattr("shj_bayes.mismatch.search.settle", lambda *_: replace(out.best.state, products=steep))
+    given = out.best.state.gaussian
+    steep = replace(given, inner=given.inner - 2.0 * given.inner.max() * np.eye(given.along.size))
+    monkeypatch.setattr("shj_bayes.mismatch.search.settle", lambda *_: replace(out.best.state, gaussian=steep))
     assert out.fitted(out.best.members, out.best.state.z) is None
 
 
