@@ -110,8 +110,8 @@ class PlanRecord:
     devices: tuple[PlannedDevice, ...]
     now: Now
     worth: Worth
-    candidates: Annotated[tuple[RankedProtocol, ...], {"description": "within the limits, best first"}] = ()
-    compared: Annotated[tuple[RankedProtocol, ...], {"description": "Table 1, and the files given"}] = ()
+    candidates: Annotated[tuple[RankedProtocol, ...], {"description": "within the limits, best first"}]
+    compared: Annotated[tuple[RankedProtocol, ...], {"description": "Table 1, and the files given"}]
     further_devices: Further | None = None
 
 
@@ -145,6 +145,8 @@ def force_record(further: Further, names: tuple[str, ...], seed: int) -> PlanRec
         devices=tuple(PlannedDevice(name=name, n_runs=None, sets=()) for name in names),
         now=Now(force_kN=further.force_kN, half_width=further.half_width_now),
         worth=Worth.YES if further.n_further else Worth.DECIDED if further.n_further == 0 else Worth.LITTLE,
+        candidates=(),
+        compared=(),
         further_devices=further,
     )
 
