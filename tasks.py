@@ -3,7 +3,7 @@
 install  install into .venv, and nothing else; every other task does so first
 demo     run the whole job on data that ship with the project
 test     run the tests
-lint     ruff and mypy
+lint     ruff, mypy, and the limits of the tree (tests/house.py)
 check    the gates: ruff, mypy, imports, tests
 install-docs  install what builds the documentation site
 install-reference  install the analysis program that exported materials are tested in
@@ -50,6 +50,7 @@ TASKS: dict[str, list[list[str]]] = {
         [str(PYTHON), "-m", "ruff", "check", "."],
         [str(PYTHON), "-m", "ruff", "format", "--check", "."],
         [str(PYTHON), "-m", "mypy"],
+        [str(PYTHON), "tests/house.py"],
     ],
     "install-docs": [
         [str(PYTHON), "-m", "pip", "install", *QUIET, "--require-hashes", "-r", "requirements-docs.txt"],
@@ -60,6 +61,7 @@ TASKS: dict[str, list[list[str]]] = {
     "prove": [[str(TOOL), "prove", "-n", "200", "--workers", "2", "--out", "shj-bayes-proof"]],
     "fuzz": [[str(PYTHON), "tests/fuzz/run.py", "-n", "6000"]],
     "robust": [[str(PYTHON), "tests/robust/robust.py", "-n", "200"]],
+    "golden": [[str(PYTHON), "tests/golden/golden.py"]],
     "kill": [[str(PYTHON), "tests/resume/kill.py"]],
     "thousand": [[str(PYTHON), "benchmarks/thousand.py"]],
     "calibrate": [
