@@ -19,7 +19,7 @@ from timing import Counted
 
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.posterior import make_posterior
-from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
 
 
@@ -40,7 +40,7 @@ def main() -> None:
         posterior, start = find_start(make_posterior(given.runs, given.model), threads=options.threads)
         searched = time.perf_counter() - begin
         density = Counted(posterior)
-        _, figures = run_ensembles(density, posterior.names, start, Plan(threads=options.threads))
+        _, figures = run_ensembles(density, posterior.names, start, SamplingPlan(threads=options.threads))
         wall, used = time.perf_counter() - begin, time.process_time() - used
         least = float(np.min(figures.ess_bulk))
         print(

@@ -37,7 +37,7 @@ from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.delivered import NONE, delivered
 from shj_bayes.margins.outermost import DEFAULT, outer
-from shj_bayes.margins.parts import Environment, Parts
+from shj_bayes.margins.parts import DesignBasis, Environment
 from shj_bayes.margins.quantities import counted_from, of_readings, pooled
 from shj_bayes.margins.request import PLAIN
 from shj_bayes.margins.row import HIGH, LOW
@@ -268,7 +268,7 @@ def limits(state: Line, chosen: list[int]) -> dict[str, float]:
         for label, prior in by_prior.items()
     }
     force = delivered(newcomers, n)
-    parts = Parts(force.third, "typical device", force, Environment(NONE, NONE, "not tested"))
+    parts = DesignBasis(force.third, "typical device", force, Environment(NONE, NONE, "not tested"))
     samples = {q: Sample(values[q], float(np.sqrt(np.mean(errors[q] ** 2)))) for q in (*SHOWN[LOW], *SHOWN[HIGH])}
     spreads = {q: of_set(sample, common_spread([sample])) for q, sample in samples.items()}
     given = Given("set", samples, spreads, dict.fromkeys(samples, n), parts, PLAIN)

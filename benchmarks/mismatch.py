@@ -17,7 +17,7 @@ from functools import partial
 from multiprocessing import get_context
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
+from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -80,7 +80,7 @@ def outside_trial(name: str, seed: int) -> str:
     return _verdict(simulate({}, seed, shape=OUTSIDE[name]), ())
 
 
-def look(recordings: list[Recording], without: tuple[str, ...] = ()) -> Diagnosis:
+def look(recordings: list[Recording], without: tuple[str, ...] = ()) -> DiagnosisResult:
     """Take a first look at a device."""
     runs = runs_of(recordings)
     return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(tuple(without), quick=True))

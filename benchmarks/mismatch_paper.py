@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from mismatch import look
 
-from shj_bayes.mismatch.diagnosis import Diagnosis
+from shj_bayes.mismatch.diagnosis import DiagnosisResult
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.published import PublishedRow, published_rows
 from shj_validation.trials import simulate
@@ -55,7 +55,7 @@ def table_trial(row: PublishedRow, seed: int) -> str:
     )
 
 
-def located(diagnosis: Diagnosis) -> str:
+def located(diagnosis: DiagnosisResult) -> str:
     """Largest region over speed and over position, and what the law leaves along the motion at mid-stroke."""
     out = []
     for coordinate, unit in (("speed", "mm/s"), ("position", "mm")):

@@ -25,7 +25,7 @@ from numpyro.infer.util import log_density
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import Prior, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -149,7 +149,7 @@ def main() -> int:
     parser.add_argument("--warmup", type=int, default=1000, help="steps of each chain that are left out (1000)")
     parser.add_argument("--chains", type=int, default=4, help="NUTS chains (4)")
     asked = parser.parse_args()
-    ours = fit(make_runs(asked.seed), DeviceModel(2, read_priors("afc")), plan=Plan(seed=asked.seed))
+    ours = fit(make_runs(asked.seed), DeviceModel(2, read_priors("afc")), plan=SamplingPlan(seed=asked.seed))
     posterior = ours.posterior
     draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in posterior.names], axis=1)
     whole = posterior.refined(draws.mean(axis=0), longest_s=0.0).rougher(0.0)

@@ -41,7 +41,7 @@ from shj_bayes.planning.known import Key as Set
 from shj_bayes.planning.known import Known, Subject, class_of, common_scales, know
 from shj_bayes.planning.plan import Question, make_plan
 from shj_bayes.planning.proposals import within
-from shj_bayes.planning.protocol import Block, Protocol, Waveform
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Waveform
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rig import Rig
 from shj_bayes.recording.recording import Recording
@@ -157,7 +157,7 @@ def _trial(key: Key, seed: int, number: int, question: str) -> dict[str, Any]:
         return out | {"outcome": "decided"}
     minutes = first.duration_s / 60.0
     rig = Rig(95.0, SPEED_MM_S, 1.3 * float(np.abs(first.force_kN).max()), minutes + 0.1, RATE_HZ)
-    expert = Protocol("expert", within([Block(a, v, n, Waveform.SINE, r) for a, v, n, r in IMPROVED], rig))
+    expert = Protocol("expert", within([ProtocolBlock(a, v, n, Waveform.SINE, r) for a, v, n, r in IMPROVED], rig))
     candidates = proposals(rig, seed, (expert,))
     runs = runs_of([first])
     scales = common_scales(runs, candidates)

@@ -18,7 +18,7 @@ import numpy as np
 
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -61,7 +61,7 @@ def recover(row: tuple[str, Truth], seed: int, rate: float) -> dict[str, Any]:
     name, truth = row
     begin = time.perf_counter()
     runs = runs_of(simulate_device(truth, seed=seed, rate_Hz=rate))
-    result = fit(runs, DeviceModel(len(runs), read_priors("afc")), name=name, plan=Plan(seed=seed))
+    result = fit(runs, DeviceModel(len(runs), read_priors("afc")), name=name, plan=SamplingPlan(seed=seed))
     inside, cells = {}, []
     for parameter in result.posterior.names:
         draws = result.data["posterior"][parameter].to_numpy().ravel()

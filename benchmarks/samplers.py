@@ -15,7 +15,7 @@ from timing import Counted
 
 from shj_bayes.inference.convergence import ESS_LIMIT, RHAT_LIMIT, diagnose_chains
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, law_starts, polish
 from shj_bayes.model.parameters import FloatArray
 
@@ -36,7 +36,7 @@ class Draws:
 
 def reference(whole: Posterior, start: Start) -> FloatArray:
     """Draws of a long run of shj-bayes on all samples, shape (n_steps, n_walkers, d)."""
-    plan = Plan(seed=77, n_walkers=60, round_steps=200, max_steps=200)
+    plan = SamplingPlan(seed=77, n_walkers=60, round_steps=200, max_steps=200)
     states, figures = run_ensembles(whole, whole.names, start, plan)
     return np.concatenate([state.chain[figures.n_burn :] for state in states])
 
@@ -45,7 +45,7 @@ def own(first: Posterior, _peer: NumpyPosterior, _start: Start) -> Draws:
     """Take shj-bayes as `fit` does: search, averaging, proposal, sampling, with the compiled likelihood."""
     posterior, start = find_start(first, threads=0)
     density = Counted(posterior)
-    states, figures = run_ensembles(density, posterior.names, start, Plan())
+    states, figures = run_ensembles(density, posterior.names, start, SamplingPlan())
     kept = np.stack([state.chain[figures.n_burn :] for state in states])
     note = f"with the search; {posterior.n_blocks} averages"
     return Draws(kept, float(figures.ess_bulk.min()), density.n, note)

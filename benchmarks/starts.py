@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
@@ -100,7 +100,7 @@ def main() -> None:
         title, recordings, truth, rule = device(seed)
         runs = runs_of(recordings)
         model = DeviceModel(2, read_priors("afc"), variant=rule)
-        draws = fit(runs, model, name="device", plan=Plan(seed=seed)).data["posterior"]
+        draws = fit(runs, model, name="device", plan=SamplingPlan(seed=seed)).data["posterior"]
         outside = []
         for name, value in truth.items():
             low, high = np.quantile(draws[name].to_numpy(), [0.05, 0.95])

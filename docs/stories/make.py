@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
+from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -140,7 +140,7 @@ def damper(folder: Path) -> str:
     return "\n".join([*rows, *(f"| {head} | {' | '.join(cells)} |" for head, cells in columns.items())])
 
 
-def diagnosed(key: Key, without: tuple[str, ...] = ()) -> Diagnosis:
+def diagnosed(key: Key, without: tuple[str, ...] = ()) -> DiagnosisResult:
     """Write the recordings, read them like anybody's, and diagnose."""
     with tempfile.TemporaryDirectory() as folder:
         recordings = [read(path) for path in write_recordings(key, Path(folder))]
@@ -181,7 +181,7 @@ def place(record: dict[str, Any]) -> str:
 
 
 def draw(
-    result: Diagnosis,
+    result: DiagnosisResult,
     path: Path,
     name: str,
     words: str,

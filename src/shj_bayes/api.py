@@ -27,7 +27,7 @@ from shj_bayes.commands.validation import paper_claims
 from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.mismatch.look import Look
-from shj_bayes.planning.asked import Asked
+from shj_bayes.planning.asked import PlanOptions
 from shj_bayes.planning.files import PlanRecord
 from shj_bayes.planning.rig import stated_limits
 from shj_bayes.population.results import PopulationRecord
@@ -54,7 +54,7 @@ class _Held:
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
 
 
-ASKED = [one.name for one in fields(Asked) if one.name != "limits"]
+ASKED = [one.name for one in fields(PlanOptions) if one.name != "limits"]
 OneRecording = str | Path | Recording | pd.DataFrame
 Recordings = OneRecording | Sequence[OneRecording]
 
@@ -381,7 +381,7 @@ def plan(
     limits = stated_limits(Path(rig) if rig is not None else None, options)
     folder, held = _place(out)
     folders = [Path(devices)] if isinstance(devices, str | Path) else [Path(one) for one in devices]
-    return NextTest(folder, to_json(plan_next(folders, folder, Asked(**asked, limits=limits)).record), held)
+    return NextTest(folder, to_json(plan_next(folders, folder, PlanOptions(**asked, limits=limits)).record), held)
 
 
 def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:

@@ -566,12 +566,12 @@ def plan(
         raise click.UsageError("Give the folder of a diagnosed device, or --priors for a plan before any test.")
     need_files([*folders, *([rig] if rig else [])], PlanError)
     from shj_bayes.commands.next_test import plan_next
-    from shj_bayes.planning.asked import Asked
+    from shj_bayes.planning.asked import PlanOptions
     from shj_bayes.planning.rig import LIMITS, stated_limits
 
     limits = stated_limits(rig, {name: asked.pop(name) for name in LIMITS})
     given = {name: value for name, value in asked.items() if value is not None}
-    planned = plan_next(folders, out, Asked(**given, limits=limits), tell=output.tell)
+    planned = plan_next(folders, out, PlanOptions(**given, limits=limits), tell=output.tell)
     output.show(planned.record, planned.text)
 
 

@@ -16,7 +16,7 @@ from nptdms import ChannelObject, TdmsWriter
 from shj_bayes._util.shipped import shipped
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -181,7 +181,7 @@ def results(folder: Path) -> dict[str, bytes]:
     device = folder / "devices" / "one"
     runs = simulate_device(TRUTH, seed=1, rate_Hz=4.0, blocks=BLOCKS)
     model = DeviceModel(2, read_priors())
-    fit(runs_of(runs), model, name="one", plan=Plan(max_steps=50, round_steps=50), folder=device)
+    fit(runs_of(runs), model, name="one", plan=SamplingPlan(max_steps=50, round_steps=50), folder=device)
     write_population(fit_population(published_devices()[:6], seed=1), folder)
     entry = {"name": "one", "folder": "devices/one", "status": "done", "reason": "", "verdict": "tentative"}
     record = {"schema": "shj-bayes/campaign/1", "name": "small", "simulated": True}

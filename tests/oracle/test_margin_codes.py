@@ -13,7 +13,7 @@ from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.codes.iso16269_6 import one_sided
 from shj_bayes.margins.delivered import NONE, Bounds, Delivered, delivered
-from shj_bayes.margins.parts import Environment, Parts
+from shj_bayes.margins.parts import DesignBasis, Environment
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.spread import Sample, between_sets, of_set
@@ -31,7 +31,7 @@ FORCE = Delivered(
     ratio=0.82,
 )
 AGE = Environment(Bounds(0.90, 1.0), Bounds(0.80, 1.05), "corroded over uncorroded")
-PARTS = Parts(80.0, "typical device", FORCE, AGE)
+PARTS = DesignBasis(80.0, "typical device", FORCE, AGE)
 CODES = {code.id: code for code in catalogue()}
 THREE = Sample(np.array([80.0, 84.0, 90.0]), 0.01)
 
@@ -163,7 +163,7 @@ def test_asce7_bounds_with_the_floor():
     force = replace(
         FORCE, third_low=78.0, third_high=82.0, low=77.0, high=84.0, typical=Bounds(0.975, 1.03), first_low=77.0
     )
-    parts = Parts(80.0, "typical device", force, Environment(NONE, NONE, "not tested"))
+    parts = DesignBasis(80.0, "typical device", force, Environment(NONE, NONE, "not tested"))
     found = {kind: row.value for (kind, _), row in rows("asce7", parts=parts).items()}
     assert (found["lambda_min"], found["lambda_max"]) == pytest.approx((0.9506, 1.0558), abs=1e-4)
     assert (found["ASCE 7 lower bound force"], found["ASCE 7 upper bound force"]) == pytest.approx((68.0, 96.0))

@@ -12,14 +12,14 @@ import pytest
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.recording import Recording
 from shj_bayes.results.device import DeviceData, read_device
 
 HOSTILE = "<script>alert('x')</script> \"q\" ../../etc/passwd & {{ 7*7 }}"
-QUICK = Plan(max_steps=200, round_steps=200)
+QUICK = SamplingPlan(max_steps=200, round_steps=200)
 LONG = (Block(24.0, 0.067, 3), Block(48.0, 0.034, 3), Block(95.0, 0.017, 4))
 
 

@@ -33,7 +33,7 @@ from shj_bayes.report.diagnosis_words import (
 )
 from shj_bayes.report.page import kept_together
 from shj_bayes.results.codec import from_json
-from shj_bayes.results.diagnosis import Dependence, DiagnosisRecord, Member, SetProbability, Shift, Spread
+from shj_bayes.results.diagnosis import Dependence, DiagnosisRecord, DrawsInShort, Member, SetProbability, Shift
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_a_family_that_may_be_nothing_says_so() -> None:
     held = replace(made("family"), effects=(), family=(member,), shift={}, sets=(one,), next_test=None)
     sure = verdict_words(held)[2]
     assert sentences(held) == [f"These recordings cannot tell: {title_of('drift').lower()} (92 %)."]
-    same = Shift(before=Spread(mean=-4e-5, sd=1e-4), after=Spread(mean=4e-5, sd=1e-4))
+    same = Shift(before=DrawsInShort(mean=-4e-5, sd=1e-4), after=DrawsInShort(mean=4e-5, sd=1e-4))
     said = sentences(replace(held, modelled={"drift": {}}, shift={"gamma": same}))
     assert not any("gamma" in line for line in said)
     held = replace(held, sets=(one, SetProbability(classes=(), probability=0.08)))

@@ -15,7 +15,7 @@ from shj_bayes.report import words
 from shj_bayes.report.binned import N_STROKE, stroke_profiles
 from shj_bayes.report.numbers import left_over
 from shj_bayes.results.device import DeviceData, RunData
-from shj_bayes.results.diagnosis import Input, LeftOver, Verdict
+from shj_bayes.results.diagnosis import DiagnosisVerdict, Input, LeftOver
 from shj_bayes.results.fit import CyclesRecord, FitRecord, Remark, RemarkRecord, Trust
 from shj_bayes.results.store import diagnosis_in, find, read, write
 
@@ -128,7 +128,7 @@ def test_a_prior_that_the_data_contradict_is_told_with_what_to_do() -> None:
 @pytest.mark.parametrize("n_cycles", [2, 8])
 @pytest.mark.parametrize("percent", [1.0, 4.0, 33.0, 273.0])
 @pytest.mark.parametrize("widening", [1.0, 3.0])
-@pytest.mark.parametrize("diagnosed", ["", *Verdict])
+@pytest.mark.parametrize("diagnosed", ["", *DiagnosisVerdict])
 def test_badge_sentence_and_table_say_the_same(n_cycles: int, percent: float, widening: float, diagnosed: Any) -> None:
     """Over all verdicts: no green beside a large misfit or scatter, no judgement on two cycles, one diagnosis."""
     found = LeftOver(percent, n_cycles, widening, diagnosed)

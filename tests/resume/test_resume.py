@@ -21,7 +21,7 @@ from shj_bayes.errors import CheckpointError, InferenceError
 from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.priors import read_priors
 
@@ -52,7 +52,7 @@ def sample(
     posterior: Posterior, start: Start, *, seed: int = 1, threads: int = 0, density: object = None, **more: object
 ) -> list[EnsembleState]:
     """Five rounds."""
-    plan = Plan(seed=seed, round_steps=ROUND, max_steps=STEPS, threads=threads)
+    plan = SamplingPlan(seed=seed, round_steps=ROUND, max_steps=STEPS, threads=threads)
     density = posterior if density is None else density
     states, _ = run_ensembles(density, posterior.names, start, plan, fingerprint=posterior.fingerprint, **more)  # type: ignore[arg-type]
     return states
@@ -216,7 +216,7 @@ def test_checkpoint_of_another_plan_is_refused(
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
-    plan = Plan(**({"seed": 1, "round_steps": ROUND, "max_steps": STEPS} | change))
+    plan = SamplingPlan(**({"seed": 1, "round_steps": ROUND, "max_steps": STEPS} | change))
     with pytest.raises(CheckpointError, match="its plan"):
         run_ensembles(small, small.names, start, plan, fingerprint=small.fingerprint, path=path)
 
@@ -226,7 +226,7 @@ def test_a_longer_plan_goes_on_from_the_checkpoint(
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
-    plan = Plan(seed=1, round_steps=7, max_steps=74)  # other rounds, same bits
+    plan = SamplingPlan(seed=1, round_steps=7, max_steps=74)  # other rounds, same bits
     states, _ = run_ensembles(small, small.names, start, plan, fingerprint=small.fingerprint, path=path)
     assert states[0].chain.shape[0] == 74
     for old, new in zip(saved[1], states, strict=True):
@@ -349,7 +349,7 @@ def test_checkpoint_of_another_version_is_refused(
 )
 def test_plans_without_a_verdict(small: Posterior, start: Start, plan: dict[str, int], message: str) -> None:
     with pytest.raises(InferenceError, match=re.escape(message)):
-        run_ensembles(small, small.names, start, Plan(**plan))
+        run_ensembles(small, small.names, start, SamplingPlan(**plan))
 
 
 def test_no_finite_start(small: Posterior, start: Start) -> None:

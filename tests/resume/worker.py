@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
 
 PLAN = {"round_steps": 12, "max_steps": 60}
@@ -27,7 +27,7 @@ def main(path: Path, seed: int, delay_s: float) -> None:
             return posterior.log_posterior_free(z)
 
     run_ensembles(
-        Slow(), posterior.names, start, Plan(seed=seed, **PLAN), fingerprint=posterior.fingerprint, path=path,
+        Slow(), posterior.names, start, SamplingPlan(seed=seed, **PLAN), fingerprint=posterior.fingerprint, path=path,
     )  # fmt: skip
 
 

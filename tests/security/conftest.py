@@ -6,7 +6,7 @@ import pytest
 
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 
 HOSTILE = "=cmd|' /C calc'!A0 <script>alert('x')</script> \x1b]0;t\x07 \u202egnp.exe ../../etc/passwd {{ 7*7 }}"
 
@@ -20,6 +20,6 @@ def hostile() -> str:
 def fitted(tmp_path_factory: pytest.TempPathFactory, small_device: Posterior) -> Path:
     """Folder of a finished fit."""
     folder = tmp_path_factory.mktemp("fitted")
-    plan = Plan(max_steps=50, round_steps=50)
+    plan = SamplingPlan(max_steps=50, round_steps=50)
     fit(small_device.runs, small_device.model, name=HOSTILE, plan=plan, folder=folder)
     return folder

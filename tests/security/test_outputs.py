@@ -25,7 +25,7 @@ from shj_bayes.commands.options import Options
 from shj_bayes.errors import InferenceError, PopulationError, ReportError, ShjError
 from shj_bayes.inference import store
 from shj_bayes.margins.specimen import read_specimen
-from shj_bayes.mismatch.diagnosis import Diagnosis
+from shj_bayes.mismatch.diagnosis import DiagnosisResult
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, safe_cell, write_population
@@ -364,7 +364,7 @@ def test_a_diagnosis_is_not_written_through_a_link_and_its_old_page_goes(tmp_pat
     (tmp_path / "mine").write_text("mine", encoding="utf-8")
     (tmp_path / "diagnosis.nc.part").symlink_to(tmp_path / "mine")
     (tmp_path / "diagnosis.html").write_text("of the one before", encoding="utf-8")
-    Diagnosis(made("adequate"), xr.Dataset({"force": ("point", np.arange(3.0))})).write(tmp_path)
+    DiagnosisResult(made("adequate"), xr.Dataset({"force": ("point", np.arange(3.0))})).write(tmp_path)
     assert (tmp_path / "mine").read_text(encoding="utf-8") == "mine"
     assert not (tmp_path / "diagnosis.html").exists()
 

@@ -42,7 +42,7 @@ from shj_bayes.errors import ShjError
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.shared import Density
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
@@ -128,7 +128,7 @@ def draw(
             recordings = _with_signed_speed(recordings, truth, blocks, rate_Hz)
         posterior, start = find_start(make_posterior(runs_of(recordings), model))
         density: Density = WithJacobian(posterior) if broken == "jacobian" else posterior
-        plan = Plan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1)
+        plan = SamplingPlan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1)
         states, figures = run_ensembles(density, posterior.names, start, plan)
         chains = np.stack([state.chain[figures.n_burn :] for state in states])
         theta = posterior.natural(chains.reshape(-1, len(posterior.names)))

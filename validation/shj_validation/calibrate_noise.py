@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.catalogue import noise_model
@@ -86,7 +86,7 @@ def draw_noise(number: int, seed: int, *, effects: bool, max_steps: int) -> dict
     record = {"number": number, **chosen, "truth": values}
     try:
         runs = runs_of(list(_recordings(model, values, chosen, rng)))
-        result = fit(runs, model, plan=Plan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1))
+        result = fit(runs, model, plan=SamplingPlan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1))
     except ShjError as error:
         return record | {"error": str(error), "seconds": time.perf_counter() - begin}
     z, below = {}, {}

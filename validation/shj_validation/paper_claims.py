@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from shj_bayes.population.classical import permutation_test
-from shj_bayes.population.published import DEVICE_TABLES, Claim, Held, PublishedRow, published_rows
+from shj_bayes.population.published import DEVICE_TABLES, Claim, Holding, PublishedRow, published_rows
 from shj_bayes.population.quantities import FloatArray
 from shj_validation.contrasts import two_way_anova
 
@@ -80,21 +80,21 @@ def _degradation(rows: Sequence[PublishedRow]) -> list[Claim]:
         Claim(
             "most_20_to_30",
             "the degradation of most connections was about 20 to 30 %",
-            Held.NO,
+            Holding.NO,
             {"rows_20_to_30": within, "rows": len(rows), "counts": degradation_counts(rows)},
             f"{within} of {len(rows)} devices lost between 20 and 30 %; they spread evenly from 8 to 40 %.",
         ),
         Claim(
             "most_below_30",
             "most cases do not exceed 30 %",
-            Held.PARTLY,
+            Holding.PARTLY,
             {"rows_up_to_30": below, "rows_above_30": len(rows) - below, "rows": len(rows)},
             f"{below} of {len(rows)} devices lost 30 % or less; {len(rows) - below} lost more.",
         ),
         Claim(
             "counts_of_figure_10",
             "6 cases of 10 %, 5 of 30 %, and 2 that reach 50 to 60 %",
-            Held.PARTLY,
+            Holding.PARTLY,
             {"tables": matching[0] if matching else (), "matching_choices": len(matching)},
             "True, once rounded to 10 %, only of Tables "
             + " and ".join(", ".join(str(t) for t in chosen) for chosen in matching)
@@ -103,14 +103,14 @@ def _degradation(rows: Sequence[PublishedRow]) -> list[Claim]:
         Claim(
             "up_to_60",
             "degradation up to 60 % for some coatings",
-            Held.NO,
+            Holding.NO,
             {"worst_percent": float(loss.max()), "table": worst.table},
             f"{worst.row} of Table {worst.table} lost {loss.max():.0f} %.",
         ),
         Claim(
             "greater_when_coated",
             "degradation was greater for coated than for uncoated devices",
-            Held.PARTLY,
+            Holding.PARTLY,
             {"mean_percent_per_table": means},
             f"Mean loss {means[0]:.1f} % uncoated, {means[1]:.1f} and {means[2]:.1f} % coated, but only "
             f"{means[3]:.1f} and {means[4]:.1f} % coated and corroded; the 100 % coverage devices "
@@ -131,7 +131,7 @@ def _corrosion(rows: Sequence[PublishedRow]) -> Claim:
     return Claim(
         "corrosion_no_effect",
         "corrosion had no notable effect beyond the variation between devices",
-        Held.OPEN,
+        Holding.OPEN,
         {
             "change_percent_per_coating": tuple(change.tolist()),
             "mean_change_percent": mean_change,
@@ -158,7 +158,7 @@ def _coating(rows: Sequence[PublishedRow]) -> Claim:
     return Claim(
         "coating_matters",
         "coatings differ in force, degradation and speed dependence",
-        Held.OPEN,
+        Holding.OPEN,
         {
             "f_force_log": force.f_rows,
             "p_force_log": force.p_rows,
@@ -184,7 +184,7 @@ def _velocity(rows: Sequence[PublishedRow]) -> list[Claim]:
         Claim(
             "coatings_turn_negative",
             "coatings make the speed coefficient negative, except Alkyd 100 %",
-            Held.PARTLY,
+            Holding.PARTLY,
             {"negative_per_table": negative, "alkyd_100": tuple(alkyd[t] for t in (4, 5, 6, 7))},
             f"Negative in {negative[1]} of 5 devices of Table 4, {negative[2]} of 5 of Table 5, {negative[3]} of 5 of "
             f"Table 6 and {negative[4]} of 5 of Table 7. Alkyd 100 % has {alkyd[4]:+.3f} and {alkyd[5]:+.3f} s/mm in "
@@ -193,7 +193,7 @@ def _velocity(rows: Sequence[PublishedRow]) -> list[Claim]:
         Claim(
             "unchanged_between_runs",
             "K, beta and dep do not change between runs, which validates the model",
-            Held.NO,
+            Holding.NO,
             {"rows_identical": same, "rows": len(rows)},
             f"K, beta and dep are identical to the digit in {same} of {len(rows)} devices: "
             "they were held, not found again.",
@@ -201,7 +201,7 @@ def _velocity(rows: Sequence[PublishedRow]) -> list[Claim]:
         Claim(
             "average_of_dep",
             "the two last values of Figure 9 equal zero, and zero means the strongest dependence",
-            Held.NO,
+            Holding.NO,
             {"sum_of_dep": zinc, "mean_gamma": 0.5 * (1 / dep[6, "Zinc 70"] + 1 / dep[7, "Zinc 70"])},
             "The zeros are the mean of dep = +90 and -90 mm/s; the mean of 1/dep is zero as well, "
             "which is no dependence.",
@@ -221,7 +221,7 @@ def _replicates(rows: Sequence[PublishedRow]) -> Claim:
     return Claim(
         "slight_differences",
         "the second set of tests confirmed the first with slight differences",
-        Held.NO,
+        Holding.NO,
         {**{f"sd_log_{k}": v for k, v in spread.items()}, "pairs_identical_Fy": identical, "pairs": 10},
         f"{identical} of 10 pairs print the same first-run force, the others differ so much that the standard "
         f"deviation between identical devices is {100 * spread['Fy']:.0f} % overall (logarithm; second run "

@@ -31,7 +31,7 @@ from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import name_of
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
-from shj_bayes.results.diagnosis import Verdict
+from shj_bayes.results.diagnosis import DiagnosisVerdict
 from shj_bayes.results.store import has
 
 TABLES_NAME = "Published tables"
@@ -123,7 +123,7 @@ def read_devices(
     out, found, notes, n_told = [], {}, [], 0
     for place, name, of_set, with_set in _places(campaign, result):
         diagnosis, why = find_diagnosis(folder / place)
-        better = diagnosis.fit if diagnosis is not None and diagnosis.verdict is not Verdict.ADEQUATE else None
+        better = diagnosis.fit if diagnosis is not None and diagnosis.verdict is not DiagnosisVerdict.ADEQUATE else None
         if with_set:
             better = folder / place / WITH_SET
         if not told or of_set in told:

@@ -12,7 +12,7 @@ from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.asked import Asked
+from shj_bayes.planning.asked import PlanOptions
 from shj_bayes.planning.candidates import Candidates, proposals
 from shj_bayes.planning.devices import further_devices
 from shj_bayes.planning.files import PlanRecord, force_record, plan_record, write_plan
@@ -33,7 +33,7 @@ DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 @alone_in("out")
 def plan_next(
-    folders: Sequence[Path], out: Path, asked: Asked, *, tell: Callable[[str], None] = lambda _: None
+    folders: Sequence[Path], out: Path, asked: PlanOptions, *, tell: Callable[[str], None] = lambda _: None
 ) -> Done:
     """Plan the next test and write ``plan.json``, ``next-1.csv`` to ``next-3.csv`` and ``plan.html``.
 

@@ -14,7 +14,7 @@ from shj_bayes.commands.options import Options
 from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_lines, plain_text
 from shj_bayes.inference.fit import CHECKPOINT, fit
 from shj_bayes.inference.run import Run, runs_of
-from shj_bayes.inference.sampler import LIBRARY, Plan
+from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
@@ -65,9 +65,11 @@ class Work:
             refuse_used_folder(folder, name, recordings)
         return recordings, name
 
-    def plan(self, options: Options, tops: tuple[FloatArray, ...] = ()) -> Plan:
+    def plan(self, options: Options, tops: tuple[FloatArray, ...] = ()) -> SamplingPlan:
         """How to sample; from `tops`, where the highest densities are known."""
-        return Plan(options.seed, max_steps=options.max_steps, tops=tops, threads=self.threads, progress=self.progress)
+        return SamplingPlan(
+            options.seed, max_steps=options.max_steps, tops=tops, threads=self.threads, progress=self.progress
+        )
 
 
 @alone_in("folder", kept=FitRecord.FILE)
@@ -100,7 +102,9 @@ def fit_device(
     return Done(finished, device_text(folder, finished, note), fresh=fresh, note=note)
 
 
-def _fit(runs: Sequence[Run], folder: Path, model: DeviceModel, plan: Plan, *, name: str, key: str) -> FitRecord:
+def _fit(
+    runs: Sequence[Run], folder: Path, model: DeviceModel, plan: SamplingPlan, *, name: str, key: str
+) -> FitRecord:
     """Fit and write the files; give the record."""
     sampled = partial(fit, runs, model, name=name, key=key, plan=plan, folder=folder)
     checkpoint = folder / CHECKPOINT

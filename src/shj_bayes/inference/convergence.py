@@ -41,7 +41,7 @@ class Diagnostics:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class FitVerdict:
     """How far a fit may be trusted, with reasons and advice in words."""
 
     word: Trust
@@ -105,7 +105,7 @@ def diagnose_chains(
     return Diagnostics(names, tau, agreement, bulk, tail, np.asarray(acceptance), n_steps, burn, n_failed)
 
 
-def judge(d: Diagnostics) -> Verdict:
+def judge(d: Diagnostics) -> FitVerdict:
     """Verdict with reasons that say what to do.
 
     ``reliable``: for every parameter R-hat < 1.01 across ensembles, ESS (bulk and tail) >= 1000 and more than 50
@@ -141,6 +141,6 @@ def judge(d: Diagnostics) -> Verdict:
             f"sample size at least {ess.min():.0f}, {d.lengths:.0f} autocorrelation times, "
             f"acceptance {d.acceptance.mean():.2f}"
         )
-        return Verdict(Trust.RELIABLE, (text,))
+        return FitVerdict(Trust.RELIABLE, (text,))
     bad = d.rhat[worst] > 1.1 or ess[least] < 100 or stuck >= 0.5
-    return Verdict(Trust.UNUSABLE if bad else Trust.TENTATIVE, tuple(problems))
+    return FitVerdict(Trust.UNUSABLE if bad else Trust.TENTATIVE, tuple(problems))

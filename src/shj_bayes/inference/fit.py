@@ -10,18 +10,18 @@ import xarray as xr
 
 from shj_bayes.inference import store
 from shj_bayes.inference.compiling import told_when_slow
-from shj_bayes.inference.convergence import Diagnostics, Verdict, judge
+from shj_bayes.inference.convergence import Diagnostics, FitVerdict, judge
 from shj_bayes.inference.floor import Floor, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.remarks import remarks_of
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.sampler import LIBRARY, Plan, run_ensembles
+from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.results.fit import FitRecord, Trust
 
 CHECKPOINT = "checkpoint.h5"
-DEFAULT_PLAN = Plan()
+DEFAULT_PLAN = SamplingPlan()
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Fit:
     summary: pd.DataFrame  # one row for each parameter
     figures: Diagnostics
     floor: Floor  # how the intervals compare with the scatter from cycle to cycle
-    verdict: Verdict  # can the numbers be used
+    verdict: FitVerdict  # can the numbers be used
     record: FitRecord
 
 
@@ -43,7 +43,7 @@ def fit(
     *,
     name: str = "device",
     key: str = "",
-    plan: Plan = DEFAULT_PLAN,
+    plan: SamplingPlan = DEFAULT_PLAN,
     folder: Path | None = None,
 ) -> Fit:
     """Sample the posterior of one device.
@@ -91,7 +91,7 @@ def fit(
     return Fit(posterior, data, table, figures, floor, verdict, record)
 
 
-def with_floor(verdict: Verdict, floor: Floor) -> Verdict:
+def with_floor(verdict: FitVerdict, floor: Floor) -> FitVerdict:
     """Verdict of a fit whose intervals were held against the scatter from cycle to cycle."""
     if not floor.widened:
         return verdict
@@ -102,4 +102,4 @@ def with_floor(verdict: Verdict, floor: Floor) -> Verdict:
         "`shj-bayes diagnose` looks for what the model leaves out"
     )
     word = Trust.TENTATIVE if verdict.word == Trust.RELIABLE else verdict.word
-    return Verdict(word, (*verdict.reasons, reason))
+    return FitVerdict(word, (*verdict.reasons, reason))

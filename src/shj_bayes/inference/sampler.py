@@ -15,7 +15,7 @@ from shj_bayes.inference import checkpoint
 from shj_bayes.inference.checkpoint import EnsembleState
 from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, diagnose_chains, judge
 from shj_bayes.inference.proposal import Proposal, fit_proposal
-from shj_bayes.inference.shared import Density, Shared, n_threads
+from shj_bayes.inference.shared import Density, SharedDensity, n_threads
 from shj_bayes.inference.squares import root_of
 from shj_bayes.inference.start import Start
 from shj_bayes.model.parameters import FloatArray
@@ -30,7 +30,7 @@ LEAST_ROUND, SURE = 10, 1.04  # steps; by how much the steps are taken longer th
 
 
 @dataclass(frozen=True)
-class Plan:
+class SamplingPlan:
     """How to sample."""
 
     seed: int = 1  # same seed and inputs, same numbers
@@ -87,7 +87,7 @@ def run_ensembles(
     density: Density,
     names: tuple[str, ...],
     start: Start,
-    plan: Plan,
+    plan: SamplingPlan,
     *,
     fingerprint: dict[str, str] | None = None,
     path: Path | None = None,
@@ -112,7 +112,7 @@ def run_ensembles(
     d, n = len(names), n_threads(plan.threads)
     stream = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(98,)))
     with ThreadPoolExecutor(n) as pool:
-        proposal = fit_proposal(Shared(density, pool, n), start, stream)
+        proposal = fit_proposal(SharedDensity(density, pool, n), start, stream)
     identity = dict(fingerprint or {}) | {"plan": f"seed {plan.seed}, {plan.n_ensembles} x {plan.walkers(d)} walkers"}
     if path is not None and path.exists():
         states = checkpoint.load(path, identity, (plan.n_ensembles, plan.walkers(d), d))
@@ -147,7 +147,7 @@ def _advance_all(
         raise
 
 
-def _next_round(plan: Plan, done: int, figures: Diagnostics | None) -> int:
+def _next_round(plan: SamplingPlan, done: int, figures: Diagnostics | None) -> int:
     """Choose the steps to the next look: a round, or fewer where the chain will be long enough before its end."""
     steps = max(plan.round_steps, done // 5)  # a look costs in proportion to the chain: the longer, the fewer looks
     if figures is not None and np.isfinite(figures.tau).all():

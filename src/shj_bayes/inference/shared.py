@@ -19,7 +19,7 @@ class Density(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Shared:
+class SharedDensity:
     """A density whose points are evaluated by several threads; each point's value is the same to the bit."""
 
     density: Density  # log density in the unbounded space; it must let go of the interpreter lock to be any faster here

@@ -12,7 +12,7 @@ from shj_bayes.errors import InferenceError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.shared import Density, Shared, n_threads
+from shj_bayes.inference.shared import Density, SharedDensity, n_threads
 from shj_bayes.inference.squares import (
     LawOnly,
     best_of,
@@ -62,9 +62,9 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
-        even = polish(Shared(refined, pool, n), full)
+        even = polish(SharedDensity(refined, pool, n), full)
         refined, z = _roughened(refined, even.free)
-        return refined, polish(Shared(refined, pool, n), [z])
+        return refined, polish(SharedDensity(refined, pool, n), [z])
 
 
 def started(posterior: Posterior, theta: FloatArray) -> Posterior:

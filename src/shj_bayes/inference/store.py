@@ -47,7 +47,7 @@ from shj_bayes.results.fit import (
 from shj_bayes.results.store import FILES, write
 
 if TYPE_CHECKING:  # whoever only reads files need not wait for ArviZ
-    from shj_bayes.inference.convergence import Diagnostics, Verdict
+    from shj_bayes.inference.convergence import Diagnostics, FitVerdict
     from shj_bayes.inference.floor import Floor
 
 Group = Callable[..., xr.Dataset]  # `_group` with the words of a fit
@@ -196,7 +196,7 @@ def fit_record(
     posterior: Posterior,
     figures: Diagnostics,
     floor: Floor,
-    verdict: Verdict,
+    verdict: FitVerdict,
     table: pd.DataFrame,
     **asked: Any,
 ) -> FitRecord:

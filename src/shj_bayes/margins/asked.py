@@ -45,7 +45,7 @@ further change, a change that ends at twice the tested one, and one that slows d
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class LoadingHistory:
     """A displacement history."""
 
     time_s: FloatArray  # shape (n_samples,): sampling times
@@ -55,7 +55,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Course:
+class LoadCase:
     """One way in which a device is driven through a history."""
 
     law: str  # "tested", or one of `LAWS` for what was not
@@ -63,7 +63,7 @@ class Course:
     channels: tuple[tuple[str, float], ...] = ()
 
 
-def asked_for(request: Request, specimens: Sequence[Specimen]) -> Asked | None:
+def asked_for(request: Request, specimens: Sequence[Specimen]) -> LoadingHistory | None:
     """Give the history that is asked for; None for the test that each device went through.
 
     The largest common amplitude and speed of the tested devices stand in for what was not stated.
@@ -78,15 +78,15 @@ def asked_for(request: Request, specimens: Sequence[Specimen]) -> Asked | None:
     return sine(amplitude, speed, 3 if request.cycles is None else request.cycles)
 
 
-def sine(amplitude_mm: float, speed_mm_s: float, cycles: int) -> Asked:
+def sine(amplitude_mm: float, speed_mm_s: float, cycles: int) -> LoadingHistory:
     """So many full cycles of one amplitude and peak speed, with the quarters that lead in and out."""
     frequency = speed_mm_s / (2.0 * math.pi * amplitude_mm)
     time, motion = exact_motion((Block(amplitude_mm, frequency, cycles + 1),), SAMPLES * frequency)
     words = f"{cycles} cycles of {amplitude_mm:.3g} mm at a peak speed of {speed_mm_s:.3g} mm/s"
-    return Asked(time, motion, words)
+    return LoadingHistory(time, motion, words)
 
 
-def from_file(path: Path) -> Asked:
+def from_file(path: Path) -> LoadingHistory:
     """Read a displacement (mm) over time (s) as recordings are read; further columns are not.
 
     `RecordingError` where the file cannot be read as such, `PopulationError` where nothing moves or time does not grow.
@@ -106,17 +106,19 @@ def from_file(path: Path) -> Asked:
     direction = alternating(start.size - 1, 1 if moved[start[1] - 1] > moved[0] else -1)
     motion = Motion(moved, speed, start, moved[start[:-1]], direction)
     found = tuple(f"{path.name}: {finding.message}" for finding in findings)
-    return Asked(fine - fine[0], motion, f"the history of {plain_text(path.name)}", found)
+    return LoadingHistory(fine - fine[0], motion, f"the history of {plain_text(path.name)}", found)
 
 
-def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> dict[Course, tuple[History, ...]]:
+def courses(
+    asked: LoadingHistory | None, specimen: Specimen, *, extrapolate: bool
+) -> dict[LoadCase, tuple[History, ...]]:
     """Histories to drive a device through, for each law of what was not tested and each value of what is not known.
 
     Without `asked` the device's own test. The typical one comes first. `PopulationError` if the history leaves what was
     tested and extrapolation was not asked for.
     """
     if asked is None:
-        return {Course("tested"): specimen.histories}
+        return {LoadCase("tested"): specimen.histories}
     runs = specimen.driven_through(asked.time_s, asked.motion)
     beyond = _beyond(runs, specimen)
     name = f"{specimen.set_name}, {specimen.name}"
@@ -128,7 +130,7 @@ def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> di
     beyond = {k: v for k, v in beyond.items() if any(depends(b, specimen.histories[-1], k) for b in specimen.beliefs)}
     values = values_to_try(specimen)
     if not beyond:
-        return {Course("tested", tuple(at.items())): tuple(run.held(at) for run in runs) for at in values}
+        return {LoadCase("tested", tuple(at.items())): tuple(run.held(at) for run in runs) for at in values}
     if not extrapolate:
         coordinate, reached = next(iter(beyond.items()))
         unit, tested = coordinate_named(coordinate).unit, specimen.ranges[coordinate]
@@ -139,7 +141,7 @@ def courses(asked: Asked | None, specimen: Specimen, *, extrapolate: bool) -> di
             "laws is given instead"
         )
     return {
-        Course(law, tuple(at.items())): tuple(_stretched(run.held(at), specimen, beyond, shape) for run in runs)
+        LoadCase(law, tuple(at.items())): tuple(_stretched(run.held(at), specimen, beyond, shape) for run in runs)
         for law, shape in LAWS.items()
         for at in values
     }

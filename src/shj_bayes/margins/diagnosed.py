@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from shj_bayes.errors import InferenceError, ReportError
-from shj_bayes.results.diagnosis import NOTHING_MISSING, DiagnosisRecord, Verdict
+from shj_bayes.results.diagnosis import NOTHING_MISSING, DiagnosisRecord, DiagnosisVerdict
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import diagnosis_in, has, read
 
@@ -21,7 +21,7 @@ Key = tuple[str, str]
 class Diagnosed:
     """What a diagnosis says of a device."""
 
-    verdict: Verdict  # what it found
+    verdict: DiagnosisVerdict  # what it found
     found: tuple[str, ...]  # what was left out, in words; for a family its members
     fit: Path | None = None  # folder of the fit that it ended in; None for a first look, which has none
 
@@ -41,7 +41,7 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
     if record.sha256_of_inputs != fitted.sha256_of_inputs:
         return None, "its diagnosis is of other recordings; run shj-bayes diagnose on those of the fit"
     found = [e.title or e.id for e in record.effects]
-    if record.verdict is Verdict.FAMILY:
+    if record.verdict is DiagnosisVerdict.FAMILY:
         nothing = [NOTHING_MISSING] if any(not one.classes for one in record.sets) else []
         found = [*(e.id for e in record.family), *nothing]
     return Diagnosed(record.verdict, tuple(found), place if has(FitRecord, place) and not record.quick else None), ""
@@ -49,7 +49,9 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
 
 def words_of(found: Mapping[Key, Diagnosed], n_devices: int, notes: Iterable[str] = ()) -> tuple[str, ...]:
     """Say what the diagnoses found, by (set, device), of how many devices, and what could not be used (`notes`)."""
-    changed = [_words(f"{key[0]}, {key[1]}", d) for key, d in found.items() if d.verdict is not Verdict.ADEQUATE]
+    changed = [
+        _words(f"{key[0]}, {key[1]}", d) for key, d in found.items() if d.verdict is not DiagnosisVerdict.ADEQUATE
+    ]
     return (*changed, _how_many(len(found), n_devices), *notes)
 
 
@@ -70,6 +72,6 @@ def _words(name: str, diagnosis: Diagnosed) -> str:
         else " (first look without a posterior: bounds rest on the law alone and on what was measured)"
     )
     return {
-        Verdict.NAMED: f"{name}: {what}{tail}",
-        Verdict.FAMILY: f"{name}: one of {what}, not told apart{tail}",
+        DiagnosisVerdict.NAMED: f"{name}: {what}{tail}",
+        DiagnosisVerdict.FAMILY: f"{name}: one of {what}, not told apart{tail}",
     }.get(diagnosis.verdict, f"{name}: left out and not explained by the catalogue; best model found: {what}{tail}")

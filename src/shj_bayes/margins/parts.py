@@ -56,7 +56,7 @@ def corroded_pairs(result: PopulationResult) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True)
-class Parts:
+class DesignBasis:
     """What the factors of one set are made of."""
 
     # nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user
@@ -66,8 +66,8 @@ class Parts:
     age: Environment  # corrosion
 
 
-def parts_of(result: PopulationResult, set_name: str, devices: Newcomers, nominal_kN: float | None) -> Parts:
+def parts_of(result: PopulationResult, set_name: str, devices: Newcomers, nominal_kN: float | None) -> DesignBasis:
     """Split what is known of a set into the parts that the codes multiply."""
     force = delivered(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
     nominal = (force.third, "typical device") if nominal_kN is None else (nominal_kN, "stated by the user")
-    return Parts(*nominal, force, environment(result, set_name))
+    return DesignBasis(*nominal, force, environment(result, set_name))

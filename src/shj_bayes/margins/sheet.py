@@ -9,11 +9,11 @@ import numpy as np
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import bands, following
 from shj_bayes.margins.agreement import agreement
-from shj_bayes.margins.asked import Asked, published_factors
+from shj_bayes.margins.asked import LoadingHistory, published_factors
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.outermost import newcomers
-from shj_bayes.margins.parts import Parts, parts_of
+from shj_bayes.margins.parts import DesignBasis, parts_of
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.spread import NOT_NORMAL, Sample, between_sets, common_spread, of_set, samples
@@ -98,7 +98,7 @@ def margins(
     trials: Sequence[Trial],
     request: Request = PLAIN,
     *,
-    asked: Asked | None = None,
+    asked: LoadingHistory | None = None,
     words: Sequence[str] = (),
 ) -> Sheet:
     """Draw up the margins of a population from its pooled design quantities and the devices behind it.
@@ -193,7 +193,7 @@ def _given(
     name: str,
     by_set: Mapping[str, dict[str, Sample]],
     common: Mapping[str, tuple[float, int]],
-    parts: Parts,
+    parts: DesignBasis,
     request: Request,
 ) -> Given:
     """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
@@ -224,7 +224,7 @@ def _degradation(row: Margin) -> Margin:
 
 
 def _warnings(
-    result: PopulationResult, request: Request, spoken: Sequence[str], asked: Asked | None, laws: Sequence[str]
+    result: PopulationResult, request: Request, spoken: Sequence[str], asked: LoadingHistory | None, laws: Sequence[str]
 ) -> Iterator[str]:
     """Say what limits the use of the margins: what was taken as known, what was not tested, where tests are too few."""
     tested = result.tested

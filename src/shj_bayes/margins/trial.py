@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import Asked, Course, courses
+from shj_bayes.margins.asked import LoadCase, LoadingHistory, courses
 from shj_bayes.margins.following import Following, following_of
 from shj_bayes.margins.quantities import SIDE, TABLE, counted_from, of_readings, pooled
 from shj_bayes.margins.row import LOW
@@ -75,7 +75,9 @@ class Trial:
         return DeviceEstimate(self.name, self.set_name, known, tags)
 
 
-def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: bool = False) -> tuple[Trial, ...]:
+def try_all(
+    specimens: Sequence[Specimen], asked: LoadingHistory | None, *, extrapolate: bool = False
+) -> tuple[Trial, ...]:
     """Put every device through the virtual test: the history asked for, None for the test that each went through.
 
     `PopulationError` if the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
@@ -93,10 +95,10 @@ def try_all(specimens: Sequence[Specimen], asked: Asked | None, *, extrapolate: 
 
 
 def _driven(
-    specimen: Specimen, histories: Mapping[Course, tuple[History, ...]]
-) -> tuple[dict[Course, list[Runs]], tuple[Loop, ...]]:
+    specimen: Specimen, histories: Mapping[LoadCase, tuple[History, ...]]
+) -> tuple[dict[LoadCase, list[Runs]], tuple[Loop, ...]]:
     """Drive a device: readings by course and model, and the widest cycle of the best model."""
-    found: dict[Course, list[Runs]] = {}
+    found: dict[LoadCase, list[Runs]] = {}
     loops: tuple[Loop, ...] = ()
     for course, runs in histories.items():
         found[course] = []
@@ -137,7 +139,7 @@ def _from(first: Runs, common: float) -> float:
 
 def _trial(
     specimen: Specimen,
-    driven: tuple[Mapping[Course, list[Runs]], tuple[Loop, ...]],
+    driven: tuple[Mapping[LoadCase, list[Runs]], tuple[Loop, ...]],
     least: float,
     own: Runs,
     own_least: float,

@@ -9,7 +9,7 @@ import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.chatter import EQUATION, SHOWS, STATEMENT, SURE, Chatter
-from shj_bayes.mismatch.findings import Answer, Finding, Reason, curve_band, rivals_of
+from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, cycles_of
 from shj_bayes.mismatch.hypothesis import TEETH
 from shj_bayes.mismatch.proven import Proven
@@ -30,6 +30,8 @@ from shj_bayes.results.diagnosis import (
     ClassId,
     CurveRecord,
     Dependence,
+    DiagnosisVerdict,
+    DrawsInShort,
     Dropped,
     EffectParameter,
     EffectRecord,
@@ -40,9 +42,7 @@ from shj_bayes.results.diagnosis import (
     Period,
     SetProbability,
     Shift,
-    Spread,
     Unknown,
-    Verdict,
 )
 
 Draws = Mapping[str, FloatArray]
@@ -50,7 +50,7 @@ Shape = tuple[Mapping[str, float | None], ...]
 
 
 def spread(values: FloatArray) -> dict[str, float]:
-    """Mean, standard deviation, median and 90 % interval of draws: the fields of a `Spread`."""
+    """Mean, standard deviation, median and 90 % interval of draws: the fields of a `DrawsInShort`."""
     quantiles = np.quantile(values, [0.05, 0.5, 0.95]).tolist()
     mean, sd = float(values.mean()), float(values.std(ddof=1))
     return {"mean": mean, "sd": sd, **dict(zip(("q05", "q50", "q95"), quantiles, strict=True))}
@@ -80,7 +80,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ..
                 equation=effect.equation,
                 cause=effect.cause,
                 shows=effect.shows,
-                partial=answer.verdict is Verdict.UNKNOWN,
+                partial=answer.verdict is DiagnosisVerdict.UNKNOWN,
                 probability=finding.probability * finding.names[0][1],
                 rivals=tuple(name for name in rivals(out, answer, finding) if name != effect.mechanism),
                 size_kN=finding.size * out.scene.scale_kN,
@@ -107,7 +107,7 @@ def _chatter(out: Search, answer: Answer, chatter: Chatter) -> EffectRecord:
         equation=EQUATION,
         cause=effect.cause,
         shows=SHOWS,
-        partial=answer.verdict is Verdict.UNKNOWN,
+        partial=answer.verdict is DiagnosisVerdict.UNKNOWN,
         probability=SURE,
         size_kN=chatter.size * out.scene.scale_kN,
         parameters={"size": EffectParameter(**spread(chatter.of_strokes), unit="1")},
@@ -133,7 +133,7 @@ def modelled(answer: Answer, draws: Draws) -> dict[str, dict[str, float]]:
     return {e.id: {p.name: float(np.median(draws[f"{e.id}.{p.name}"])) for p in e.parameters} for e in shown}
 
 
-def rivals(out: Search, answer: Answer, finding: Finding) -> list[str]:
+def rivals(out: Search, answer: Answer, finding: FoundEffect) -> list[str]:
     """Mechanisms that may stand in the place of one: by another formula, or by a class that another set holds there."""
     others = {
         name
@@ -162,7 +162,7 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
 
 def family(out: Search, answer: Answer) -> tuple[Member, ...]:
     """Mechanisms that the recording cannot tell apart, most probable first."""
-    if answer.verdict is not Verdict.FAMILY:
+    if answer.verdict is not DiagnosisVerdict.FAMILY:
         return ()
     listed: dict[str, float] = {}
     sure = frozenset.intersection(*(key for key, _ in rivals_of(answer)))
@@ -247,7 +247,7 @@ def fluctuation(out: Search) -> Dependence:
 
 def unknown(out: Search, answer: Answer) -> Unknown | None:
     """Describe what no mechanism explains: the curve, or where the rest is largest."""
-    if answer.verdict is not Verdict.UNKNOWN:
+    if answer.verdict is not DiagnosisVerdict.UNKNOWN:
         return None
     strange = [f for f in answer.findings if not f.named]
     fy = out.scene.scale_kN
@@ -370,7 +370,7 @@ def shift(before: Draws, after: Draws) -> dict[str, Shift]:
     """Say what the omission did to the parameters of the base law, from draws without and with the effects found."""
     base = [name for name in before if "." not in name]  # not of effects that were given
     shared = [name for name in base if name in after and base_and_run(name)[0] in LAW_PARAMETERS]
-    return {n: Shift(before=Spread(**spread(before[n])), after=Spread(**spread(after[n]))) for n in shared}
+    return {n: Shift(before=DrawsInShort(**spread(before[n])), after=DrawsInShort(**spread(after[n]))) for n in shared}
 
 
 def next_test(shown: Proven, *, quick: bool) -> str | None:
@@ -383,7 +383,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
     if answer.reason is Reason.NOT_BORNE_OUT:
         names = mechanisms(out, answer, shown.dropped[-1].of)
         return known[names[0]].next_test if names and names[0] in known else None
-    if answer.verdict is not Verdict.FAMILY:
+    if answer.verdict is not DiagnosisVerdict.FAMILY:
         return None
     members = [member.id for member in family(out, answer)]
     said = list(dict.fromkeys(known[name].next_test for name in members[:2]))

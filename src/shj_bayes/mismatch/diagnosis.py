@@ -35,7 +35,7 @@ Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], S
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class DiagnosisResult:
     """A finished diagnosis."""
 
     record: DiagnosisRecord
@@ -64,7 +64,7 @@ def diagnose(
     seed: int = 1,
     sample: Sampling | None = None,
     tell: Callable[[str], None] = lambda _: None,
-) -> Diagnosis:
+) -> DiagnosisResult:
     """Find what a model leaves out of the recordings of one device.
 
     Parameters
@@ -119,7 +119,7 @@ def diagnose(
         versions=versions(),
         seconds=time.perf_counter() - begin,
     )
-    return Diagnosis(record, content.channels(shown.fine, shown.before, shown.after))
+    return DiagnosisResult(record, content.channels(shown.fine, shown.before, shown.after))
 
 
 @dataclass(frozen=True, eq=False)

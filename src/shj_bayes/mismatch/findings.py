@@ -17,7 +17,7 @@ from shj_bayes.mismatch.sizes import MOTION, away, largest_size_of, may_miss, si
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, Verdict
+from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, DiagnosisVerdict
 
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ class Reason(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class FoundEffect:
     """One class of the answer."""
 
     member: Candidate  # the class, as a formula where one follows the curve
@@ -76,10 +76,10 @@ class Answer:
     """What a search says."""
 
     # verdict, reason: the verdict
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     reason: Reason
     shown: Hypothesis  # the model that is shown: the most probable one, with formulas where they follow the curves
-    findings: tuple[Finding, ...]  # its classes
+    findings: tuple[FoundEffect, ...]  # its classes
     # sets of classes of a size that matters, with their probabilities, most probable first
     sets: tuple[tuple[frozenset[str], float], ...]
     alternatives: dict[frozenset[str], Hypothesis]  # the best hypothesis of each of these sets
@@ -118,8 +118,8 @@ def answer_of(out: Search) -> Answer:
 
 
 def _verdict(
-    out: Search, findings: Sequence[Finding], probability: float, nothing: float, left: float
-) -> tuple[Verdict, Reason]:
+    out: Search, findings: Sequence[FoundEffect], probability: float, nothing: float, left: float
+) -> tuple[DiagnosisVerdict, Reason]:
     """Give the verdict on findings of a probability, beside which so much is left, a share of Fy.
 
     `nothing` is the probability that nothing of a size that matters is missing.
@@ -136,12 +136,12 @@ def _verdict(
         Reason.SEVERAL: bool(findings) and probability < 1.0 - DOUBT,
         Reason.NAMES: any(len(f.names) > 1 for f in findings),
     }
-    for verdict, reasons in ((Verdict.UNKNOWN, unknown), (Verdict.FAMILY, several)):
+    for verdict, reasons in ((DiagnosisVerdict.UNKNOWN, unknown), (DiagnosisVerdict.FAMILY, several)):
         if any(reasons.values()):
             return verdict, next(reason for reason, true in reasons.items() if true)
     if findings:
-        return Verdict.NAMED, Reason.SURE
-    return (Verdict.NAMED, Reason.CHATTER) if out.chatter else (Verdict.ADEQUATE, Reason.NOTHING)
+        return DiagnosisVerdict.NAMED, Reason.SURE
+    return (DiagnosisVerdict.NAMED, Reason.CHATTER) if out.chatter else (DiagnosisVerdict.ADEQUATE, Reason.NOTHING)
 
 
 def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
@@ -210,7 +210,7 @@ def discrepancy_size(out: Search, state: State) -> float:
 
 def _findings(
     out: Search, h: Hypothesis, top: frozenset[str], inclusion: dict[str, float]
-) -> tuple[tuple[Finding, ...], Hypothesis]:
+) -> tuple[tuple[FoundEffect, ...], Hypothesis]:
     """Put formulas in the place of curves that they follow; give the findings, and the hypothesis with them."""
     for place, member in enumerate(h.members):
         if member.variant.curve is not None and member.of.id in top:
@@ -226,7 +226,7 @@ def _findings(
             continue
         drawn = out.as_curve(h, place)
         found.append(
-            Finding(
+            FoundEffect(
                 member,
                 inclusion[member.of.id],
                 h.log_weight - out.best_within(h.key - {member.of.id}),
@@ -317,7 +317,7 @@ def rivals_of(answer: Answer) -> tuple[tuple[frozenset[str], float], ...]:
     return most_probable(answer.sets)
 
 
-def curve_band(out: Search, f: Finding, n: int = 61, direction: float = 1.0) -> dict[str, FloatArray] | None:
+def curve_band(out: Search, f: FoundEffect, n: int = 61, direction: float = 1.0) -> dict[str, FloatArray] | None:
     """Curve of a finding over its coordinate or its period, with its 90 % band, % of Fy; None where there is none.
 
     Of curves for push and pull, that of a direction, 1 or -1.

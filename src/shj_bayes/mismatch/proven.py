@@ -12,11 +12,11 @@ from shj_bayes.mismatch.hypothesis import Hypothesis, without
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
 from shj_bayes.mismatch.search import Search
 from shj_bayes.mismatch.state import State, settle_under
-from shj_bayes.results.diagnosis import Verdict
+from shj_bayes.results.diagnosis import DiagnosisVerdict
 
 
 @dataclass(frozen=True)
-class Dropped:
+class DroppedMember:
     """A dependence that was found and does not improve what was left out."""
 
     of: str  # id of its class
@@ -29,7 +29,7 @@ class Proven:
 
     out: Search  # the search, without the hypotheses that hold what was dropped
     answer: Answer
-    dropped: tuple[Dropped, ...]  # in the order in which they were dropped
+    dropped: tuple[DroppedMember, ...]  # in the order in which they were dropped
     fine: Scene  # the recordings in blocks as fine as those of a fit of the model that is shown
     # before, after: the base law in them and the model that is shown, under the noise of the latter; one state where
     # nothing is shown
@@ -49,7 +49,7 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
     The dependence that is dropped is the one without which they are predicted best; the others are weighed anew
     without it. What is then still missing, but has no dependence left that improves anything, is unknown.
     """
-    dropped: list[Dropped] = []
+    dropped: list[DroppedMember] = []
     missing = False
     while True:
         answer = answer_of(out)
@@ -64,7 +64,7 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
         dropped.append(worst)
         out = _less(out, answer.shown, worst.of)
     if missing and not answer.findings:
-        answer = replace(answer, verdict=Verdict.UNKNOWN, reason=Reason.NOT_BORNE_OUT)
+        answer = replace(answer, verdict=DiagnosisVerdict.UNKNOWN, reason=Reason.NOT_BORNE_OUT)
     return Proven(out, answer, tuple(dropped), held.fine, held.before, held.after, (held.base, held.shown))
 
 
@@ -110,7 +110,7 @@ class _Held:
         metric = Metric(fine, setting, after.slope)
         return cls(fine, setting, before, after, *(held_out(fine, metric, state) for state in (before, after)))
 
-    def worst(self, out: Search, answer: Answer) -> Dropped | None:
+    def worst(self, out: Search, answer: Answer) -> DroppedMember | None:
         """Find the dependence without which what was left out is predicted best; None where each improves it."""
         if not answer.findings:
             return None
@@ -122,7 +122,7 @@ class _Held:
                 less, z = without(self.fine, h, place)
                 state = settle_under(self.fine, self.setting, out.model_of(less), z)[1]
                 rest = held_out(self.fine, metric, state)
-            gains.append(Dropped(member.of.id, Gain.of(rest, self.shown)))
+            gains.append(DroppedMember(member.of.id, Gain.of(rest, self.shown)))
         whole = Gain.of(self.base, self.shown)
         if all(one.gain.improves for one in gains) and not whole.is_worse:
             return None

@@ -71,7 +71,7 @@ class DeviceEvidence:
 
 
 @dataclass(frozen=True)
-class Shared:
+class SharedDependence:
     """A class, and how probable it is in a set."""
 
     id: str  # the class
@@ -92,7 +92,7 @@ class Shared:
 class Common:
     """What devices have in common."""
 
-    shared: tuple[Shared, ...]  # every class, most probable first
+    shared: tuple[SharedDependence, ...]  # every class, most probable first
     combinations: tuple[tuple[Combination, float], ...]  # what the set has, with probabilities, most probable first
 
 
@@ -216,7 +216,7 @@ def common_to(devices: Sequence[DeviceEvidence]) -> Common:
         sizes = [device.size_percent.get(name, 0.0) for device in holders]
         large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING * MATTERS
         alone = tuple(name in device.own for device in devices)
-        shared.append(Shared(name, held, tuple(each.tolist()), alone, rivals, sure and large))
+        shared.append(SharedDependence(name, held, tuple(each.tolist()), alone, rivals, sure and large))
     order = sorted(shared, key=lambda one: (-one.probability, one.id))
     return Common(tuple(order), tuple(likely))
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from shj_bayes.errors import InferenceError, ReportError
-from shj_bayes.mismatch.sets import Common, DeviceEvidence, Shared, common_to, device_evidence
+from shj_bayes.mismatch.sets import Common, DeviceEvidence, SharedDependence, common_to, device_evidence
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.results.campaign import ClassOfSet, SetTogether
 from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
@@ -15,7 +15,7 @@ DIGITS = 6  # of probabilities in files
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosed:
+class DiagnosedDevice:
     """A diagnosed device."""
 
     folder: str  # its folder below the campaign's
@@ -30,7 +30,7 @@ class Together:
     """What the devices of a set have in common."""
 
     set_name: str  # the set; empty for all devices of the campaign
-    devices: tuple[Diagnosed, ...]  # its diagnosed devices
+    devices: tuple[DiagnosedDevice, ...]  # its diagnosed devices
     common: Common  # what they have in common
 
     @property
@@ -54,7 +54,7 @@ class Together:
         folders = tuple(device.folder for device in self.devices)
         return SetTogether(set=self.set_name, devices=folders, classes=tuple(map(self._class, self.common.shared)))
 
-    def _class(self, one: Shared) -> ClassOfSet:
+    def _class(self, one: SharedDependence) -> ClassOfSet:
         action, coordinate = ClassId.read(one.id)
         known = next(iter(coordinates_of(coordinate)), None)
         measured = next((d.units[coordinate] for d in self.devices if coordinate in d.units), "1")
@@ -72,26 +72,26 @@ class Together:
             change_percent=tuple(device.evidence.change_percent.get(one.id) for device in self.devices),
         )
 
-    def _effect(self, device: Diagnosed, name: str) -> str:
+    def _effect(self, device: DiagnosedDevice, name: str) -> str:
         """Effect that stands for a class in the model of a device, or would."""
         return device.evidence.own.get(name) or device.evidence.written.get(name, "")
 
 
-def together(devices: Iterable[tuple[str, Diagnosed]]) -> tuple[Together, ...]:
+def together(devices: Iterable[tuple[str, DiagnosedDevice]]) -> tuple[Together, ...]:
     """Add up the diagnoses of a campaign, each behind the name of its set.
 
     One for each set; behind them, where there are several sets, one for all devices.
     """
-    by_set: dict[str, list[Diagnosed]] = {}
+    by_set: dict[str, list[DiagnosedDevice]] = {}
     for set_name, device in devices:
         by_set.setdefault(set_name, []).append(device)
-    groups: list[tuple[str, Sequence[Diagnosed]]] = list(by_set.items())
+    groups: list[tuple[str, Sequence[DiagnosedDevice]]] = list(by_set.items())
     if len(groups) > 1:
         groups.append(("", [device for _, own in groups for device in own]))
     return tuple(Together(name, tuple(own), common_to([d.evidence for d in own])) for name, own in groups)
 
 
-def read_diagnosed(place: Path, folder: str) -> Diagnosed:
+def read_diagnosed(place: Path, folder: str) -> DiagnosedDevice:
     """Read what a diagnosis says for the set of its device; `InferenceError` if it cannot be read.
 
     `place` is the folder of the diagnosis, `folder` that of the device below the campaign's.
@@ -101,7 +101,9 @@ def read_diagnosed(place: Path, folder: str) -> Diagnosed:
         if record.evidence is None:
             raise ValueError("there is none")
         units = {one.coordinate: one.unit or "1" for one in record.channels}
-        return Diagnosed(folder, device_evidence(record.evidence), tuple(record.modelled), not record.quick, units)
+        return DiagnosedDevice(
+            folder, device_evidence(record.evidence), tuple(record.modelled), not record.quick, units
+        )
     except (ReportError, ValueError) as error:
         raise InferenceError(
             f"the evidence in its diagnosis.json cannot be read ({error}); delete that file and run again"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class Asked:
+class PlanOptions:
     """What is asked of a plan; the same words as on the command line.
 
     Parameters

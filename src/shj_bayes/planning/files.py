@@ -14,7 +14,7 @@ from shj_bayes.inference.store import versions
 from shj_bayes.planning.devices import Further
 from shj_bayes.planning.known import Known, mechanisms_of
 from shj_bayes.planning.plan import Plan, Row, Worth
-from shj_bayes.planning.protocol import Block, Protocol
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock
 from shj_bayes.planning.rehearsal import Rehearsal
 from shj_bayes.planning.rig import LEEWAY, Rig
 from shj_bayes.results.codec import IF_KNOWN
@@ -71,7 +71,7 @@ class RankedProtocol:
     """A protocol with what it is expected to give; of several devices the mean."""
 
     name: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[ProtocolBlock, ...]
     minutes: float
     largest_mm: float
     fastest_mm_s: float

@@ -19,7 +19,7 @@ from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.planning.known import PLANNED, Belief, Known
+from shj_bayes.planning.known import PLANNED, Known, RivalModel
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
@@ -32,7 +32,7 @@ STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Quantity:
+class ForeseenQuantity:
     """A design quantity as a linear function of each rival's parameters."""
 
     unit: str
@@ -76,7 +76,12 @@ def spread_of(shares: FloatArray, means: FloatArray, variances: FloatArray) -> F
 
 
 def foresee(
-    known: Known, protocol: Protocol, rate_Hz: float, seed: int, quantity: Quantity | None = None, n: int = OUTCOMES
+    known: Known,
+    protocol: Protocol,
+    rate_Hz: float,
+    seed: int,
+    quantity: ForeseenQuantity | None = None,
+    n: int = OUTCOMES,
 ) -> Foreseen:
     """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed.
 
@@ -187,8 +192,8 @@ def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Gen
     return scene, scene.blocks([(run - read)[:, None]])[:, 0]
 
 
-def quantity_of(known: Known, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> Quantity:
-    """Linearise a design quantity about every rival; `value` as in `Quantity`."""
+def quantity_of(known: Known, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> ForeseenQuantity:
+    """Linearise a design quantity about every rival; `value` as in `ForeseenQuantity`."""
     values, slopes = [], []
     for b in known.beliefs:
         z, n = b.mean[: b.z.size], b.z.size
@@ -197,7 +202,7 @@ def quantity_of(known: Known, unit: str, value: Callable[[DeviceModel, FloatArra
         slope[:n] = [(value(b.model, z + s) - value(b.model, z - s)) / (20 * STEP) for s in steps]
         values.append(value(b.model, z))
         slopes.append(slope)
-    return Quantity(unit, np.array(values), tuple(slopes), value)
+    return ForeseenQuantity(unit, np.array(values), tuple(slopes), value)
 
 
 def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
@@ -208,7 +213,7 @@ def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
     return np.split(reduced, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 
-def _drawn(b: Belief) -> BoolArray:
+def _drawn(b: RivalModel) -> BoolArray:
     """Tell which parameters differ from what is expected: not those of the law that no test tells of yet.
 
     Their prior is wide, and where rivals differ a straight line does not reach so far: the sliding force of a new run
@@ -218,7 +223,7 @@ def _drawn(b: Belief) -> BoolArray:
     return np.asarray(told | np.array(["." in name for name in b.model.law_names[: b.z.size]]))
 
 
-def _outcomes(b: Belief, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+def _outcomes(b: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
     """Draw outcomes of a rival in units of the noise, shape (n_evidence, n)."""
     root = np.linalg.cholesky(b.precision)
     u = np.linalg.solve(root.T, rng.standard_normal((b.mean.size, n)))

@@ -60,7 +60,7 @@ class Subject:
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class RivalModel:
     """One thing that a device may be."""
 
     key: Key  # classes that it holds beyond the base law
@@ -85,7 +85,7 @@ class Known:
     old: tuple[Averages, ...]  # the old runs in blocks, on the common scales
     scales: Mapping[str, Any]  # of the coordinates; from `common_scales`
     setting: NoiseSetting  # noise and discrepancy
-    beliefs: tuple[Belief, ...]  # what the device may be, most probable first; the shares add up to 1
+    beliefs: tuple[RivalModel, ...]  # what the device may be, most probable first; the shares add up to 1
     middle_mm: float  # displacement of the middle of the stroke
     peak_mm_s: float | None = None  # peak speed of the old tests, which low speeds are a share of
 
@@ -272,7 +272,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> Known:
     for key, p, model in rows:
         n = model.n_law + N_OF_DEVICE + N_OF_RUN
         mean = np.zeros(n)
-        beliefs.append(Belief(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
+        beliefs.append(RivalModel(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
     return Known("a new device", (), device, z, (), scales, setting, tuple(beliefs), 0.0)
 
 
@@ -352,7 +352,7 @@ def _joint(model: DeviceModel, further: DeviceModel, z: FloatArray) -> tuple[Flo
     return at, places
 
 
-def _belief(metric: Metric, key: Key, share: float, h: Hypothesis) -> Belief:
+def _belief(metric: Metric, key: Key, share: float, h: Hypothesis) -> RivalModel:
     """Condense a fit to the Gaussian that it leaves behind."""
     further = replace(h.state.model, n_runs=h.state.model.n_runs + 1)
     z, places = _joint(h.state.model, further, h.state.z)
@@ -366,6 +366,6 @@ def _belief(metric: Metric, key: Key, share: float, h: Hypothesis) -> Belief:
     new = np.setdiff1d(np.arange(z.size), places)
     prior[new] = z[new]
     precision = np.eye(prior.size) + design.T @ design
-    return Belief(
+    return RivalModel(
         key, share, further, z, np.linalg.solve(precision, prior + design.T @ white[:, 0]), precision, h.state.evidence
     )

@@ -10,7 +10,7 @@ import numpy as np
 from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.mismatch.classes import DOUBT, MATTERS
 from shj_bayes.planning.candidates import Candidates
-from shj_bayes.planning.foresight import OUTCOMES, Foreseen, Quantity, entropy_of, foresee
+from shj_bayes.planning.foresight import OUTCOMES, Foreseen, ForeseenQuantity, entropy_of, foresee
 from shj_bayes.planning.known import Known
 from shj_bayes.planning.proposals import changed
 from shj_bayes.planning.protocol import Protocol
@@ -66,7 +66,7 @@ class Question:
     """What the next test is to settle."""
 
     word: str = WHICH  # which set of classes is there, or the name of the quantity that should become narrow
-    quantities: tuple[Quantity, ...] = ()  # that quantity for each device; empty for ``which``
+    quantities: tuple[ForeseenQuantity, ...] = ()  # that quantity for each device; empty for ``which``
 
 
 ANY_SET = Question()
@@ -105,7 +105,7 @@ def make_plan(
     The leading protocols are simulated in full so many times (`rehearsals`). `tell` gets one line for each step.
     """
     rig = candidates.rig
-    asked: tuple[Quantity | None, ...] = question.quantities or (None,) * len(known)
+    asked: tuple[ForeseenQuantity | None, ...] = question.quantities or (None,) * len(known)
 
     def row(protocol: Protocol, seed: int, n: int = OUTCOMES) -> Row:
         seen = tuple(foresee(k, protocol, rig.rate_Hz, seed, q, n) for k, q in zip(known, asked, strict=True))
@@ -153,7 +153,7 @@ def _entropy(known: Known) -> float:
     return float(entropy_of(np.array(list(known.probabilities.values()))))
 
 
-def _gain(known: Known, seen: Foreseen, quantity: Quantity | None) -> float:
+def _gain(known: Known, seen: Foreseen, quantity: ForeseenQuantity | None) -> float:
     if quantity is None:
         return _entropy(known) - seen.entropy
     assert seen.sd is not None

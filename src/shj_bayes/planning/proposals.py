@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shj_bayes.planning.protocol import Block, Protocol, Waveform, table_1_protocol
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Waveform, table_1_protocol
 from shj_bayes.planning.rig import Rig
 
 AMPLITUDES = (0.08, 0.15, 0.25, 0.5, 0.75, 1.0)  # of the largest displacement
@@ -49,14 +49,14 @@ def first_protocols(rig: Rig, rng: np.random.Generator, n_drawn: int) -> list[Pr
     """
     out = [table_1_protocol(rig.max_stroke_mm, rig.max_speed_mm_s)]
     for name, rows in DESIGNS.items():
-        blocks = [Block(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, n, w, r) for a, v, n, w, r in rows]
+        blocks = [ProtocolBlock(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, n, w, r) for a, v, n, w, r in rows]
         once = within(blocks, rig)
         repeats = min(MOST_REPEATS, math.ceil(60.0 * rig.max_minutes / sum(b.duration_s for b in blocks)))
         again = within(blocks * repeats, rig)
         out += [Protocol(name, once)] if once else []
         out += [Protocol(f"{name}, again", again)] if again != once else []
     for _ in range(n_drawn):
-        drawn: list[Block] = []
+        drawn: list[ProtocolBlock] = []
         seconds = rng.uniform(0.3, 1.0) * 60.0 * rig.max_minutes
         while len(drawn) < MOST_BLOCKS and sum(b.duration_s for b in drawn) < seconds:
             drawn.append(_block(rig, rng))
@@ -95,7 +95,7 @@ def changed(protocol: Protocol, rig: Rig, rng: np.random.Generator) -> Protocol 
     return Protocol(f"{protocol.name.removesuffix(', changed')}, changed", kept)
 
 
-def within(blocks: list[Block], rig: Rig) -> tuple[Block, ...]:
+def within(blocks: list[ProtocolBlock], rig: Rig) -> tuple[ProtocolBlock, ...]:
     """Blocks in their order, as fast as the rate resolves, with fewer cycles or left out where the time is short."""
     left, out = 60.0 * rig.max_minutes, []
     for given in blocks:
@@ -110,12 +110,12 @@ def within(blocks: list[Block], rig: Rig) -> tuple[Block, ...]:
     return tuple(out)
 
 
-def _block(rig: Rig, rng: np.random.Generator) -> Block:
+def _block(rig: Rig, rng: np.random.Generator) -> ProtocolBlock:
     """Draw a block; one that would take more than a third of the time is run faster."""
     amplitude = float(rng.choice(AMPLITUDES)) * rig.max_stroke_mm
     speeds = [v * rig.max_speed_mm_s for v in SPEEDS]
     third = 20.0 * rig.max_minutes
-    able = [v for v in speeds if Block(amplitude, v, 1).duration_s <= third] or speeds[-1:]
+    able = [v for v in speeds if ProtocolBlock(amplitude, v, 1).duration_s <= third] or speeds[-1:]
     waveform = TRIANGLE if rng.random() < TRIANGLES else SINE
     rest = float(rng.choice([r for r in RESTS_S if r < third] or [0.0])) if rng.random() < RESTING else 0.0
-    return Block(amplitude, float(rng.choice(able)), int(rng.integers(1, 5)), waveform, rest)
+    return ProtocolBlock(amplitude, float(rng.choice(able)), int(rng.integers(1, 5)), waveform, rest)

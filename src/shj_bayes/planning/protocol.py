@@ -25,7 +25,7 @@ class Waveform(StrEnum):
 
 
 @dataclass(frozen=True)
-class Block:
+class ProtocolBlock:
     """Consecutive cycles of one amplitude and peak speed, from rest in the middle of the stroke back to it."""
 
     amplitude_mm: float  # largest displacement to either side of the middle
@@ -88,7 +88,7 @@ class Protocol:
     """A displacement history that a rig could run: blocks one after the other, or the samples of a file."""
 
     name: str  # what it is, in a few words
-    blocks: tuple[Block, ...] = ()  # empty where samples are given
+    blocks: tuple[ProtocolBlock, ...] = ()  # empty where samples are given
     samples: tuple[FloatArray, Motion] | None = None  # times (s) from 0, and motion about the middle of the stroke
 
     @property
@@ -150,7 +150,7 @@ def table_1_protocol(stroke_mm: float = math.inf, speed_mm_s: float = math.inf) 
     """Table 1 of the paper with smooth starts, its amplitudes and speeds brought down to what a rig allows."""
     share = min(1.0, stroke_mm / max(b.amplitude_mm for b in table_1()))
     blocks = (
-        Block(
+        ProtocolBlock(
             share * b.amplitude_mm, min(2.0 * math.pi * b.frequency_Hz * share * b.amplitude_mm, speed_mm_s), b.n_cycles
         )
         for b in table_1()

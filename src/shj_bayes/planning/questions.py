@@ -10,7 +10,7 @@ from shj_bayes.margins.quantities import counted_from, of_readings
 from shj_bayes.margins.virtual_test import Readings, read_off
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.parameters import FloatArray, run_name
-from shj_bayes.planning.foresight import Quantity, quantity_of
+from shj_bayes.planning.foresight import ForeseenQuantity, quantity_of
 from shj_bayes.planning.known import Known
 from shj_bayes.planning.plan import FORCE, WHICH
 
@@ -24,7 +24,7 @@ def questions_of(known: Known) -> tuple[str, ...]:
     return (WHICH, FORCE, *base, *((MARGIN,) if known.runs else ()))
 
 
-def quantity_named(known: Known, name: str) -> Quantity:
+def quantity_named(known: Known, name: str) -> ForeseenQuantity:
     """Quantity of a name, for one device; `PlanError` where it has none of that name."""
     able = questions_of(known)
     if name not in able or name in (WHICH, FORCE):

@@ -14,8 +14,8 @@ from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.state import settle
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate
-from shj_bayes.planning.foresight import Quantity, entropy_of, spread_of
-from shj_bayes.planning.known import PLANNED, Belief, Key, Known
+from shj_bayes.planning.foresight import ForeseenQuantity, entropy_of, spread_of
+from shj_bayes.planning.known import PLANNED, Key, Known, RivalModel
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
@@ -33,7 +33,7 @@ class Rehearsal:
 
 
 def rehearse(
-    known: Known, protocol: Protocol, rate_Hz: float, n: int, seed: int, quantity: Quantity | None = None
+    known: Known, protocol: Protocol, rate_Hz: float, n: int, seed: int, quantity: ForeseenQuantity | None = None
 ) -> Rehearsal:
     """Simulate a planned test `n` times and weigh the rivals on it and the old tests together.
 
@@ -55,7 +55,7 @@ def rehearse(
     return Rehearsal(n, float(mean(of_truth)), int(right_of.sum()), float(mean(entropy)), sd)
 
 
-def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> Recording:
+def recorded(known: Known, true: RivalModel, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> Recording:
     """Simulate the recording of a planned test on a device drawn from a rival, with noise and an error of the zero."""
     root = np.linalg.cholesky(true.precision)
     z = (true.mean + np.linalg.solve(root.T, rng.standard_normal(true.mean.size)))[: true.z.size]
@@ -69,7 +69,9 @@ def recorded(known: Known, true: Belief, protocol: Protocol, rate_Hz: float, rng
 
 
 @one_blas_thread
-def weighed(known: Known, recording: Recording, quantity: Quantity | None = None) -> tuple[dict[Key, float], float]:
+def weighed(
+    known: Known, recording: Recording, quantity: ForeseenQuantity | None = None
+) -> tuple[dict[Key, float], float]:
     """Weigh the rivals on one further recording, each fitted to old and new together under the noise of the old.
 
     Gives the probability of each set, and the variance of the quantity over all rivals, 0 where none is asked for.

@@ -14,7 +14,7 @@ DEVICE_TABLES = (3, 4, 5, 6, 7)
 Value = float | int | tuple[float, ...] | tuple[int, ...]
 
 
-class Held(StrEnum):
+class Holding(StrEnum):
     """Whether the tables of the paper bear out what its text says."""
 
     YES = "holds"
@@ -29,7 +29,7 @@ class Claim:
 
     id: str  # short name
     claim: str  # what the paper says, in our words
-    verdict: Held  # what its tables say
+    verdict: Holding  # what its tables say
     values: Mapping[str, Value]  # the figures behind the verdict
     sentence: str  # the same in plain words
 

@@ -45,7 +45,7 @@ _HOW = "--columns time=...,displacement=...,force=... (column name, number, or a
 
 
 @dataclass(frozen=True, eq=False)
-class Channels:
+class RawChannels:
     """The three channels in s, mm and kN, before any check."""
 
     # time_s to force_kN: shape (n_rows,): NaN where the file has no number
@@ -66,7 +66,7 @@ class Channels:
 
 def choose(
     table: Table, columns: str | None = None, units: str | None = None, rate_Hz: float | None = None
-) -> Channels:
+) -> RawChannels:
     """Pick and convert the three channels of a table; arguments are those of `shj_bayes.recording.reader.read`.
 
     `RecordingError` if a channel is missing, ambiguous or in a unit that is not its own.
@@ -124,7 +124,7 @@ def choose(
         findings.append(Finding("run-column", "assumed", message))
     _note_ignored(table, [*values.values(), *others.values()], run, findings)
     assumed = frozenset(role for role in ROLES if role not in given and not _stated(values.get(role)))
-    return Channels(
+    return RawChannels(
         arrays["time"],
         arrays["displacement"],
         arrays["force"],

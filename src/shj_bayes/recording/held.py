@@ -11,7 +11,7 @@ from shj_bayes.recording.recording import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldReadings:
     """Which readings of a channel are new, and how old each was when it was written."""
 
     period: float  # rows from one reading to the next
@@ -25,7 +25,7 @@ class Held:
         return np.where(self.age > 0.0, (1.0 - self.age) * values[row] + self.age * before, values[row])
 
 
-def held(values: FloatArray) -> Held | None:
+def held(values: FloatArray) -> HeldReadings | None:
     """Find out whether the readings of a channel, shape (n_rows,), NaN where empty, are held for several rows.
 
     A channel that changes by many counts between two of its readings does not stand still between them, unless it was
@@ -46,7 +46,7 @@ def held(values: FloatArray) -> Held | None:
         return None
     fresh = np.zeros(values.size, dtype=np.bool_)
     fresh[known[rows]] = True
-    return Held(period, fresh, _ages(rows.astype(np.float64), period))
+    return HeldReadings(period, fresh, _ages(rows.astype(np.float64), period))
 
 
 def _period(

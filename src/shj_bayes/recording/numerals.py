@@ -128,7 +128,7 @@ class _Column:
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class TableNumbers:
     """What the rows of a text table hold."""
 
     values: list[FloatArray]  # of each column, shape (n_rows,); NaN where there is no number
@@ -138,7 +138,9 @@ class Numbers:
     findings: list[Finding]
 
 
-def numbers(lines: Iterable[str], dialect: Dialect, head: Head, file: str, line_of: Callable[[int], int]) -> Numbers:
+def numbers(
+    lines: Iterable[str], dialect: Dialect, head: Head, file: str, line_of: Callable[[int], int]
+) -> TableNumbers:
     """Parse rows, from the first line of numbers on, in blocks: memory holds the numbers and one block of text.
 
     A head that comes again is read, and what follows it brought to the columns and units of the first. `line_of` gives
@@ -170,7 +172,7 @@ def numbers(lines: Iterable[str], dialect: Dialect, head: Head, file: str, line_
             break
     findings += reader.findings()
     columns = reader.columns
-    return Numbers(
+    return TableNumbers(
         [column.joined() for column in columns],
         [column.n_words for column in columns],
         [column.stamps for column in columns],

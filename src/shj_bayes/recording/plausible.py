@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from shj_bayes.recording import limits
-from shj_bayes.recording.columns import Channels
+from shj_bayes.recording.columns import RawChannels
 from shj_bayes.recording.loops import burstiness, changes, roughness
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.units import TARGET, Role, factor
@@ -19,7 +19,7 @@ _OTHERS: dict[Role, tuple[str, ...]] = {"displacement": ("m", "cm", "in"), "forc
 
 
 def plausibility_findings(
-    channels: Channels, time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray
+    channels: RawChannels, time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray
 ) -> list[Finding]:
     """Sizes that are unusual in a unit that was assumed, and columns that look like one another's.
 
@@ -64,7 +64,7 @@ def _usual(role: Role, value: float, low: float, high: float, read: str) -> str:
     return f" (it would be usual in {' or '.join(fit)})" if fit else ""
 
 
-def _swapped(channels: Channels, displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
+def _swapped(channels: RawChannels, displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
     """Say so when the displacement jumps, or is as rough, as a friction force and the force is smooth as a driven one.
 
     Of 26 public recordings of friction and yielding devices none comes near both limits, nor does white noise on
@@ -84,7 +84,7 @@ def _swapped(channels: Channels, displacement_mm: FloatArray, force_kN: FloatArr
     return [Finding("swapped-columns", "warning" if told else "unusable", message)]
 
 
-def with_exchange(finding: Finding, channels: Channels) -> Finding:
+def with_exchange(finding: Finding, channels: RawChannels) -> Finding:
     """Add to a finding of swapped columns the options that exchange them."""
     if finding.code != "swapped-columns":
         return finding

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.recording.clock import follow_on, going_on, restarts
-from shj_bayes.recording.columns import Channels, choose, choose_history
+from shj_bayes.recording.columns import RawChannels, choose, choose_history
 from shj_bayes.recording.formats.catalogue import read_table
 from shj_bayes.recording.further import at_samples
 from shj_bayes.recording.plausible import plausibility_findings, with_exchange
@@ -101,7 +101,7 @@ def _at_samples(extra: Extra, clock_s: FloatArray, time_s: FloatArray) -> Extra:
     return replace(extra, values=at_samples(clock_s[order], extra.values[order], time_s))
 
 
-def _within_runs(channels: Channels) -> tuple[FloatArray, list[int]]:
+def _within_runs(channels: RawChannels) -> tuple[FloatArray, list[int]]:
     """Let the clock go on over the cycles of each run, but not over the beginning of a run that the file tells."""
     time_s, found = channels.time_s.copy(), list[int]()
     for a, b in pairwise([0, *channels.run_rows, time_s.size]):
@@ -110,7 +110,7 @@ def _within_runs(channels: Channels) -> tuple[FloatArray, list[int]]:
     return time_s, found
 
 
-def _placed_runs(channels: Channels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
+def _placed_runs(channels: RawChannels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
     """Put all rows on one clock; give the first time of each further run, what was added to it, and what to say."""
     time_s, cycles = _within_runs(channels)
     again = restarts(time_s, channels.displacement_mm, channels.force_kN)

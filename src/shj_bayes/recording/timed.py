@@ -9,14 +9,14 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording.columns import roles_named
 from shj_bayes.recording.heads import Head, Wave
 from shj_bayes.recording.limits import SAME_INSTANT
-from shj_bayes.recording.numerals import Numbers
+from shj_bayes.recording.numerals import TableNumbers
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.stamps import Stamps
 from shj_bayes.recording.tables import Column
 from shj_bayes.recording.units import factor
 
 
-def timed(read: Numbers, head: Head, name: str) -> tuple[tuple[Column, ...], list[Finding]]:
+def timed(read: TableNumbers, head: Head, name: str) -> tuple[tuple[Column, ...], list[Finding]]:
     """Columns of what was read, with one time where all channels have the same, and what to say."""
     findings: list[Finding] = []
     values, units = list(read.values), list(head.units)

@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.published import Claim, Held
+from shj_bayes.population.published import Claim, Holding
 from shj_bayes.population.results import PopulationRecord, load_population
 from shj_bayes.report import words
 from shj_bayes.report.campaign_physics import holders, statements, table
@@ -68,7 +68,7 @@ def render_tables(folder: Path, population: PopulationResult, claims: Sequence[C
     """Write ``report.html`` of the published devices, with the paper's claims against its own numbers."""
     content = {
         "claims": claims,
-        "colours": {Held.YES: "holds", Held.NO: "not"},
+        "colours": {Holding.YES: "holds", Holding.NO: "not"},
         "n_devices": sum(len(group.devices) for group in population.sets),
         "population": population_content(population, {}, PUBLISHED_MOTION),
         "margins": MARGINS if (folder / MARGINS).exists() else "",

@@ -16,7 +16,7 @@ from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import LEVELS
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import ForceUnit, force_unit
-from shj_bayes.report.numbers import Numbers, left_over, numbers_of
+from shj_bayes.report.numbers import DeviceFigures, left_over, numbers_of
 from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.viewer import device_viewer, thinning_words
 from shj_bayes.results.device import DeviceData, RunData, read_device
@@ -44,7 +44,7 @@ def render_device(folder: Path) -> Path:
         return write_page(folder, "device.html", filled, LOOPS, name=PAGE)
 
 
-def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, Any]:
+def content(device: DeviceData, numbers: DeviceFigures, left: LeftOver) -> dict[str, Any]:
     """Everything on the page but the pictures, as plain values."""
     record, unit = device.record, force_unit(device.record)
     units = {row.name: unit.of(row.unit) for row in record.parameters}
@@ -80,7 +80,7 @@ def content(device: DeviceData, numbers: Numbers, left: LeftOver) -> dict[str, A
     }
 
 
-def loss_words(device: DeviceData, numbers: Numbers) -> list[str]:
+def loss_words(device: DeviceData, numbers: DeviceFigures) -> list[str]:
     """Say how much of the sliding force was lost from the first run to each later one, and over which travel."""
     out, travel = [], [run.travel_m for run in device.runs]
     for number, (low, middle, high) in numbers.losses.items():
@@ -190,7 +190,7 @@ def _zero(error_kN: ZeroError | None, unit: ForceUnit) -> str:
     return f"the load cell reads {mean:+.2g} ± {sd:.1g} {unit.name} at no load"
 
 
-def energy_words(numbers: Numbers) -> str:
+def energy_words(numbers: DeviceFigures) -> str:
     """How well the energy is predicted."""
     n = sum(e.measured_J.size for e in numbers.energies)
     if n == 0:
@@ -206,7 +206,7 @@ def energy_words(numbers: Numbers) -> str:
     )
 
 
-def before_words(numbers: Numbers, unit: ForceUnit) -> str:
+def before_words(numbers: DeviceFigures, unit: ForceUnit) -> str:
     """Say what the priors allow, beside what was found."""
     b, k = numbers.before, unit.factor
     text = (

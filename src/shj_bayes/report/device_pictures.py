@@ -9,11 +9,11 @@ from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
 from shj_bayes.report.figures import loops, posterior
 from shj_bayes.report.force_unit import ForceUnit, force_unit
-from shj_bayes.report.numbers import Band, Numbers, pick_cycle
+from shj_bayes.report.numbers import Band, DeviceFigures, pick_cycle
 from shj_bayes.results.device import DeviceData, RunData
 
 
-def draw(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
+def draw(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
     """All pictures of a device page by place."""
     unit, b = force_unit(device.record), numbers.before
     runs = list(zip(device.runs, numbers.bands, strict=True))

@@ -25,23 +25,23 @@ from shj_bayes.results.diagnosis import (
     ClassId,
     Dependence,
     DiagnosisRecord,
+    DiagnosisVerdict,
+    DrawsInShort,
     EffectParameter,
     EffectRecord,
     Location,
-    Spread,
-    Verdict,
 )
 
 # Word and sign first; the colour only repeats them.
 VERDICTS = {
-    Verdict.ADEQUATE: ("✓", "holds", "The model describes these recordings: nothing beyond noise was found."),
-    Verdict.NAMED: ("●", "part", "The model left something out, and these recordings say what it is."),
-    Verdict.FAMILY: (
+    DiagnosisVerdict.ADEQUATE: ("✓", "holds", "The model describes these recordings: nothing beyond noise was found."),
+    DiagnosisVerdict.NAMED: ("●", "part", "The model left something out, and these recordings say what it is."),
+    DiagnosisVerdict.FAMILY: (
         "◐",
         "part",
         "The model left something out; these recordings cannot tell which of a family it is.",
     ),
-    Verdict.UNKNOWN: ("?", "failed", "The model left something out that no effect of the catalogue explains."),
+    DiagnosisVerdict.UNKNOWN: ("?", "failed", "The model left something out that no effect of the catalogue explains."),
 }
 FAMILIES = {
     "even_in_position": "alike on both sides of mid-stroke",
@@ -121,10 +121,10 @@ def channel_words(record: DiagnosisRecord) -> list[str]:
 def verdict_words(record: DiagnosisRecord) -> tuple[str, str, str]:
     """Sign, class of the colour and sentence of a verdict; two cycles that show nothing prove nothing."""
     sign, colour, sentence = VERDICTS[record.verdict]
-    if record.verdict == Verdict.FAMILY and record.nothing_missing > 0.0:
+    if record.verdict == DiagnosisVerdict.FAMILY and record.nothing_missing > 0.0:
         sentence = "The model may have left something out; these recordings cannot tell whether it did."
     cycles = record.heldout.n_blocks
-    if record.verdict == Verdict.ADEQUATE and cycles < FEWEST_CYCLES:
+    if record.verdict == DiagnosisVerdict.ADEQUATE and cycles < FEWEST_CYCLES:
         few = f"{cycles} cycle{'s' * (cycles != 1)}"
         return "?", "part", f"Nothing beyond noise was found, but {few} are too few to say that nothing is missing."
     return sign, colour, sentence
@@ -137,17 +137,17 @@ def sentences(record: DiagnosisRecord) -> list[str]:
     for e in found:
         # Of several effects the first screen names each; their causes stand where each is described. What may be
         # another effect has no cause yet, and nothing to be done about it.
-        told = len(found) == 1 and verdict == Verdict.NAMED and e.cause
+        told = len(found) == 1 and verdict == DiagnosisVerdict.NAMED and e.cause
         cause = f" Likely cause: {e.cause}" if told else ""
         lead = (
             "A part of it: "
             if e.partial
             else "Most probable: "
-            if verdict == Verdict.FAMILY and (e.rivals or record.nothing_missing)
+            if verdict == DiagnosisVerdict.FAMILY and (e.rivals or record.nothing_missing)
             else ""
         )
         out.append(spaced(f"{lead}{e.statement}{cause}"))
-    if verdict == Verdict.FAMILY:
+    if verdict == DiagnosisVerdict.FAMILY:
         members = [f"{title_of(m.id).lower()} ({percent(m.probability)})" for m in record.family]
         if nothing := record.nothing_missing:
             members.append(f"{NOTHING_MISSING} ({percent(nothing)})")
@@ -159,7 +159,7 @@ def sentences(record: DiagnosisRecord) -> list[str]:
     out += dropped_words(record)
     out += fluctuation_words(record)
     out += channel_words(record)
-    if verdict == Verdict.UNKNOWN:
+    if verdict == DiagnosisVerdict.UNKNOWN:
         left = record.left_over_percent or 0.0
         if left >= 1.0:
             out.append(f"What is left beside what was found reaches {per_cent(left / 100)} % of the sliding force.")
@@ -195,7 +195,7 @@ def shift_lines(record: DiagnosisRecord) -> list[str]:
     return [*lines, f"  error on held-out cycles {errors} {forces.name}.{worse_words(record)}"]
 
 
-def undetermined(name: str, row: Spread) -> bool:
+def undetermined(name: str, row: DrawsInShort) -> bool:
     """Whether a parameter that is above zero is known to no better than its own size."""
     return name.partition("_")[0] in ("K", "Fy", "beta") and row.sd >= abs(row.mean)
 
@@ -243,7 +243,7 @@ def fluctuation_words(record: DiagnosisRecord) -> list[str]:
         "swings. Effects below a fifth of it cannot be told. Sample at 20 times the frequency of the jumps, and lower "
         "the speed or stiffen the grip: stick-slip changes with both."
         for c in record.coordinates
-        if record.verdict == Verdict.UNKNOWN
+        if record.verdict == DiagnosisVerdict.UNKNOWN
         and (c.action, c.coordinate) == ("motion", "stick-slip")
         and not any(e.id in c.matches for e in record.effects)
     ]
@@ -252,7 +252,7 @@ def fluctuation_words(record: DiagnosisRecord) -> list[str]:
 def limits_words(data: DiagnosisData) -> str:
     """Say what is not excluded where nothing was found."""
     open_ = [c for c in data.record.coordinates if c.probability >= LIMIT]
-    if data.record.verdict != Verdict.ADEQUATE or not open_:
+    if data.record.verdict != DiagnosisVerdict.ADEQUATE or not open_:
         return ""
     named = (f"{over_words(c.coordinate)} ({percent(c.probability)})" for c in open_)
     return f"Not excluded: a dependence on {', '.join(named)}."
@@ -283,7 +283,7 @@ def p_words(p: float) -> str:
 def chance_words(record: DiagnosisRecord) -> str:
     """Say how probable such a misfit is by chance; nothing where something else than that decided the verdict."""
     p = record.p_value
-    return "" if record.verdict != Verdict.ADEQUATE and p >= LIMIT else p_words(p)
+    return "" if record.verdict != DiagnosisVerdict.ADEQUATE and p >= LIMIT else p_words(p)
 
 
 def cards(data: DiagnosisData) -> list[dict[str, str]]:
@@ -303,7 +303,7 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
     before, after = (words.short(stage.heldout_rmse_kN * data.force.factor) for stage in stages)
     floor = data.force.shown(data.record.after.noise_kN)
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
-    misfit = data.record.verdict == Verdict.UNKNOWN
+    misfit = data.record.verdict == DiagnosisVerdict.UNKNOWN
     noise = "This holds what no effect explains, beside the noise." if misfit else f"Noise: {floor}."
     noise += worse_words(data.record)
     out.append(_card("Error on cycles that were held out", before, after, data.force.name, noise))
@@ -415,17 +415,17 @@ def given(form: str, value: float | None) -> str:
     return form.format(number(value)) if math.isfinite(number(value)) else ""
 
 
-def value(row: Spread, key: str = "mean") -> str:
+def value(row: DrawsInShort, key: str = "mean") -> str:
     """Mean, or another value, with the digits that its spread makes meaningful."""
     return words.rounded(number(getattr(row, key)), row.sd)
 
 
-def spread(row: Spread) -> str:
+def spread(row: DrawsInShort) -> str:
     """Return a standard deviation to two digits."""
     return words.rounded(row.sd, row.sd)
 
 
-def dep(row: Spread) -> str:
+def dep(row: DrawsInShort) -> str:
     """Say the 90 % interval of gamma as dep."""
     if row.q05 is None or row.q95 is None:
         return words.dep_words(row.mean - SIGMA_90 * row.sd, row.mean + SIGMA_90 * row.sd)

@@ -222,7 +222,7 @@ def degradation(device: DeviceData) -> dict[int, tuple[float, float, float]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class DeviceFigures:
     """All that is drawn or said, computed once."""
 
     bands: tuple[Band, ...]
@@ -234,7 +234,7 @@ class Numbers:
     before: Beforehand
 
 
-def numbers_of(device: DeviceData) -> Numbers:
+def numbers_of(device: DeviceData) -> DeviceFigures:
     """Compute the numbers of a device page."""
     energies = tuple(cycle_energy(run) for run in device.runs)
     first = device.runs[0]
@@ -244,7 +244,7 @@ def numbers_of(device: DeviceData) -> Numbers:
     speed = speed or float(np.quantile(first.speed_mm_s, 0.98))
     bands = tuple(force_band(run) for run in device.runs)
     measured = zip(device.runs, energies, bands, strict=True)
-    return Numbers(
+    return DeviceFigures(
         bands,
         energies,
         tuple(cycle_shape(run, energy, band.median) for run, energy, band in measured),

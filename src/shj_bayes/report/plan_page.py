@@ -10,7 +10,7 @@ import numpy as np
 from shj_bayes.model.history import histories
 from shj_bayes.planning.devices import ASSURANCE, WITHIN
 from shj_bayes.planning.files import PlanRecord
-from shj_bayes.planning.known import Belief, Known, mechanisms_of
+from shj_bayes.planning.known import Known, RivalModel, mechanisms_of
 from shj_bayes.planning.plan import WHICH, Plan, Worth
 from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.page import write_page
@@ -162,7 +162,7 @@ def _devices(record: PlanRecord) -> dict[str, str]:
     return {"devices": draw.devices(n, expected, assured, WITHIN)} if table else {}
 
 
-def _force(b: Belief, history: Any) -> Any:
+def _force(b: RivalModel, history: Any) -> Any:
     theta = b.model.natural_of_law(b.z[None])
     return b.model.force(theta, history, 0.0)[0]
 

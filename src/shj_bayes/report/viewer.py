@@ -11,7 +11,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import numbers as n
 from shj_bayes.report.diagnosis_data import DiagnosisData
 from shj_bayes.report.force_unit import force_unit
-from shj_bayes.report.numbers import Numbers
+from shj_bayes.report.numbers import DeviceFigures
 from shj_bayes.results.device import DeviceData, IntArray
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
@@ -19,7 +19,7 @@ MOST = 6  # runs that can be looked into
 STEPS = 20_000  # of the range of a channel: finer than a screen, and coarse enough for short numbers
 
 
-def device_viewer(device: DeviceData, numbers: Numbers) -> dict[str, Any]:
+def device_viewer(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
     """Loops of a device with the model and the 90 % band.
 
     ``runs`` (whole numbers by channel, ``cycles`` as places in them, ``every`` how they were thinned), ``scale`` (s, mm

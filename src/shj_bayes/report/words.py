@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from shj_bayes.model.parameters import base_of
-from shj_bayes.results.diagnosis import FAIR_PERCENT, FEWEST_CYCLES, LeftOver, Verdict
+from shj_bayes.results.diagnosis import FAIR_PERCENT, FEWEST_CYCLES, DiagnosisVerdict, LeftOver
 from shj_bayes.results.fit import ParameterRow, Remark, RemarkRecord, Trust
 
 # Of the calculation alone: word of the badge, class of its colour, sentence.
@@ -23,10 +23,10 @@ FIT = {
     "undecided": ("fit undecided", "tentative"),
 }
 DIAGNOSED_WORDS: dict[str, str] = {
-    Verdict.ADEQUATE: "The diagnosis of these recordings found nothing beyond noise.",
-    Verdict.NAMED: "The diagnosis of these recordings says what the law leaves out.",
-    Verdict.FAMILY: "The diagnosis of these recordings says what the law may leave out; it could not tell which.",
-    Verdict.UNKNOWN: "The diagnosis of these recordings found that the law leaves something out that has no name.",
+    DiagnosisVerdict.ADEQUATE: "The diagnosis of these recordings found nothing beyond noise.",
+    DiagnosisVerdict.NAMED: "The diagnosis of these recordings says what the law leaves out.",
+    DiagnosisVerdict.FAMILY: "The diagnosis of these recordings says what the law may leave out, not which.",
+    DiagnosisVerdict.UNKNOWN: "The diagnosis of these recordings found something left out that has no name.",
 }
 _DETERMINES = {
     "K": "small cycles, or more samples where the force turns",

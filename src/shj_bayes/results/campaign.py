@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 from shj_bayes.errors import ReportError, ShjError, shown
 from shj_bayes.results import store
 from shj_bayes.results.codec import Probability
-from shj_bayes.results.diagnosis import Verdict
+from shj_bayes.results.diagnosis import DiagnosisVerdict
 from shj_bayes.results.fit import USABLE, Trust
 
 SCHEMA: Literal["shj-bayes/campaign/1"] = "shj-bayes/campaign/1"
@@ -25,7 +25,7 @@ class DeviceEntry:
     status: Annotated[str, {"enum": ("done", "kept", "failed")}]
     reason: str
     verdict: Annotated[str, {"enum": (*Trust, "")}]
-    diagnosis: Annotated[str, {"enum": (*Verdict, "off", "failed", "")}] = ""
+    diagnosis: Annotated[str, {"enum": (*DiagnosisVerdict, "off", "failed", "")}] = ""
     diagnosis_reason: str = ""
     with_set: Annotated[str, {"enum": (*Trust, "failed", "")}] = ""
     with_set_reason: str = ""

@@ -20,7 +20,7 @@ Action = Annotated[str, {"enum": ("capacity", "added", "motion")}]
 Direction = Annotated[str, {"enum": ("push", "pull", "both")}]
 
 
-class Verdict(StrEnum):
+class DiagnosisVerdict(StrEnum):
     """What a diagnosis found."""
 
     ADEQUATE = "adequate"
@@ -53,7 +53,7 @@ class ClassId(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spread:
+class DrawsInShort:
     """Draws of a number in short; files of the first schema may lack the quantiles."""
 
     mean: float
@@ -67,12 +67,12 @@ class Spread:
 class Shift:
     """A parameter of the base law without and with what was found."""
 
-    before: Spread
-    after: Spread
+    before: DrawsInShort
+    after: DrawsInShort
 
 
 @dataclass(frozen=True, kw_only=True)
-class EffectParameter(Spread):
+class EffectParameter(DrawsInShort):
     """A parameter of an effect."""
 
     unit: str
@@ -317,7 +317,7 @@ class DiagnosisRecord:
 
     schema: Literal["shj-bayes/diagnosis/2", "shj-bayes/diagnosis/1"] = SCHEMA
     device: str = "Device"
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     reason: str = ""
     p_value: Probability
     coordinates: tuple[Dependence, ...] = ()  # most probable first
@@ -383,7 +383,7 @@ class LeftOver:
     # allow; 1 where they do not
     widening: Annotated[float, {"minimum": 1}] = 1.0
     # verdict of the diagnosis of the same recordings; empty where there is none
-    diagnosed: Annotated[str, {"enum": ("", *Verdict)}] = ""
+    diagnosed: Annotated[str, {"enum": ("", *DiagnosisVerdict)}] = ""
     # of the model: ``good``, ``fair``, ``poor``, or ``undecided`` where there are too few cycles to say
     grade: Literal["", "good", "fair", "poor", "undecided"] = ""
 

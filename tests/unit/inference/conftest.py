@@ -7,7 +7,7 @@ import pytest
 
 from shj_bayes.inference.fit import Fit, fit
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 
 
 @pytest.fixture(scope="session")
@@ -15,4 +15,4 @@ def fitted(make_small: Callable[..., Posterior], tmp_path_factory: pytest.TempPa
     """A converged fit and the folder it was written to."""
     folder = tmp_path_factory.mktemp("fit")
     small = make_small()
-    return fit(small.runs, small.model, name="small", key="abc", plan=Plan(seed=3), folder=folder), folder
+    return fit(small.runs, small.model, name="small", key="abc", plan=SamplingPlan(seed=3), folder=folder), folder

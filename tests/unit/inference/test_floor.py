@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shj_bayes.inference.convergence import Verdict
+from shj_bayes.inference.convergence import FitVerdict
 from shj_bayes.inference.fit import fit, with_floor
 from shj_bayes.inference.floor import FEWEST, Floor, _scores, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.sampler import Plan
+from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.protocol import Block
@@ -72,7 +72,7 @@ def test_noise_of_another_size_in_some_cycles_is_widened(make_small: Make) -> No
 def misfit(make_small: Make):
     """A finished fit of the pried device, by a plan that is long enough for chains that are in order."""
     small = pried(make_small(blocks=LONG, seed=4))
-    return fit(small.runs, small.model, plan=Plan(max_steps=2000, threads=1))
+    return fit(small.runs, small.model, plan=SamplingPlan(max_steps=2000, threads=1))
 
 
 def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:
@@ -147,9 +147,9 @@ def test_spreading_keeps_the_centre() -> None:
 @pytest.mark.parametrize(("before", "after"), [("reliable", "tentative"), ("unusable", "unusable")])
 def test_a_widened_fit_is_tentative_at_best(before: str, after: str) -> None:
     wide = Floor(("K", "Fy"), np.array([1.0, 2.34]), np.array([1.0, 2.34]), 12)
-    verdict = with_floor(Verdict(before, ("converged",)), wide)
+    verdict = with_floor(FitVerdict(before, ("converged",)), wide)
     assert verdict.word == after
     assert verdict.reasons[0] == "converged"
     assert "(Fy 2.3 times, over 12 cycles): the intervals of Fy are as wide as that" in verdict.reasons[1]
     narrow = replace(wide, factor=np.ones(2))
-    assert with_floor(Verdict(before, ("converged",)), narrow) == Verdict(before, ("converged",))
+    assert with_floor(FitVerdict(before, ("converged",)), narrow) == FitVerdict(before, ("converged",))

@@ -5,11 +5,11 @@ import pytest
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.convergence import judge
-from shj_bayes.inference.sampler import Plan, run_ensembles
+from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start
 
 NAMES = ("a", "b", "c")
-PLAN = Plan(round_steps=200, max_steps=600)
+PLAN = SamplingPlan(round_steps=200, max_steps=600)
 
 
 class Normal:
@@ -45,7 +45,7 @@ def test_stuck_walkers():
 
 
 def test_a_chain_that_is_too_short():
-    verdict = run(Normal(), plan=Plan(round_steps=60, max_steps=60))
+    verdict = run(Normal(), plan=SamplingPlan(round_steps=60, max_steps=60))
     assert verdict.word in ("tentative", "unusable")
     assert "run longer" in " ".join(verdict.reasons)
 

@@ -8,8 +8,8 @@ import pytest
 from shj_bayes.inference.convergence import Diagnostics
 from shj_bayes.inference.posterior import make_posterior
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import LEAST_ROUND, Plan, _next_round
-from shj_bayes.inference.shared import Shared
+from shj_bayes.inference.sampler import LEAST_ROUND, SamplingPlan, _next_round
+from shj_bayes.inference.shared import SharedDensity
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.catalogue import noise_model
@@ -32,7 +32,7 @@ def posterior(request):
 def test_the_same_bits_whatever_the_number_of_threads(posterior, n):
     z = np.random.default_rng(1).standard_normal((17, len(posterior.names)))
     with ThreadPoolExecutor(n) as pool:
-        shared = Shared(posterior, pool, n)
+        shared = SharedDensity(posterior, pool, n)
         np.testing.assert_array_equal(shared.log_posterior_free(z), posterior.log_posterior_free(z))
         assert shared.log_posterior_free(z[:1]).shape == (1,)
     (_, one), (_, two) = find_start(posterior, threads=1), find_start(posterior, threads=n)
@@ -67,7 +67,7 @@ def test_the_next_look_comes_when_the_chain_should_be_long_enough():
         ones = np.ones(1)
         return Diagnostics(("K",), tau * ones, ones, ones, ones, np.ones((4, 20)), 44, n_burn)
 
-    plan = Plan()
+    plan = SamplingPlan()
     assert _next_round(plan, 1, None) == plan.round_steps
     assert _next_round(plan, 61, figures(1.6, 17)) == 40  # 1.04 (17 + 50 * 1.6) = 101
     assert _next_round(plan, 61, figures(20.0, 30)) == plan.round_steps  # far from it: as ever

@@ -20,7 +20,7 @@ from shj_bayes.inference.fit import CHECKPOINT, Fit, fit
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.sampler import LIBRARY, Plan
+from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.model.device import effects_named
 from shj_bayes.model.noise.filter import Timing, log_density, simulate
 from shj_bayes.model.simulate import Truth
@@ -159,7 +159,7 @@ def test_half_cycles_without_evidence_are_left_out(make_small: Callable[..., Pos
     small = make_small(n_runs=1)
     run = small.runs[0]
     some = replace(run.recording, used=run.used & (run.motion.half_cycle != 2))
-    result = fit([replace(run, recording=some)], small.model, plan=Plan(seed=1, round_steps=60, max_steps=60))
+    result = fit([replace(run, recording=some)], small.model, plan=SamplingPlan(seed=1, round_steps=60, max_steps=60))
     number = result.data["observed_data"]["number"].to_numpy().tolist()
     assert number == [k for k in range(run.motion.n_half) if k != 2]
     for group in ("observed_data", "posterior_predictive", "log_likelihood"):
@@ -267,7 +267,7 @@ def test_the_page_reads_the_thinned_file(
 ) -> None:
     monkeypatch.setattr(store, "N_POINTS", 80)
     small = make_small()
-    result = fit(small.runs, small.model, plan=Plan(seed=1, round_steps=60, max_steps=60), folder=tmp_path)
+    result = fit(small.runs, small.model, plan=SamplingPlan(seed=1, round_steps=60, max_steps=60), folder=tmp_path)
     device = read_device(tmp_path)
     for run, own in zip(device.runs, small.runs, strict=True):
         keep = points_of(own, 80)
@@ -298,7 +298,7 @@ def with_slack(fitted: Fitted, tmp_path_factory: pytest.TempPathFactory) -> Path
     """Fit of the same recordings with an effect that the device has not."""
     folder, posterior = tmp_path_factory.mktemp("slack"), fitted[0].posterior
     model = posterior.model.with_effects(effects_named(["slack"]))
-    fit(posterior.runs, model, name="slack", plan=Plan(seed=3, max_steps=200), folder=folder)
+    fit(posterior.runs, model, name="slack", plan=SamplingPlan(seed=3, max_steps=200), folder=folder)
     return folder
 
 
@@ -351,7 +351,7 @@ def test_same_seed_same_numbers_and_a_finished_fit_is_not_repeated(fitted: Fitte
     result, folder = fitted
     assert (folder / CHECKPOINT).exists()
     again = fit(
-        result.posterior.runs, result.posterior.model, name="small", key="abc", plan=Plan(seed=3), folder=folder
+        result.posterior.runs, result.posterior.model, name="small", key="abc", plan=SamplingPlan(seed=3), folder=folder
     )
     pd.testing.assert_frame_equal(again.summary, result.summary, check_exact=True)
     for group in GROUPS:
@@ -364,7 +364,7 @@ def test_fit_without_a_folder_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     small = make_small(n_runs=1)
-    result = fit(small.runs, small.model, plan=Plan(seed=1, round_steps=60, max_steps=60))
+    result = fit(small.runs, small.model, plan=SamplingPlan(seed=1, round_steps=60, max_steps=60))
     assert result.verdict.word != "reliable"
     assert list(tmp_path.iterdir()) == []
 

@@ -11,7 +11,7 @@ from shj_bayes.margins.diagnosed import Diagnosed, find_diagnosis, words_of
 from shj_bayes.results import store
 from shj_bayes.results.campaign import CampaignRecord, DeviceEntry, SetEntry, SetTogether
 from shj_bayes.results.codec import to_json
-from shj_bayes.results.diagnosis import Verdict
+from shj_bayes.results.diagnosis import DiagnosisVerdict
 
 SHA256 = "00" * 32
 
@@ -66,12 +66,14 @@ def test_what_was_found_is_said_device_by_device(tmp_path):
     key = ("Zinc 70", "1")
     assert words_of({}, 5, ["y: not used"]) == (words_of({}, 5)[0], "y: not used")
     assert words_of({}, 5)[0].startswith("No device has a diagnosis")
-    assert words_of({key: Diagnosed(Verdict.ADEQUATE, (), tmp_path)}, 5)[0].startswith(
+    assert words_of({key: Diagnosed(DiagnosisVerdict.ADEQUATE, (), tmp_path)}, 5)[0].startswith(
         "1 of 5 devices have a diagnosis"
     )
-    assert words_of({key: Diagnosed(Verdict.NAMED, ("Prying",), tmp_path)}, 5)[0] == "Zinc 70, 1: Prying"
-    assert "not told apart" in words_of({key: Diagnosed(Verdict.FAMILY, ("prying", "velocity"), tmp_path)}, 5)[0]
-    assert "without a posterior" in words_of({key: Diagnosed(Verdict.UNKNOWN, ())}, 5)[0]
+    assert words_of({key: Diagnosed(DiagnosisVerdict.NAMED, ("Prying",), tmp_path)}, 5)[0] == "Zinc 70, 1: Prying"
+    assert (
+        "not told apart" in words_of({key: Diagnosed(DiagnosisVerdict.FAMILY, ("prying", "velocity"), tmp_path)}, 5)[0]
+    )
+    assert "without a posterior" in words_of({key: Diagnosed(DiagnosisVerdict.UNKNOWN, ())}, 5)[0]
 
 
 def test_a_first_look_that_was_fitted_with_its_set_rests_on_that_fit(fitted, monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 
 import shj_validation.trials
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.diagnosis import Diagnosis, diagnose
+from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -21,14 +21,14 @@ def trials() -> ModuleType:
     return shj_validation.trials
 
 
-def first_look(recordings: list[Recording], **options: object) -> Diagnosis:
+def first_look(recordings: list[Recording], **options: object) -> DiagnosisResult:
     """Diagnose two runs without sampling."""
     runs = runs_of(recordings)
     return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True, **options))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="session")
-def look() -> Callable[..., Diagnosis]:
+def look() -> Callable[..., DiagnosisResult]:
     """A first look at recordings; options as of `diagnose`."""
     return first_look
 

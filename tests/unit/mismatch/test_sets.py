@@ -9,7 +9,7 @@ import pytest
 from shj_bayes.mismatch.classes import PRESENT
 from shj_bayes.mismatch.search import ODDS
 from shj_bayes.mismatch.sets import ALONE, DeviceEvidence, common_to, device_evidence, log_shared
-from shj_bayes.mismatch.together import Diagnosed, together
+from shj_bayes.mismatch.together import DiagnosedDevice, together
 from shj_bayes.results.codec import from_json
 from shj_bayes.results.diagnosis import EvidenceRecord
 
@@ -179,7 +179,7 @@ def test_a_damaged_record_is_refused(change):
 
 def held(folder, *, own=(), sampled=False, evidence=(1.2, -1.0, 0.2)):
     """A diagnosed device whose own model holds what its diagnosis found."""
-    return Diagnosed(folder, device(evidence, own=own), ("effect",) * len(own), sampled)
+    return DiagnosedDevice(folder, device(evidence, own=own), ("effect",) * len(own), sampled)
 
 
 def test_what_enters_is_fitted_with_what_the_device_shows_alone():

@@ -17,7 +17,7 @@ from shj_bayes.planning.files import plan_record
 from shj_bayes.planning.foresight import _apart, as_read, foresee
 from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know, mechanisms_of
 from shj_bayes.planning.plan import Worth, make_plan
-from shj_bayes.planning.protocol import Block, Protocol, Waveform
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Waveform
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rehearsal import rehearse
 from shj_bayes.planning.rig import Rig
@@ -26,8 +26,8 @@ from shj_validation.proof.cases import stated_key
 from shj_validation.proof.make import make
 
 RIG = Rig(95.0, 40.0, 300.0, 6.0, 5.0)
-LONG = Protocol("long", (Block(95.0, 10.0, 2), Block(24.0, 10.0, 2), Block(95.0, 40.0, 2)))
-SHORT = Protocol("short", (Block(24.0, 10.0, 1),))
+LONG = Protocol("long", (ProtocolBlock(95.0, 10.0, 2), ProtocolBlock(24.0, 10.0, 2), ProtocolBlock(95.0, 40.0, 2)))
+SHORT = Protocol("short", (ProtocolBlock(24.0, 10.0, 1),))
 WEAR, HEAT = frozenset({"capacity over travel"}), frozenset({"capacity over heat"})
 
 
@@ -98,8 +98,8 @@ def test_the_least_certain_pair_and_form_say_how_far_contenders_are_apart(heated
 def test_a_protocol_that_its_samples_do_not_show_comes_behind_all_others(heated: Known) -> None:
     """A fast triangle at 20 Hz, which tells more than one slow cycle where its corners are not lost."""
     rig = replace(RIG, rate_Hz=20.0)
-    slow = Protocol("slow", (Block(95.0, 10.0, 1),))
-    quick = Protocol("quick", (Block(24.0, 40.0, 40, Waveform.TRIANGLE),))
+    slow = Protocol("slow", (ProtocolBlock(95.0, 10.0, 1),))
+    quick = Protocol("quick", (ProtocolBlock(24.0, 40.0, 40, Waveform.TRIANGLE),))
     plan = make_plan([heated], Candidates(rig, (slow, quick)), seed=1, rehearsals=0)
     rows = {row.protocol.name: row for row in (*plan.best, *plan.compared)}
     assert quick.name not in rows or rows["quick"].order < rows["slow"].order
@@ -112,7 +112,7 @@ def test_what_the_reader_gets_wrong_is_foreseen(heated: Known) -> None:
     """Corners of a fast triangle between few samples are rounded off: the force there is no rival's."""
     wrong = {}
     for waveform in Waveform:
-        fast = Protocol(waveform.value, (Block(24.0, 40.0, 4, waveform),))
+        fast = Protocol(waveform.value, (ProtocolBlock(24.0, 40.0, 4, waveform),))
         scene, misread = as_read(heated, fast, 10.0, np.random.default_rng(1))
         wrong[waveform] = float(np.abs(misread * scene.used).max())
     assert wrong[Waveform.TRIANGLE] > 3.0 * wrong[Waveform.SINE]
@@ -175,8 +175,8 @@ def test_a_margin_and_a_wrong_question(heated: Known) -> None:
 def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
     rig = Rig(95.0, 40.0, 300.0, 6.0, 10.0)
     one, several = (
-        Protocol("one", (Block(48.0, 40.0, 4),)),
-        Protocol("several", (Block(48.0, 40.0, 2), Block(48.0, 4.0, 1))),
+        Protocol("one", (ProtocolBlock(48.0, 40.0, 4),)),
+        Protocol("several", (ProtocolBlock(48.0, 40.0, 2), ProtocolBlock(48.0, 4.0, 1))),
     )
     known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), Candidates(rig, (one, several))))
     assert known.keys[0] == frozenset()

@@ -10,7 +10,7 @@ from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file
 from shj_bayes.planning.files import history_csv
 from shj_bayes.planning.proposals import changed, first_protocols
-from shj_bayes.planning.protocol import Block, Protocol, table_1_protocol
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock, table_1_protocol
 from shj_bayes.planning.rig import LIMITS, Rig, read_rig
 from shj_bayes.recording.protocol import table_1
 
@@ -19,7 +19,9 @@ RIG = Rig(95.0, 40.0, 200.0, 12.0, 20.0)
 
 @pytest.mark.parametrize("waveform", ["sine", "triangle"])
 def test_a_block_is_smooth_and_reaches_what_it_states(waveform: str) -> None:
-    time, motion = Protocol("p", (Block(20.0, 40.0, 2, waveform, 3.0), Block(60.0, 10.0, 1, waveform))).sampled(500.0)
+    time, motion = Protocol(
+        "p", (ProtocolBlock(20.0, 40.0, 2, waveform, 3.0), ProtocolBlock(60.0, 10.0, 1, waveform))
+    ).sampled(500.0)
     x, speed = motion.displacement_mm, motion.speed_mm_s
     assert x[0] == speed[0] == 0.0
     assert np.abs(x).max() == pytest.approx(60.0, rel=1e-4)
@@ -55,18 +57,18 @@ def test_proposals_keep_to_the_rig_whatever_is_changed() -> None:
 
 
 def test_a_history_outside_the_rig_is_not_written() -> None:
-    text = history_csv(Protocol("p", (Block(50.0, 20.0, 1),)), RIG, middle_mm=3.0)
+    text = history_csv(Protocol("p", (ProtocolBlock(50.0, 20.0, 1),)), RIG, middle_mm=3.0)
     rows = np.loadtxt(text.splitlines()[1:], delimiter=",")
     assert text.splitlines()[0] == "time_s,displacement_mm"
     assert np.diff(rows[:, 0]) == pytest.approx(0.05)
     assert rows[:, 1].max() == pytest.approx(53.0, abs=0.05)
     with pytest.raises(PlanError, match="the rig allows 95 mm and 40 mm/s"):
-        history_csv(Protocol("p", (Block(100.0, 20.0, 1),)), RIG)
-    assert RIG.broken_by(Protocol("p", (Block(96.0, 41.0, 20),))) != ()
+        history_csv(Protocol("p", (ProtocolBlock(100.0, 20.0, 1),)), RIG)
+    assert RIG.broken_by(Protocol("p", (ProtocolBlock(96.0, 41.0, 20),))) != ()
 
 
 def test_a_file_is_the_same_protocol_as_the_blocks_it_was_written_from(tmp_path: Path) -> None:
-    blocks = Protocol("p", (Block(50.0, 20.0, 2), Block(20.0, 10.0, 1, "triangle", 4.0)))
+    blocks = Protocol("p", (ProtocolBlock(50.0, 20.0, 2), ProtocolBlock(20.0, 10.0, 1, "triangle", 4.0)))
     (tmp_path / "p.csv").write_text(history_csv(blocks, RIG), encoding="utf-8")
     asked = from_file(tmp_path / "p.csv")
     again = Protocol("p", samples=(asked.time_s, asked.motion))
@@ -81,7 +83,7 @@ def test_a_file_is_the_same_protocol_as_the_blocks_it_was_written_from(tmp_path:
 @pytest.mark.parametrize("block", [(0.0, 1.0, 1), (1.0, float("nan"), 1), (1.0, 1.0, 0)])
 def test_a_block_without_motion_is_refused(block: tuple[float, float, int]) -> None:
     with pytest.raises(PlanError, match="cannot be run"):
-        Block(*block)
+        ProtocolBlock(*block)
 
 
 def test_a_rig_file_is_read_and_mistakes_are_told(tmp_path: Path) -> None:

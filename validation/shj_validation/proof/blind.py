@@ -6,7 +6,7 @@ from typing import Any
 
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
-from shj_bayes.inference.sampler import LIBRARY, Plan
+from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
@@ -57,7 +57,7 @@ def diagnose_blind(
     runs = runs_of(recordings)
 
     def sample(found: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], Sampled]:
-        result = fit(runs, found, plan=Plan(max_steps=N_STEPS, tops=(top,), threads=1))
+        result = fit(runs, found, plan=SamplingPlan(max_steps=N_STEPS, tops=(top,), threads=1))
         draws = {str(n): v.to_numpy().ravel() for n, v in result.data["posterior"].data_vars.items()}
         return draws, Sampled(how=f"{LIBRARY}; {'; '.join(result.verdict.reasons)}", verdict=result.verdict.word)
 

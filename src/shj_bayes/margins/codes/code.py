@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from shj_bayes.margins.parts import Parts
+from shj_bayes.margins.parts import DesignBasis
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import FACTORS, Margin
 from shj_bayes.margins.spread import Sample, Spread
@@ -20,7 +20,7 @@ class Given:
     samples: Mapping[str, Sample] = field(repr=False)
     spreads: Mapping[str, tuple[Spread, ...]] = field(repr=False)  # ways to come by the spread of each quantity
     devices: Mapping[str, int]  # tested devices behind each quantity
-    parts: Parts  # nominal and delivered forces, ageing
+    parts: DesignBasis  # nominal and delivered forces, ageing
     request: Request  # choices of the user
 
     def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:

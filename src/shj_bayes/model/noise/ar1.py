@@ -5,11 +5,11 @@ r_i = phi r_(i-1) + sigma sqrt(1 - phi^2) z_i, z ~ N(0, 1): the parameters hold 
 
 import numpy as np
 
-from shj_bayes.model.noise.noise import Noise, Parts, Values, gaussian
+from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, gaussian
 from shj_bayes.model.parameters import FloatArray
 
 
-def parts(values: Values) -> Parts:
+def parts(values: Values) -> NoiseComponents:
     """All of the noise is correlated, none of it white."""
     return gaussian(np.zeros_like(values["sigma"]), values["sigma"])
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from shj_bayes.model.noise.noise import Noise, Parts, Values, gaussian
+from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, gaussian
 from shj_bayes.model.parameters import FloatArray
 
 
-def parts(values: Values) -> Parts:
+def parts(values: Values) -> NoiseComponents:
     """No slow part."""
     return gaussian(values["sigma"], np.zeros_like(values["sigma"]))
 

@@ -12,7 +12,7 @@ Values = Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class NoiseComponents:
     """The two parts of the noise for m parameter sets; all arrays have shape (m,)."""
 
     white_kN: FloatArray  # standard deviation of the part that is new in each sample
@@ -27,7 +27,8 @@ class Noise:
     id: str  # word for ``--noise``; the file carries it
     # its parameters, in the order in which they are sampled; each has a prior in the prior files
     parameters: tuple[str, ...]
-    parts: Callable[[Values], Parts]  # ``parts(values)`` gives the `Parts` from parameters by name, each of shape (m,)
+    # ``parts(values)`` gives the `NoiseComponents` from parameters by name, each of shape (m,)
+    parts: Callable[[Values], NoiseComponents]
     # ``decay(values, seconds, step_s)`` gives the autocorrelation of the slow part at each of n lags (s), shape (n, m),
     # for a channel sampled every ``step_s`` seconds. The slow part is a first-order Markov process, since `filter`
     # carries one state: the correlation at the sum of two lags is the product of those at each.
@@ -43,9 +44,9 @@ class Noise:
             )
 
 
-def gaussian(white_kN: FloatArray, slow_kN: FloatArray) -> Parts:
+def gaussian(white_kN: FloatArray, slow_kN: FloatArray) -> NoiseComponents:
     """Parts of a noise model without heavy tails."""
-    return Parts(white_kN, slow_kN, np.full(white_kN.shape, np.inf))
+    return NoiseComponents(white_kN, slow_kN, np.full(white_kN.shape, np.inf))
 
 
 def exponential(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:

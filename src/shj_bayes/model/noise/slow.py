@@ -3,10 +3,10 @@
 r(t) = w(t) + s(t), sd(w) = sigma_white, cov(s(t), s(t')) = sigma_slow^2 exp(-|t - t'| / tau_slow).
 """
 
-from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential, gaussian
+from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, exponential, gaussian
 
 
-def parts(values: Values) -> Parts:
+def parts(values: Values) -> NoiseComponents:
     """White from sample to sample, slow as it is."""
     return gaussian(values["sigma_white"], values["sigma_slow"])
 

@@ -3,12 +3,12 @@
 As `slow`, with (r_i - E[r_i | before]) / sd[r_i | before] ~ t_nu for each average of samples.
 """
 
-from shj_bayes.model.noise.noise import Noise, Parts, Values, exponential
+from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, exponential
 
 
-def parts(values: Values) -> Parts:
+def parts(values: Values) -> NoiseComponents:
     """As `slow`, with Student's t for what is new in each sample."""
-    return Parts(values["sigma_white"], values["sigma_slow"], values["nu"])
+    return NoiseComponents(values["sigma_white"], values["sigma_slow"], values["nu"])
 
 
 NOISE = Noise(
