@@ -56,11 +56,16 @@ def test_a_recording_that_the_prior_rests_on_is_told():
     assert silent.findings == ()
 
 
+ONE = {"n_devices": 1, "devices": ["a"], "tags": None, "points": {}, "errors": {}, "how_wide": None}
+POPULATION = {"schema": SCHEMA, "version": "0", "seed": 1, "converged": True, "quantities": [], "priors": {}}
+POPULATION |= {"other_priors": []}
+
+
 def population_of(folder: Path, bands: Mapping[str, Sequence[float]]) -> None:
     """Write a sealed population of two sets."""
     ends = {q: dict(zip(("q05", "q50", "q95"), band, strict=True)) for q, band in bands.items()}
-    sets = [{"name": name, "new_device": ends} for name in ("Bare", "Zinc 70", ANY_SET)]
-    (folder / "population.json").write_text(json.dumps(sealed({"schema": SCHEMA, "sets": sets})), encoding="utf-8")
+    sets = [ONE | {"name": name, "new_device": ends} for name in ("Bare", "Zinc 70", ANY_SET)]
+    (folder / "population.json").write_text(json.dumps(sealed(POPULATION | {"sets": sets})), encoding="utf-8")
 
 
 def test_bands_come_from_what_is_sealed(tmp_path: Path):
@@ -84,10 +89,12 @@ def test_bands_that_are_none_are_refused(tmp_path: Path, band: tuple[float, ...]
         earlier(f"{tmp_path}#Bare")
 
 
-@pytest.mark.parametrize("sets", [5, [5], [{}], [{"name": "Bare"}], [{"name": "Bare", "new_device": {"Fy": "x"}}]])
+@pytest.mark.parametrize(
+    "sets", [5, [5], [{}], [{"name": "Bare"}], [ONE | {"name": "Bare", "new_device": {"Fy": "x"}}]]
+)
 def test_a_population_that_holds_something_else_is_one_line(tmp_path: Path, sets: object):
-    (tmp_path / "population.json").write_text(json.dumps(sealed({"schema": SCHEMA, "sets": sets})), encoding="utf-8")
-    with pytest.raises(PriorError, match=r"population\.json in .* lacks something"):
+    (tmp_path / "population.json").write_text(json.dumps(sealed(POPULATION | {"sets": sets})), encoding="utf-8")
+    with pytest.raises(PopulationError, match=r"population\.json in .*: sets.* (lacks|must be) .*; run"):
         earlier(f"{tmp_path}#Bare")
 
 
