@@ -33,10 +33,9 @@ from shj_bayes.inference.squares import LawOnly, descend
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
 from shj_bayes.inference.start import find_start
+from shj_bayes.margins.bounds import DEFAULT, NONE, delivered, outer
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.delivered import NONE, delivered
-from shj_bayes.margins.outermost import DEFAULT, outer
 from shj_bayes.margins.parts import DesignBasis, Environment
 from shj_bayes.margins.quantities import counted_from, of_readings, pooled
 from shj_bayes.margins.request import PLAIN

@@ -567,7 +567,7 @@ def plan(
     need_files([*folders, *([rig] if rig else [])], PlanError)
     from shj_bayes.commands.next_test import plan_next
     from shj_bayes.planning.asked import PlanOptions
-    from shj_bayes.planning.rig import LIMITS, stated_limits
+    from shj_bayes.planning.protocol import LIMITS, stated_limits
 
     limits = stated_limits(rig, {name: asked.pop(name) for name in LIMITS})
     given = {name: value for name, value in asked.items() if value is not None}

@@ -16,11 +16,8 @@ from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import Base, Contribution
 from shj_bayes.model.history import histories
-from shj_bayes.planning.candidates import Candidates
-from shj_bayes.planning.known import common_scales, know
-from shj_bayes.planning.protocol import table_1_protocol
-from shj_bayes.planning.rig import Rig
-from shj_bayes.planning.stored import read_device
+from shj_bayes.planning.known import common_scales, know, read_device
+from shj_bayes.planning.protocol import Candidates, Rig, table_1_protocol
 from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording

@@ -13,7 +13,7 @@ from shj_bayes.cli import main
 from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.errors import PlanError
 from shj_bayes.model.simulate import Truth
-from shj_bayes.planning.rig import Rig, read_rig
+from shj_bayes.planning.protocol import Rig, read_rig
 from shj_bayes.recording.reader import read
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")

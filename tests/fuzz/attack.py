@@ -16,7 +16,7 @@ from corpus import Case
 from shj_bayes.commands.campaign import read_manifest
 from shj_bayes.commands.earlier import earlier
 from shj_bayes.errors import ShjError
-from shj_bayes.inference import checkpoint
+from shj_bayes.inference import sampler as checkpoint
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.fits import device_from_fit

@@ -8,10 +8,9 @@ from scipy import stats
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.asked import sine
+from shj_bayes.margins.bounds import Bounds
 from shj_bayes.margins.codes import asce7, en1990, en15129, iso16269_6, nz
-from shj_bayes.margins.delivered import Bounds
-from shj_bayes.margins.link_elements import wen_exponent
-from shj_bayes.margins.opensees import SHARPEST, exponent_of_steel02
+from shj_bayes.margins.export import SHARPEST, exponent_of_steel02, wen_exponent
 from shj_bayes.margins.quantities import of_readings
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Sample, Spread, limit, sd_of_log, variation_of_log

@@ -8,9 +8,8 @@ import pytest
 from scipy.integrate import trapezoid
 
 from shj_bayes.margins.bounds import Bound
-from shj_bayes.margins.link_elements import HELP, link_csv
+from shj_bayes.margins.export import HELP, exponent_of_steel02, link_csv, python_script, tcl_script
 from shj_bayes.margins.monte_carlo import Drawn, draws_script
-from shj_bayes.margins.opensees import exponent_of_steel02, python_script, tcl_script
 from shj_bayes.model.law import force
 from shj_bayes.recording.protocol import Block, exact_motion
 

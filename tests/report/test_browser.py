@@ -15,7 +15,7 @@ from shj_bayes.population.results import write_population
 from shj_bayes.population.tested import PUBLISHED
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.device import render_device
-from shj_bayes.report.diagnosis import render_diagnosis
+from shj_bayes.report.diagnosis_page import render_diagnosis
 from shj_validation.paper_claims import paper_claims
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -14,10 +14,9 @@ from page_tools import Page, check_safe, folded
 
 from shj_bayes.commands.pipeline import diagnosis_text
 from shj_bayes.errors import ReportError
-from shj_bayes.report.diagnosis import render_diagnosis
 from shj_bayes.report.diagnosis_data import read_diagnosis
 from shj_bayes.report.diagnosis_numbers import profile
-from shj_bayes.report.diagnosis_pictures import draw, moves
+from shj_bayes.report.diagnosis_page import draw, moves, render_diagnosis
 from shj_bayes.report.diagnosis_words import (
     VERDICTS,
     along_words,

@@ -18,10 +18,9 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import CheckpointError, InferenceError
-from shj_bayes.inference import checkpoint
-from shj_bayes.inference.checkpoint import EnsembleState
+from shj_bayes.inference import sampler as checkpoint
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
+from shj_bayes.inference.sampler import EnsembleState, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.priors import read_priors
 

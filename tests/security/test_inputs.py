@@ -37,7 +37,7 @@ from shj_bayes.errors import (
 )
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.rig import stated_limits
+from shj_bayes.planning.protocol import stated_limits
 from shj_bayes.recording import numerals, tables
 from shj_bayes.recording.formats import hdf5, text
 from shj_bayes.recording.formats.catalogue import read_table

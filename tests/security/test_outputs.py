@@ -31,7 +31,7 @@ from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, safe_cell, write_population
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.device import render_device
-from shj_bayes.report.diagnosis import render_diagnosis
+from shj_bayes.report.diagnosis_page import render_diagnosis
 from shj_bayes.results import device as device_file
 from shj_bayes.results import store as store_file
 from shj_bayes.results.campaign import safe_folder

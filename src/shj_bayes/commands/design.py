@@ -13,16 +13,20 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.margins.asked import LEEWAY, asked_for
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
-from shj_bayes.margins.diagnosed import find_diagnosis, words_of
+from shj_bayes.margins.export import link_csv, loops, python_script, tcl_script, write_loops
 from shj_bayes.margins.files import CHOSEN, design_table, to_json, write_margins
 from shj_bayes.margins.following import left_out_words
-from shj_bayes.margins.link_elements import link_csv
-from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.monte_carlo import draw_devices, draws_csv, draws_script
-from shj_bayes.margins.opensees import python_script, tcl_script
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
-from shj_bayes.margins.specimen import Specimen, largest_ranges, read_specimen, specimens_of_table
+from shj_bayes.margins.specimen import (
+    Specimen,
+    find_diagnosis,
+    largest_ranges,
+    read_specimen,
+    specimens_of_table,
+    words_of,
+)
 from shj_bayes.margins.trial import try_all
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.results import load_population

@@ -13,15 +13,21 @@ from shj_bayes.margins.asked import from_file
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.asked import PlanOptions
-from shj_bayes.planning.candidates import Candidates, proposals
-from shj_bayes.planning.devices import further_devices
 from shj_bayes.planning.files import PlanRecord, force_record, plan_record, write_plan
-from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know
+from shj_bayes.planning.known import (
+    Known,
+    Stored,
+    Subject,
+    before_any_test,
+    class_of,
+    common_scales,
+    further_devices,
+    know,
+    read_device,
+)
 from shj_bayes.planning.plan import FORCE, WHICH, Plan, Question, make_plan
-from shj_bayes.planning.protocol import Protocol, table_1_protocol
+from shj_bayes.planning.protocol import Candidates, Protocol, Rig, proposals, table_1_protocol
 from shj_bayes.planning.questions import quantity_named
-from shj_bayes.planning.rig import Rig
-from shj_bayes.planning.stored import Stored, read_device
 from shj_bayes.report.plan_page import plan_text, render_plan
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.store import has, read

@@ -138,7 +138,7 @@ def diagnose_device(
     """
     # Naming what is missing needs half of scipy, which a fit need not wait for.
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
-    from shj_bayes.report.diagnosis import render_diagnosis  # noqa: PLC0415
+    from shj_bayes.report.diagnosis_page import render_diagnosis  # noqa: PLC0415
 
     recordings, name = work.begin(paths, folder, options, name)
     priors, runs = options.read_priors(), runs_of(recordings)

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from shj_bayes.margins.delivered import FORCES
+from shj_bayes.margins.bounds import FORCES
 from shj_bayes.margins.row import BANDS, FACTORS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.model.parameters import base_of
 

@@ -18,8 +18,7 @@ from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Effect, combine
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.population.compare import shift_of
-from shj_bayes.population.compare_words import ROPE_SPEED
+from shj_bayes.population.compare import ROPE_SPEED, shift_of
 from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.hierarchy import MAIN_PRIOR, Sweeps, fit_quantity
 from shj_bayes.population.measurement import Likelihood

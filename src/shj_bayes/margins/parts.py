@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes.margins.delivered import NONE, Bounds, Delivered, delivered
-from shj_bayes.margins.outermost import Newcomers, own_devices
+from shj_bayes.margins.bounds import NONE, Bounds, Delivered, Newcomers, delivered, own_devices
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LEVELS, LOWEST, THIRD_CYCLE, FloatArray
 

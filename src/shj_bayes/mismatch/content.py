@@ -8,11 +8,10 @@ import numpy as np
 import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
-from shj_bayes.mismatch.chatter import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
-from shj_bayes.mismatch.heldout import PARTS, HeldOut, cycles_of
+from shj_bayes.mismatch.heldout import PARTS, HeldOut, Proven, cycles_of
 from shj_bayes.mismatch.hypothesis import TEETH
-from shj_bayes.mismatch.proven import Proven
+from shj_bayes.mismatch.periodic import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.search import LARGEST_OF, Search

@@ -17,9 +17,9 @@ from shj_bayes.mismatch import content
 from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.evidence import evidence_of
+from shj_bayes.mismatch.heldout import Proven, proven
 from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.missed import beside_missed
-from shj_bayes.mismatch.proven import Proven, proven
 from shj_bayes.mismatch.regions import regions_of
 from shj_bayes.mismatch.scene import Metric, scene_of
 from shj_bayes.mismatch.search import search

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import logsumexp, ndtr
 
 from shj_bayes.inference.squares import start_values
-from shj_bayes.mismatch.chatter import Chatter, chatter_of
 from shj_bayes.mismatch.classes import (
     DOUBT,
     EXPLAINED,
@@ -22,7 +21,6 @@ from shj_bayes.mismatch.classes import (
     candidates,
     size_weights,
 )
-from shj_bayes.mismatch.cycles import follows_cycles, is_over_a_clock, of_whole_cycles
 from shj_bayes.mismatch.hypothesis import (
     CONSTANT,
     DIRECTION,
@@ -37,11 +35,19 @@ from shj_bayes.mismatch.hypothesis import (
     second_of,
     without,
 )
+from shj_bayes.mismatch.periodic import (
+    Chatter,
+    chatter_of,
+    follows_cycles,
+    is_over_a_clock,
+    of_whole_cycles,
+    resolved,
+    waves,
+)
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.sizes import MOTION, away, may_miss, size_of
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
-from shj_bayes.mismatch.waves import resolved, waves
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel

@@ -23,7 +23,7 @@ class PlanOptions:
     seed : int
         Same seed and inputs, same plan.
     limits : mapping of str to float
-        Of the rig: fields of `shj_bayes.planning.rig.Rig`; what is not stated is what the tests so far reached.
+        Of the rig: fields of `shj_bayes.planning.protocol.Rig`; what is not stated is what the tests so far reached.
     """
 
     question: str | None = None

@@ -11,12 +11,10 @@ import pandas as pd
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import PlanError, ShjError
 from shj_bayes.inference.store import versions
-from shj_bayes.planning.devices import Further
-from shj_bayes.planning.known import Known, mechanisms_of
+from shj_bayes.planning.known import Further, Known, mechanisms_of
 from shj_bayes.planning.plan import Plan, Row, Worth
-from shj_bayes.planning.protocol import Protocol, ProtocolBlock
+from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig
 from shj_bayes.planning.rehearsal import Rehearsal
-from shj_bayes.planning.rig import LEEWAY, Rig
 from shj_bayes.results.codec import IF_KNOWN
 from shj_bayes.results.diagnosis import ClassId
 from shj_bayes.results.store import write

@@ -1,41 +1,167 @@
-"""What is believed of a device before its next test: rival models with their probabilities, each a Gaussian.
+"""What is known of devices before the next test."""
 
-Every rival is a set of classes of the diagnosis, written in the ways that fit (curves of different smoothness,
-formulas), each linearised at its most probable parameters. What the generic discrepancy took up of the old tests is
-carried over. Coordinates have the scales of old tests and planned one together, as the next diagnosis will see them.
-"""
+from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
-from scipy.stats import norm
+from scipy.stats import chi2, nct, norm
 
 from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.files import damage_told
 from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
+from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
+from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, N_OF_RUN, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import ODDS, Search, noise_beside, noise_of_size
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
-from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.history import SCALES, History, histories
+from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
-from shj_bayes.planning.candidates import Candidates
+from shj_bayes.planning.protocol import Candidates
 from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.recording import Recording, Source
-from shj_bayes.results.diagnosis import ClassId
+from shj_bayes.recording.recording import Extra, Recording, Source
+from shj_bayes.results.device import model_of, read_group
+from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import has, read
+
+ODDS_IN_FILES = 1e-6  # probabilities below it are left out
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A tested device, and the sliding force that its fit found."""
+
+    tested: Subject
+    Fy: tuple[float, float]  # sliding force, kN, and the standard deviation of its logarithm
+
+
+def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
+    """Read a device from the files of its fit and of its diagnosis; a fit without one is taken for what it is.
+
+    `PlanError` if there is no fit, or the diagnosis states no probabilities.
+    """
+    if diagnosis is not None and not has(FitRecord, folder):
+        raise PlanError(
+            f"{folder.name} holds a first look, which keeps no recordings; run shj-bayes diagnose without --quick"
+        )
+    with damage_told(f"fit.json or posterior.nc in {folder.name}", PlanError):
+        record = read(FitRecord, folder)
+        specimen = read_specimen(folder, record.device, "")
+        data, draws = read_group(folder, "constant_data"), read_group(folder, "posterior")
+        runs = []
+        for i, history in enumerate(specimen.histories):
+            entry, own = record.inputs[i], data["run"] == i + 1
+            motion = replace(history.motion, noise_mm=entry.displacement_noise_mm)
+            source = Source(entry.name, str(entry.sha256), entry.format)
+            named = {coordinate_of(name): name for name in entry.extras}
+            recording = Recording(
+                data["time_s"][own],
+                motion.displacement_mm,
+                specimen.measured_kN[i],
+                data["used"][own] > 0,
+                source,
+                extras=tuple(Extra(named.get(k, k), one.unit, data[k][own]) for k, one in history.measured.items()),
+            )
+            runs.append(Run(recording, motion))
+        logs = np.log(draws["Fy"].ravel())
+    model = model_of(record)
+    said = diagnosis.model if diagnosis else None
+    effects = model.effects if diagnosis is None else effects_named(said.given if said else ())
+    without = said.without if said else ()
+    speed = model.speed and "velocity" not in without
+    device = replace(model, effects=effects, speed=speed)
+    sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)
+    if diagnosis is not None:
+        sets = tuple((frozenset(row.classes), row.probability) for row in diagnosis.sets)
+        sets = tuple(pair for pair in sets if pair[1] > ODDS_IN_FILES)
+        if not sets:
+            raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
+    spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
+    tested = Subject(record.device, tuple(runs), device, sets, Look(without).hidden(device))
+    return Stored(tested, spread)
+
+
+FRACTILE = 0.05
+WITHIN = 0.05  # of the force: half of the 90 % interval
+ASSURANCE = 0.8
+MOST = 500
+
+
+@dataclass(frozen=True)
+class FurtherRow:
+    """Further devices, and half the width of what is then known: expected, and kept with `ASSURANCE`."""
+
+    n_further: int
+    half_width_expected: float
+    half_width_assured: float
+
+
+@dataclass(frozen=True)
+class Further:
+    """Devices needed."""
+
+    n_tested: int  # devices tested so far
+    force_kN: float  # estimate of the force that 95 % of devices exceed
+    spread: float  # standard deviation of the logarithm of the force between devices
+    half_width_now: float  # half of the 90 % interval of that force now, as a share of it
+    n_further: int | None  # further devices; None where more than `MOST` would be needed
+    table: tuple[FurtherRow, ...]
+
+
+def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Further:
+    """Plan further devices for a lognormal population; `PlanError` for fewer than two: one says nothing of the spread.
+
+    The half width of the interval of a fractile is that of the noncentral t distribution (Owen 1963, factors for
+    tolerance limits) times the spread; what the spread will turn out to be has the chi-square law of the devices tested
+    so far. `errors` are standard deviations of the logarithm with which each force is known.
+    """
+    n = len(forces_kN)
+    if n < 2:
+        raise PlanError(
+            f"{n} device given; --question force needs the folders of two or more devices of a set: one says nothing "
+            "of how much devices differ"
+        )
+    logs = np.log(np.asarray(forces_kN, dtype=np.float64))
+    spread = max(float(logs.std(ddof=1)), float(np.sqrt(np.mean(np.square(errors)))), 1e-4)
+    likely = [spread * math.sqrt((n - 1) / float(chi2.ppf(q, n - 1))) for q in (0.5, 1.0 - ASSURANCE)]
+    rows, needed = [], None
+    for more in range(MOST + 1):
+        unit = half_width(n + more)
+        if needed is None and more and unit * likely[1] <= WITHIN:
+            needed = more
+        if more in (1, 2, 3, 5, 8, 12, 20, 35, 60, 100) or more == needed:
+            rows.append(FurtherRow(more, unit * likely[0], unit * likely[1]))
+        if needed is not None and more > 2 * needed:
+            break
+    force = math.exp(float(logs.mean()) + float(norm.ppf(FRACTILE)) * spread)
+    now = half_width(n) * spread
+    return Further(n, force, spread, now, 0 if now <= WITHIN and n > 2 else needed, tuple(rows))
+
+
+def half_width(n: int) -> float:
+    """Half of the 90 % interval of the 5 % fractile of a normal sample, in standard deviations of the sample."""
+    away = -float(norm.ppf(FRACTILE)) * math.sqrt(n)
+    low, high = (float(nct.ppf(q, n - 1, away)) for q in (0.05, 0.95))
+    return (high - low) / (2.0 * math.sqrt(n))
+
 
 MOST_RUNS = 9
 KINDS = 3  # ways to write a class, by smoothness or as an effect, that are fitted

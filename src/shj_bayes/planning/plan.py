@@ -9,13 +9,10 @@ import numpy as np
 
 from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.mismatch.classes import DOUBT, MATTERS
-from shj_bayes.planning.candidates import Candidates
 from shj_bayes.planning.foresight import OUTCOMES, Foreseen, ForeseenQuantity, entropy_of, foresee
 from shj_bayes.planning.known import Known
-from shj_bayes.planning.proposals import changed
-from shj_bayes.planning.protocol import Protocol
+from shj_bayes.planning.protocol import Candidates, Protocol, Rig, changed
 from shj_bayes.planning.rehearsal import Rehearsal, rehearse
-from shj_bayes.planning.rig import Rig
 
 ROUNDS, PARENTS, CHILDREN = 1, 4, 4
 FINAL = 6  # protocols that are foreseen again with fresh outcomes: the best of many is partly luck

@@ -1,12 +1,19 @@
-"""Displacement protocols made of blocks: smooth, exact in their turning points, sampled at the rig's rate."""
+"""Test protocols: blocks, what a rig allows of them, and the candidates that are compared."""
+
+from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from shj_bayes.errors import PlanError
+from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.files import read_toml
+from shj_bayes.errors import PlanError, shown
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import table_1
@@ -166,3 +173,216 @@ def _resampled(at: FloatArray, motion: Motion, time: FloatArray) -> Motion:
         raise PlanError("a half-cycle of the file is shorter than the sampling interval; raise --rate")
     x, speed = (np.interp(time, at, v) for v in (motion.displacement_mm, motion.speed_mm_s))
     return Motion(x, speed, start, motion.turning_mm, motion.direction)
+
+
+SCHEMA = "shj-bayes/rig/1"
+MAX_TOML = 100_000  # bytes
+LEEWAY = 1.001  # of a limit, for rounding
+BOUNDS = {  # of the limits of any rig: from a small specimen to the largest shake table, and a test of a week
+    "max_stroke_mm": (0.01, 1e4),
+    "max_speed_mm_s": (1e-3, 1e5),
+    "max_force_kN": (1e-3, 1e6),
+    "max_minutes": (1e-3, 1e4),
+    "rate_Hz": (1e-3, 1e6),
+}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Limits of a rig."""
+
+    max_stroke_mm: float  # largest displacement to either side of the middle of the stroke
+    max_speed_mm_s: float
+    max_force_kN: float
+    max_minutes: float
+    rate_Hz: float  # at which the rig takes and records displacement
+
+    def __post_init__(self) -> None:
+        """Refuse limits that no rig has."""
+        for name, value in asdict(self).items():
+            _refuse_beyond(name, value)
+
+    def broken_by(self, protocol: Protocol) -> tuple[str, ...]:
+        """Limits that a protocol does not keep, in words; its force is judged by whoever predicts it."""
+        pairs = (
+            ("displacement", protocol.largest_mm, self.max_stroke_mm, "mm"),
+            ("speed", protocol.fastest_mm_s, self.max_speed_mm_s, "mm/s"),
+            ("time", protocol.duration_s / 60.0, self.max_minutes, "min"),
+        )
+        return tuple(
+            f"{what} {value:.4g} {unit}, allowed {limit:.4g}"
+            for what, value, limit, unit in pairs
+            if value > LEEWAY * limit
+        )
+
+
+LIMITS = tuple(field.name for field in fields(Rig))
+
+
+def stated_limits(path: Path | None, given: Mapping[str, float | None]) -> dict[str, float]:
+    """Limits of a ``rig.toml``, where there is one, with those given over them; `PlanError` with the one at fault."""
+    for name in given:
+        if name not in LIMITS:
+            raise PlanError(f"'{name}' is no limit; known are {', '.join(LIMITS)}{did_you_mean(name, LIMITS)}")
+    stated = {} if path is None else read_rig(path)
+    return stated | {name: value for name, value in given.items() if value is not None}
+
+
+def read_rig(path: Path) -> dict[str, float]:
+    """Limits of a ``rig.toml``, as far as it states them; `PlanError` with the key at fault."""
+    table: dict[str, Any] = read_toml(path, SCHEMA, MAX_TOML, PlanError)[0]
+    out = {}
+    for key, value in table.items():
+        if key in ("schema", "name"):
+            continue
+        if key not in LIMITS:
+            raise PlanError(
+                f"{path.name}: '{shown(key)}' is not a limit; known are {', '.join(LIMITS)}{did_you_mean(key, LIMITS)}"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise PlanError(f"{path.name}: {key} = {shown(value)}; a number is needed")
+        _refuse_beyond(key, value)
+        out[key] = float(value)
+    return out
+
+
+def _refuse_beyond(name: str, value: float) -> None:
+    least, most = BOUNDS[name]
+    if not least <= value <= most:
+        raise PlanError(f"rig: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}; state another")
+
+
+DRAWN = 8
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Where a search for the next test begins."""
+
+    rig: Rig
+    first: tuple[Protocol, ...]  # proposed ones, Table 1 first
+    given: tuple[Protocol, ...] = ()  # those of the user, shown beside the best whatever they give
+
+    @property
+    def all(self) -> tuple[Protocol, ...]:
+        """Every protocol, the proposed ones first."""
+        return (*self.first, *self.given)
+
+
+def proposals(rig: Rig, seed: int, given: tuple[Protocol, ...] = ()) -> Candidates:
+    """Propose protocols, and put those of the user beside them; the same seed proposes the same."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    return Candidates(rig, tuple(first_protocols(rig, rng, DRAWN)), given)
+
+
+AMPLITUDES = (0.08, 0.15, 0.25, 0.5, 0.75, 1.0)  # of the largest displacement
+SPEEDS = (0.03, 0.1, 0.25, 0.5, 1.0)  # of the largest speed
+RESTS_S = (10.0, 30.0, 60.0, 180.0)
+MOST_BLOCKS = 10
+MOST_REPEATS = 200  # of a design, however long the rig may run
+SAMPLES = 36.0  # of a cycle, at least: reversals between few samples are not found again
+TRIANGLES, RESTING = 0.3, 0.2  # shares of drawn blocks
+SINE, TRIANGLE = Waveform.SINE, Waveform.TRIANGLE
+# Share of the stroke, share of the speed, cycles, waveform, rest in s: one coordinate changes while others stand still.
+DESIGNS: dict[str, tuple[tuple[float, float, int, Waveform, float], ...]] = {
+    "one amplitude at several speeds": (
+        (0.5, 1.0, 2, SINE, 0.0), (0.5, 0.1, 1, SINE, 0.0), (0.5, 0.3, 2, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0),
+    ),
+    "large and small in turn": (
+        (1.0, 1.0, 1, SINE, 0.0), (0.15, 0.5, 2, SINE, 0.0), (1.0, 1.0, 1, SINE, 0.0), (0.15, 0.5, 2, SINE, 0.0),
+        (0.5, 1.0, 2, SINE, 0.0),
+    ),
+    "the same before and after a rest": ((0.5, 1.0, 4, SINE, 0.0), (0.5, 1.0, 4, SINE, 180.0)),
+    "constant speed, full stroke": ((1.0, 1.0, 2, TRIANGLE, 0.0), (1.0, 0.2, 1, TRIANGLE, 0.0)),
+    "small, worn in, small again": (
+        (0.25, 0.5, 3, SINE, 0.0), (1.0, 1.0, 3, SINE, 0.0), (0.25, 0.5, 3, SINE, 60.0), (0.25, 0.1, 1, SINE, 0.0),
+    ),
+    "falling amplitudes": (
+        (1.0, 1.0, 2, SINE, 0.0), (0.75, 1.0, 2, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0), (0.25, 1.0, 2, SINE, 0.0),
+        (0.1, 1.0, 2, SINE, 0.0),
+    ),
+    "rising and falling, slow and fast": (
+        (0.08, 0.25, 3, SINE, 0.0), (0.25, 0.25, 3, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0), (1.0, 1.0, 2, SINE, 0.0),
+        (1.0, 0.25, 1, SINE, 0.0), (0.5, 0.25, 1, SINE, 0.0), (0.25, 1.0, 3, SINE, 0.0), (0.08, 0.25, 3, SINE, 0.0),
+        (0.25, 0.06, 1, SINE, 0.0), (1.0, 0.5, 2, SINE, 60.0), (0.25, 0.25, 3, SINE, 0.0),
+    ),
+}  # fmt: skip
+
+
+def first_protocols(rig: Rig, rng: np.random.Generator, n_drawn: int) -> list[Protocol]:
+    """Give Table 1 again, the designs as far as the time allows, and `n_drawn` drawn protocols.
+
+    Table 1 comes first, whether the rig's time allows it or not: it is what the others are compared with.
+    """
+    out = [table_1_protocol(rig.max_stroke_mm, rig.max_speed_mm_s)]
+    for name, rows in DESIGNS.items():
+        blocks = [ProtocolBlock(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, n, w, r) for a, v, n, w, r in rows]
+        once = within(blocks, rig)
+        repeats = min(MOST_REPEATS, math.ceil(60.0 * rig.max_minutes / sum(b.duration_s for b in blocks)))
+        again = within(blocks * repeats, rig)
+        out += [Protocol(name, once)] if once else []
+        out += [Protocol(f"{name}, again", again)] if again != once else []
+    for _ in range(n_drawn):
+        drawn: list[ProtocolBlock] = []
+        seconds = rng.uniform(0.3, 1.0) * 60.0 * rig.max_minutes
+        while len(drawn) < MOST_BLOCKS and sum(b.duration_s for b in drawn) < seconds:
+            drawn.append(_block(rig, rng))
+        if kept := within(drawn, rig):
+            out.append(Protocol("drawn", kept))
+    return out
+
+
+def changed(protocol: Protocol, rig: Rig, rng: np.random.Generator) -> Protocol | None:
+    """Change one thing of a protocol: a block, the order, a rest, a repeat; None where nothing is left or changed."""
+    blocks = list(protocol.blocks)
+    if not blocks:
+        return None
+    i, j = (int(k) for k in rng.integers(len(blocks), size=2))
+    other = _block(rig, rng)
+    match int(rng.integers(8)):
+        case 0:
+            blocks[i], blocks[j] = blocks[j], blocks[i]
+        case 1:
+            blocks[i] = replace(blocks[i], amplitude_mm=other.amplitude_mm)
+        case 2:
+            blocks[i] = replace(blocks[i], speed_mm_s=other.speed_mm_s)
+        case 3:
+            blocks[i] = replace(blocks[i], cycles=max(1, blocks[i].cycles + int(rng.choice([-2, -1, 1, 2]))))
+        case 4:
+            blocks[i] = replace(blocks[i], waveform=SINE if blocks[i].waveform is TRIANGLE else TRIANGLE)
+        case 5:
+            blocks[i] = replace(blocks[i], rest_s=0.0 if blocks[i].rest_s else float(rng.choice(RESTS_S)))
+        case 6:
+            del blocks[i]
+        case _:
+            blocks.insert(j, other if rng.random() < 0.5 else blocks[i])  # a new block, or one again
+    kept = within(blocks[:MOST_BLOCKS], rig)
+    if not kept or kept == protocol.blocks:
+        return None
+    return Protocol(f"{protocol.name.removesuffix(', changed')}, changed", kept)
+
+
+def within(blocks: list[ProtocolBlock], rig: Rig) -> tuple[ProtocolBlock, ...]:
+    """Blocks in their order, as fast as the rate resolves, with fewer cycles or left out where the time is short."""
+    left, out = 60.0 * rig.max_minutes, []
+    for given in blocks:
+        resolved = 2.0 * math.pi * given.amplitude_mm * rig.rate_Hz / SAMPLES  # a faster cycle has too few samples
+        b = replace(given, speed_mm_s=min(given.speed_mm_s, resolved))
+        for cycles in range(b.cycles, 0, -1):
+            fewer = replace(b, cycles=cycles)
+            if fewer.duration_s <= left:
+                out.append(fewer)
+                left -= fewer.duration_s
+                break
+    return tuple(out)
+
+
+def _block(rig: Rig, rng: np.random.Generator) -> ProtocolBlock:
+    """Draw a block; one that would take more than a third of the time is run faster."""
+    amplitude = float(rng.choice(AMPLITUDES)) * rig.max_stroke_mm
+    speeds = [v * rig.max_speed_mm_s for v in SPEEDS]
+    third = 20.0 * rig.max_minutes
+    able = [v for v in speeds if ProtocolBlock(amplitude, v, 1).duration_s <= third] or speeds[-1:]
+    waveform = TRIANGLE if rng.random() < TRIANGLES else SINE
+    rest = float(rng.choice([r for r in RESTS_S if r < third] or [0.0])) if rng.random() < RESTING else 0.0
+    return ProtocolBlock(amplitude, float(rng.choice(able)), int(rng.integers(1, 5)), waveform, rest)

@@ -1,20 +1,257 @@
-"""Two sets, or two kinds of sets, side by side: how far apart, how sure, and what so few devices can say."""
+"""Two sets compared: classical tests, their power, differences, and the words for them."""
 
+from __future__ import annotations
+
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy.special import ndtr
+from scipy.special import chdtri, fdtrc, ndtr, stdtr, stdtrit
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.classical import Classical, classical, holm
-from shj_bayes.population.compare_words import ROPE_SPEED, multiplicity_words, sentence
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.power import assurance, devices_needed, representative
+from shj_bayes.population.priors import ASSUMED
 from shj_bayes.population.quantities import QUANTITIES, Band, FloatArray, band_of
 from shj_bayes.population.selectors import Stratum, strata_of
+
+LEVEL, POWER = 0.05, 0.8
+MOST = 10_000
+N_SPREADS = 200
+"""Quantiles of the posterior of the spread that stand for it."""
+_SHARE, _WEIGHT = np.polynomial.legendre.leggauss(200)
+_SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
+
+
+def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, strata: int = 1) -> float:
+    """Power of the two-sided t test of two samples at `LEVEL`, averaged over what is known of the spread.
+
+    `sds` are equally probable values of the spread between devices of a set, pooled scale as the true difference
+    `shift`. The devices are divided over `strata` pairs of sets; each takes two degrees of freedom. 0 where there are
+    too few devices for any t test. The noncentral t is integrated over the estimate of the spread, because the
+    distribution function of scipy gives NaN far out.
+    """
+    sds = np.atleast_1d(np.asarray(sds, dtype=np.float64))
+    if not (math.isfinite(shift) and np.all(np.isfinite(sds)) and np.all(sds > 0)):
+        raise PopulationError(
+            f"power needs a finite difference and a spread above zero; got {shift:g} and {np.min(sds):g}"
+        )
+    nu = n_a + n_b - 2 * strata
+    if min(n_a, n_b) < 1 or nu < 1:
+        return 0.0
+    away = np.abs(shift) / (sds * math.sqrt(1.0 / n_a + 1.0 / n_b))
+    limit = -float(stdtrit(nu, LEVEL / 2.0)) * np.sqrt(chdtri(nu, _SHARE) / nu)
+    found = ndtr(away[:, None] - limit) + ndtr(-away[:, None] - limit)
+    return float(np.mean(found @ _WEIGHT))
+
+
+def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
+    """Devices on each side for which the `assurance` reaches `POWER`; `MOST` when more would be needed."""
+
+    def found(n: int) -> float:
+        return assurance(shift, sds, n, n, strata=strata)
+
+    low, high = strata, 2 * strata
+    while found(high) < POWER:
+        low, high = high, 2 * high
+        if high > MOST:
+            return MOST
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if found(middle) >= POWER else (middle, high)
+    return high
+
+
+def representative(draws: FloatArray) -> FloatArray:
+    """Equally probable values that stand for many draws."""
+    return np.asarray(np.quantile(draws, (np.arange(N_SPREADS) + 0.5) / N_SPREADS))
+
+
+MOST_ARRANGEMENTS = 500_000
+N_RANDOM = 20_000
+LEVEL = 0.05
+_NODES = (np.arange(4000) + 0.5) / 4000
+_SAME = 1e-9
+Pair = tuple[FloatArray, FloatArray]
+"""Values of the first and of the second side of one stratum, pooled scale."""
+
+
+@dataclass(frozen=True)
+class Classical:
+    """Tests of one quantity; None where a test cannot be made."""
+
+    welch_p: float | None  # Welch's test, two-sided; over strata with Satterthwaite's degrees of freedom
+    # Behrens-Fisher (the posterior of both means under vague priors, spreads unequal); one stratum only
+    behrens_fisher_p: float | None
+    variance_p: float | None  # two-sided F test that both sides spread alike
+    permutation_p: float | None  # stratified permutation test of the sides, two-sided
+    arrangements: int  # how many there are; above half a million a random 20 000 of them are used
+    # smallest p that any assignment of these values to the two sides can give: three against three devices never give
+    # less than 0.10, however far apart they lie
+    permutation_least: float | None = None
+
+    def leading(self, n_tests: int) -> tuple[str, float | None]:
+        """Test that multiplicity is applied to ("permutation", "Welch", "" where neither can reach it), and its p.
+
+        The exact permutation where its smallest attainable p, times the number of tests, is within 0.05; otherwise
+        Welch's, which leans on device values that are normal on the pooled scale, as the population model does. The
+        choice looks at the values but not at which side they are on, so it does not favour a result. A test that cannot
+        reach the level cannot give a false alarm either and need not be counted (Tarone 1990).
+        """
+        if self.permutation_least is not None and n_tests * self.permutation_least <= LEVEL:
+            return "permutation", self.permutation_p
+        return ("Welch", self.welch_p) if self.welch_p is not None else ("", None)
+
+
+def classical(strata: Sequence[Pair], seed: int = 0) -> Classical:
+    """Run every test that the values of the devices, pooled scale, stratum by stratum, allow.
+
+    `seed` is that of the random arrangements, where there are too many for all.
+    """
+    full = [(a, b) for a, b in strata if a.size and b.size]
+    p, least, n = permutation_test(full, seed) if full else (None, None, 0)
+    two = behrens_fisher(*full[0]) if len(full) == 1 else None
+    return Classical(welch(full), two, variance_ratio(full), p, n, least)
+
+
+def welch(strata: Sequence[Pair]) -> float | None:
+    """Two-sided p of the mean difference over strata, spreads unequal."""
+    sides = [side for pair in strata for side in pair]
+    if not sides or min(s.size for s in sides) < 2 or max(np.ptp(s) for s in sides) < _SAME:
+        return None
+    variances = [float(s.var(ddof=1)) / s.size for s in sides]
+    total = sum(variances)
+    degrees = total**2 / sum(v**2 / (s.size - 1) for v, s in zip(variances, sides, strict=True))
+    difference = sum(float(a.mean() - b.mean()) for a, b in strata)
+    return float(2.0 * stdtr(degrees, -abs(difference) / math.sqrt(total)))
+
+
+def behrens_fisher(a: FloatArray, b: FloatArray) -> float | None:
+    """Two-sided tail probability of the Behrens-Fisher distribution (difference of two scaled t variables)."""
+    if min(a.size, b.size) < 2 or min(np.ptp(a), np.ptp(b)) < _SAME:
+        return None
+    scale_a, scale_b = (float(x.std(ddof=1)) / math.sqrt(x.size) for x in (a, b))
+    other = stdtrit(b.size - 1, _NODES)
+    away = abs(float(a.mean() - b.mean()))
+    return float(2.0 * np.mean(stdtr(a.size - 1, -(away + scale_b * other) / scale_a)))
+
+
+def variance_ratio(strata: Sequence[Pair]) -> float | None:
+    """Two-sided p of Snedecor's F that both sides have the same variance, pooled over strata."""
+    squares, degrees = [0.0, 0.0], [0, 0]
+    for pair in strata:
+        for i, side in enumerate(pair):
+            squares[i] += float(np.sum((side - side.mean()) ** 2))
+            degrees[i] += side.size - 1
+    if min(degrees) < 1 or min(squares) < _SAME**2:
+        return None
+    f = (squares[0] / degrees[0]) / (squares[1] / degrees[1])
+    tail = fdtrc(degrees[0], degrees[1], f)
+    return float(2.0 * min(tail, 1.0 - tail))
+
+
+def permutation_test(strata: Sequence[Pair], seed: int = 0) -> tuple[float, float, int]:
+    """Two-sided p value of the sum of the mean differences, sides exchanged at random within each stratum.
+
+    Exact up to `MOST_ARRANGEMENTS`; above, of the observed arrangement and `N_RANDOM` - 1 that are drawn. Then the
+    smallest p that any arrangement of these values has, and the number of arrangements.
+    """
+    observed = sum(float(a.mean() - b.mean()) for a, b in strata)
+    together = [np.concatenate(pair) for pair in strata]
+    count = math.prod(math.comb(x.size, a.size) for x, (a, _) in zip(together, strata, strict=True))
+    if count <= MOST_ARRANGEMENTS:
+        sums = np.zeros(1)
+        for x, (a, b) in zip(together, strata, strict=True):
+            chosen = np.array(list(itertools.combinations(range(x.size), a.size)))
+            first = x[chosen].sum(axis=1)
+            sums = np.add.outer(sums, first / a.size - (x.sum() - first) / b.size).ravel()
+    else:
+        rng = np.random.default_rng([seed, 7])
+        sums = np.full(N_RANDOM, observed)
+        sums[1:] = 0.0
+        for x, (a, b) in zip(together, strata, strict=True):
+            first = np.array([rng.permutation(x)[: a.size].sum() for _ in range(N_RANDOM - 1)])
+            sums[1:] += first / a.size - (x.sum() - first) / b.size
+    away = np.abs(sums)
+
+    def share(of: float) -> float:
+        return float(np.mean(away >= of - _SAME * max(1.0, of)))
+
+    # Of drawn arrangements the observed one is always one, so the least is known without drawing.
+    least = share(float(away.max())) if count <= MOST_ARRANGEMENTS else 1.0 / N_RANDOM
+    return share(abs(observed)), least, count
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """Holm's adjustment for the number of tests that were made (Holm 1979); None stays None."""
+    known = sorted((p, i) for i, p in enumerate(p_values) if p is not None)
+    out: list[float | None] = [None] * len(p_values)
+    highest = 0.0
+    for rank, (p, i) in enumerate(known):
+        highest = max(highest, min(1.0, (len(known) - rank) * p))
+        out[i] = highest
+    return out
+
+
+TRUSTED = 0.95
+ROPE_SPEED = 10.0
+"""Speed at which practical equivalence of gamma is meant as a share of the force, mm/s."""
+
+
+def sentence(c: Contrast, sides: tuple[str, str], settled: Mapping[str, bool], rope: float) -> str:
+    """Say how two sides differ in one quantity, how sure that is, and what would decide.
+
+    `settled` is whether each prior of the spread gives the direction, `rope` the half-width of the region of practical
+    equivalence.
+    """
+    if c.kind == "quotient":
+        # As many digits, four at most, as tell the ends of a narrow interval apart.
+        digits = next((d for d in (2, 3) if round(c.q05, d) != round(c.q95, d)), 4)
+        between = f"{c.q05:.{digits}f} to {c.q95:.{digits}f}"
+        size = f"is {c.q50:.{digits}f} times that of {sides[1]} (90 % interval {between})"
+        open_ = f"a factor of anything from {between}"
+        edge = f"{100 * rope:.0f} %"
+    else:
+        size = f"differs from {sides[1]} by {c.q50:+.3g} {c.unit} (90 % interval {c.q05:+.3g} to {c.q95:+.3g})"
+        open_ = f"anything from {c.q05:+.3g} to {c.q95:+.3g} {c.unit}"
+        edge = f"{rope / ROPE_SPEED:.3g} {c.unit}"
+    if not settled["default"]:
+        verdict = f"the direction is not settled: {open_} is compatible with them"
+    elif not all(settled.values()):
+        against = ", ".join(ASSUMED.get(label, f"under the {label} prior") for label, yes in settled.items() if not yes)
+        verdict = f"the direction hangs on what is assumed of the spread (not settled {against})"
+    else:
+        verdict = "the direction is settled at 90 %, whatever is assumed of the spread"
+    text = f"{sides[0]}: {c.quantity} of a typical device {size}; with {c.n_a} and {c.n_b} devices {verdict}."
+    if c.probability_rope > TRUSTED:
+        return f"{text} They differ by less than {edge} with a probability of {c.probability_rope:.2f}."
+    if all(settled.values()):
+        return text
+    count = f"about {c.n_to_decide}" if c.n_to_decide < MOST else f"more than {MOST}"
+    return (
+        f"{text} A sample of this size finds a true difference of {edge}, the smallest that matters here, with a "
+        f"power of {c.power_edge:.2f}; a power of 0.80 takes {count} devices a side (if sets spread nearly alike)."
+    )
+
+
+def multiplicity_words(n_quantities: int, n_strata: int, tests: Sequence[str]) -> str:
+    """Say how many comparisons were made at once, by which test of each quantity, and how that is allowed for."""
+    over = f", each averaged over {n_strata} pairs of sets alike in all else" if n_strata > 1 else ""
+    said = {
+        "permutation": "on the exact permutation",
+        "Welch": "on Welch's test where no arrangement of so few devices could bring the permutation to 0.05 after "
+        "that (its least p stands beside it)",
+    }
+    basis = " and ".join(words for name, words in said.items() if name in tests)
+    rest = [f"The p-values marked Holm allow for that number; they rest {basis}."] if basis else []
+    rest += ["Where neither permutation nor Welch's test can reach 0.05 there is none."] if "" in tests else []
+    return (
+        f"{n_quantities} quantities were compared{over}. {' '.join(rest)} The posterior draws the sets towards each "
+        "other by itself. Whoever picks among many pairs must divide once more."
+    )
+
 
 ROPE = 0.10
 """Half-width of the region of practical equivalence: 10 % of the value; for gamma 10 % of the force at 10 mm/s."""

@@ -19,7 +19,7 @@ from shj_bayes.margins.sheet import margins
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.results import write_population
 from shj_bayes.population.selectors import is_bare
-from shj_bayes.report.margins_numbers import counted, set_table
+from shj_bayes.report.margins_page import counted, set_table
 
 LABEL = "=cmd|'<b>"
 

@@ -10,12 +10,11 @@ import pytest
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.agreement import agreement
 from shj_bayes.margins.asked import LAWS, published_factors, sine
-from shj_bayes.margins.bounds import bounds
+from shj_bayes.margins.bounds import bounds, newcomers
 from shj_bayes.margins.codes import en1990, iso16269_6
+from shj_bayes.margins.export import loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
-from shj_bayes.margins.loops_file import loops, write_loops
 from shj_bayes.margins.monte_carlo import draw_devices
-from shj_bayes.margins.outermost import newcomers
 from shj_bayes.margins.parts import corroded_pairs
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.chatter import SURE, Chatter, _at_scale, chatter_of
 from shj_bayes.mismatch.classes import Class
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
+from shj_bayes.mismatch.periodic import SURE, Chatter, _at_scale, chatter_of
 from shj_bayes.mismatch.scene import NoiseSetting, scene_of
 from shj_bayes.mismatch.search import NOISE_MOST, Search
 from shj_bayes.mismatch.state import settle_under

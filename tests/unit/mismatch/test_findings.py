@@ -10,7 +10,7 @@ import pytest
 from scipy.special import expit
 
 from shj_bayes.mismatch import content, findings, sizes
-from shj_bayes.mismatch.chatter import Chatter
+from shj_bayes.mismatch.periodic import Chatter
 from shj_bayes.mismatch.search import Search
 
 ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", "bearing": "added"}

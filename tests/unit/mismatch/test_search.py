@@ -7,8 +7,8 @@ import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
-from shj_bayes.mismatch.cycles import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.findings import answer_of, curve_band
+from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.scene import scene_of
 from shj_bayes.mismatch.search import RIVAL, Search, search
 from shj_bayes.model.augmented import force_with_effects

@@ -11,16 +11,23 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.scene import N_OF_RUN, Metric
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.candidates import Candidates, proposals
-from shj_bayes.planning.devices import further_devices, half_width
 from shj_bayes.planning.files import plan_record
 from shj_bayes.planning.foresight import _apart, as_read, foresee
-from shj_bayes.planning.known import Known, Subject, before_any_test, class_of, common_scales, know, mechanisms_of
+from shj_bayes.planning.known import (
+    Known,
+    Subject,
+    before_any_test,
+    class_of,
+    common_scales,
+    further_devices,
+    half_width,
+    know,
+    mechanisms_of,
+)
 from shj_bayes.planning.plan import Worth, make_plan
-from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Waveform
+from shj_bayes.planning.protocol import Candidates, Protocol, ProtocolBlock, Rig, Waveform, proposals
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.planning.rehearsal import rehearse
-from shj_bayes.planning.rig import Rig
 from shj_bayes.report.plan_page import render_plan
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.make import make

@@ -9,9 +9,16 @@ import pytest
 from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file
 from shj_bayes.planning.files import history_csv
-from shj_bayes.planning.proposals import changed, first_protocols
-from shj_bayes.planning.protocol import Protocol, ProtocolBlock, table_1_protocol
-from shj_bayes.planning.rig import LIMITS, Rig, read_rig
+from shj_bayes.planning.protocol import (
+    LIMITS,
+    Protocol,
+    ProtocolBlock,
+    Rig,
+    changed,
+    first_protocols,
+    read_rig,
+    table_1_protocol,
+)
 from shj_bayes.recording.protocol import table_1
 
 RIG = Rig(95.0, 40.0, 200.0, 12.0, 20.0)

@@ -8,12 +8,21 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.classical import behrens_fisher, classical, holm, permutation_test, variance_ratio, welch
-from shj_bayes.population.compare import compare
+from shj_bayes.population.compare import (
+    MOST,
+    assurance,
+    behrens_fisher,
+    classical,
+    compare,
+    devices_needed,
+    holm,
+    permutation_test,
+    variance_ratio,
+    welch,
+)
 from shj_bayes.population.correlation import correlation_draws, inverse_wishart, scatter
 from shj_bayes.population.device import Tags
 from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.power import MOST, assurance, devices_needed
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.published import published_rows
 from shj_validation.paper_claims import coated_table

@@ -14,8 +14,8 @@ known.
 from collections.abc import Iterator
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.margins.bounds import Bounds
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.delivered import Bounds
 from shj_bayes.margins.parts import Environment
 from shj_bayes.margins.row import HIGH, LOW, Margin
 

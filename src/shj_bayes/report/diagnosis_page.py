@@ -1,14 +1,19 @@
-"""The pictures of a diagnosis page as data URIs. Importing this imports matplotlib."""
+"""The page of a diagnosis: its pictures, and how it is drawn."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import UndefinedError
 
+from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import diagnosis_words as say
-from shj_bayes.report.diagnosis_data import DiagnosisData
+from shj_bayes.report.diagnosis_data import DiagnosisData, read_diagnosis
 from shj_bayes.report.diagnosis_numbers import N_BINS, position_travel, profile, shown_cycle, travel_bins
 from shj_bayes.report.figures import diagnosis as draw_
+from shj_bayes.report.page import LOOPS, PAGE, write_page
+from shj_bayes.report.viewer import diagnosis_viewer, thinning_words
 from shj_bayes.results.device import BoolArray, Channels
 
 FIRST = 2  # loops on the first screen
@@ -117,3 +122,30 @@ def _shape(data: DiagnosisData) -> dict[str, str] | None:
     named = [(name.removesuffix("_kN"), values) for name, values in rest]
     along = [(name, -values if name == "pull" else values) for name, values in named]
     return {"address": draw_.shape(at, along, coordinate, data.force), "coordinate": coordinate}
+
+
+def render_diagnosis(folder: Path) -> Path:
+    """Write ``diagnosis.html`` of a finished diagnosis, one file that needs nothing else; `ReportError` without one."""
+    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
+    from shj_bayes.report.diagnosis_page import draw  # noqa: PLC0415
+
+    data = read_diagnosis(folder)
+    try:
+        viewer = diagnosis_viewer(data)
+        content = {
+            "name": data.record.device,
+            "data": data,
+            "force": data.force,
+            "record": data.record,
+            "say": say,
+            "changed": data.channels.changed,
+            "pictures": draw(data),
+            "viewer": viewer,
+            "thinning": thinning_words(viewer),
+            "fit": PAGE if (folder / PAGE).exists() else "",  # page of the fit that lies in the same folder
+        }
+        return write_page(folder, "diagnosis.html", content, LOOPS)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError, UndefinedError) as error:
+        raise ReportError(
+            f"diagnosis.json in {folder.name} cannot be shown, {type(error).__name__}: {error}; run diagnose again"
+        ) from error

@@ -1,0 +1,205 @@
+"""Files for structural analysis: link elements, OpenSees materials, loops."""
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import optimize
+from scipy.integrate import trapezoid
+from scipy.special import hyp2f1
+
+from shj_bayes._util.files import write_text
+from shj_bayes.margins.bounds import Bound
+from shj_bayes.margins.trial import Trial
+from shj_bayes.population.loops import N_POINTS, LoopBand
+from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
+from shj_bayes.population.results import safe_cell
+
+LARGEST_EXPONENT = 20.0
+"""Programs with a Wen link refuse, or stumble over, sharper knees than this."""
+HELP = {
+    "set": "set of devices; (any set) is one never tested",
+    "bound": "lower, middle or upper: run the lower and the upper analysis at least",
+    "devices": "tested devices behind the numbers",
+    "stiffness_kN_per_mm": "initial (elastic) stiffness of the link along its sliding direction",
+    "stiffness_kN_per_m": "the same, where the program wants metres",
+    "yield_force_kN": "sliding force; called yield force or yield strength in plastic (Wen) links",
+    "post_yield_ratio": "post-yield stiffness over initial stiffness: next to 0, friction does not harden",
+    "wen_exponent": "yielding exponent of a plastic (Wen) link; bilinear links do without",
+    "effective_stiffness_kN_per_mm": "secant stiffness of the stated cycle, for linear analysis cases",
+    "effective_damping": "equivalent viscous damping ratio of the stated cycle, for linear analysis cases",
+}
+
+
+def wen_exponent(beta: float) -> float:
+    """Exponent of dz/du = 1 - z^n for which the monotonic curve passes the knee of Eq. (1): z(1) = 2^(-1/beta).
+
+    u = z 2F1(1, 1/n; 1 + 1/n; z^n) is the displacement, over F/K, at which a Wen link carries z F.
+    """
+    knee = 2.0 ** (-1.0 / beta)
+
+    def short_by(n: float) -> float:
+        return float(knee * hyp2f1(1.0, 1.0 / n, 1.0 + 1.0 / n, knee**n)) - 1.0
+
+    if short_by(LARGEST_EXPONENT) > 0:
+        return LARGEST_EXPONENT
+    if short_by(1.0) < 0:
+        return 1.0
+    return float(optimize.brentq(short_by, 1.0, LARGEST_EXPONENT))
+
+
+def link_table(bounds: Sequence[Bound]) -> pd.DataFrame:
+    """One line per set and bound; columns as in ``HELP``."""
+    rows = [
+        (
+            safe_cell(b.set_name),
+            b.bound,
+            b.n_devices,
+            float(f"{b.K_kN_mm:.5g}"),
+            float(f"{1000.0 * b.K_kN_mm:.5g}"),
+            float(f"{b.force_kN:.5g}"),
+            HARDENING,
+            round(wen_exponent(b.beta), 1),
+            float(f"{b.stiffness_kN_mm:.5g}"),
+            round(b.damping, 4),
+        )
+        for b in bounds
+    ]
+    return pd.DataFrame(rows, columns=list(HELP))
+
+
+def link_csv(bounds: Sequence[Bound], cycle: str, left_out: Sequence[str] = ()) -> str:
+    """Table as CSV under its help lines, which start with # (as comments do)."""
+    head = [f"# {column}: {words}" for column, words in HELP.items()]
+    head.append(f"# cycle of the last two columns: {cycle}. Not carried: speed, loss of force with travel, slot end.")
+    head += [f"# {plain(note)}" for note in left_out]
+    return "\n".join(head) + "\n" + link_table(bounds).to_csv(index=False, lineterminator="\n")
+
+
+HARDENING = 1e-5
+"""Post-sliding stiffness over initial stiffness: next to nothing, but not 0, so that a model keeps a tangent."""
+SHARPEST = 60.0
+"""Largest exponent handed to Steel02, whose powers overflow beyond; the knee is then within 2 % of the force."""
+NOTES = (
+    "Units: kN and mm. Force of ONE connection as tested, along its sliding direction.",
+    "Not carried: the speed law. A Steel02 material does not know speed; the forces are those at "
+    "the speeds of the test. Nothing is known beyond it.",
+    "Not carried: the loss of force from run to run and with travel within an analysis. The lower bound is the "
+    "smallest force of all runs of the test; it serves for a second earthquake.",
+    "Not carried: the jump of Eq. (1) at reversals, slack, stick-slip, and bearing of the bolt at the end of the slot. "
+    "Stop the analysis where the slot ends, or add a gap material there.",
+    "Run the lower and the upper bound at least: the lower governs displacement, the upper governs forces.",
+)
+
+
+def exponent_of_steel02(beta: float) -> float:
+    """R for which Steel02, from -F to F, passes the knee at the height of Eq. (1): F 2^(-1/beta).
+
+    From the reversal at -F the curve has risen 2 F 2^(-1/R) where its asymptotes meet, at e = F.
+    """
+    knee = 0.5 * (1.0 + 2.0 ** (-1.0 / beta))
+    return min(-math.log(2.0) / math.log(knee), SHARPEST)
+
+
+def plain(name: str) -> str:
+    """Name of a set that may stand in a script of any language: letters, digits and a few signs."""
+    return re.sub(r"[^A-Za-z0-9 .,_%()+-]", "_", name).strip() or "set"
+
+
+def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str, left_out: Sequence[str] = ()) -> str:
+    """Script for OpenSeesPy: a table of materials, a function that defines one, a check that runs each.
+
+    `left_out` says what these materials do not carry besides, one sentence each.
+    """
+    rows = "\n".join(
+        f"    ({json.dumps(b.set_name)}, {json.dumps(b.bound)}): "
+        f"({b.force_kN:.6g}, {b.K_kN_mm:.6g}, {exponent_of_steel02(b.beta):.6g}),"
+        for b in bounds
+    )
+    return filled("connection_materials", rows, (*NOTES, *map(plain, left_out)), amplitude_mm, source)
+
+
+def filled(name: str, rows: str, notes: Sequence[str], amplitude_mm: float, source: str, **more: str) -> str:
+    """Fill one of the ``scripts``."""
+    text = (Path(__file__).parent / "scripts" / f"{name}.py.txt").read_text(encoding="utf-8")
+    said = "\n".join(f"# - {note}" for note in notes)
+    fixed = {"source": plain(source), "hardening": repr(HARDENING), "amplitude": repr(amplitude_mm)}
+    return Template(text).substitute(fixed, rows=rows, notes=said, **more)
+
+
+def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = ()) -> str:
+    """Script for OpenSees (Tcl): the same materials by number of set and bound."""
+    names = list(dict.fromkeys(b.set_name for b in bounds))
+    lines = [f"# Sliding friction connections as OpenSees materials, written by shj-bayes. Source: {plain(source)}."]
+    lines += [f"# - {note}" for note in (*NOTES, *map(plain, left_out))]
+    lines += ["# Sets:", *(f"#   {i}: {plain(name)}" for i, name in enumerate(names, start=1))]
+    lines.append("# frictionMaterial(<number of set>,<bound>): sliding force kN, stiffness kN/mm, R of Steel02")
+    for b in bounds:
+        key = f"{names.index(b.set_name) + 1},{b.bound}"
+        numbers = f"{b.force_kN:.6g} {b.K_kN_mm:.6g} {exponent_of_steel02(b.beta):.6g}"
+        lines.append(f"set frictionMaterial({key}) {{{numbers}}}")
+    lines += [
+        "proc defineFriction {tag number bound} {",
+        "    global frictionMaterial",
+        "    lassign $frictionMaterial($number,$bound) force stiffness sharpness",
+        f"    uniaxialMaterial Steel02 $tag $force $stiffness {HARDENING!r} $sharpness 0.0 0.15",
+        "}",
+        "# Example: defineFriction 1 1 lower",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+LOOPS_CSV = "loops.csv"
+
+
+def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
+    """Draw the loop bands of every set, run by run; its widest cycle is cut to what all its devices went through."""
+    out = []
+    for name in dict.fromkeys(trial.set_name for trial in trials):
+        own = [trial for trial in trials if trial.set_name == name]
+        for run in range(min(len(trial.loops) for trial in own)):
+            cycles = [trial.loops[run] for trial in own]
+            low = max(float(x.min()) for cycle in cycles for x, _ in cycle)
+            high = min(float(x.max()) for cycle in cycles for x, _ in cycle)
+            grid = np.linspace(low, high, N_POINTS)
+            push, pull = (np.concatenate([_at(grid, *cycle[i]) for cycle in cycles]) for i in (0, 1))
+            energy = trapezoid(push - pull, grid, axis=1)
+            bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0))
+            head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
+            out.append(LoopBand(*head, *bands, band_of(energy), len(own)))
+    return tuple(out)
+
+
+def _at(grid: FloatArray, x: FloatArray, force: FloatArray) -> FloatArray:
+    """Force of every draw at the displacements of a grid."""
+    order = np.argsort(x, kind="stable")
+    return np.stack([np.interp(grid, x[order], row[order]) for row in force])
+
+
+def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:
+    """Write ``loops.csv``: one line per set, run and displacement; takes an old one away when there are no loops.
+
+    Columns: set, n_devices, run, amplitude_mm, peak_speed_mm_s, displacement_mm, push_q05_kN, push_q50_kN,
+    push_q95_kN (while displacement grows), pull_q05_kN, pull_q50_kN, pull_q95_kN (while it falls).
+    """
+    path = folder / LOOPS_CSV
+    if not bands:
+        path.unlink(missing_ok=True)
+        return None
+    parts = []
+    for band in bands:
+        columns: dict[str, Any] = {"set": safe_cell(band.set_name), "n_devices": band.n_devices, "run": band.run}
+        columns |= {"amplitude_mm": band.amplitude_mm, "peak_speed_mm_s": band.peak_speed_mm_s}
+        columns["displacement_mm"] = band.displacement_mm
+        for side, force in (("push", band.push), ("pull", band.pull)):
+            for level, values in zip(("q05", "q50", "q95"), force, strict=True):
+                columns[f"{side}_{level}_kN"] = np.round(values, 4)
+        parts.append(pd.DataFrame(columns))
+    write_text(path, pd.concat(parts).to_csv(index=False, lineterminator="\n"))
+    return path

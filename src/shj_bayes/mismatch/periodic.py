@@ -1,0 +1,319 @@
+"""What comes again: whole cycles, periods of a coordinate, chatter."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.special import logsumexp, ndtri
+
+from shj_bayes.inference.gaussian import Gaussian, log_gains
+from shj_bayes.mismatch.classes import FORMS, Candidate, Class, Variant, candidates, size_weights
+from shj_bayes.mismatch.scene import AVERAGED_S, Metric, Scene
+from shj_bayes.mismatch.screen import screen
+from shj_bayes.mismatch.state import State, settle_under
+from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
+from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
+from shj_bayes.model.effects.effect import Effect, Values
+from shj_bayes.model.noise.low_speed import ROUGHER
+from shj_bayes.model.parameters import FloatArray
+
+PER_STROKE = 8  # places at which a stroke is looked at
+
+
+def is_clock(over: Coordinate) -> bool:
+    """Whether a coordinate goes on from stroke to stroke and has curves that come again: it is a clock."""
+    return over.goes == "test" and over.repeats > 0.0
+
+
+def is_over_a_clock(of: Class) -> bool:
+    """Whether a class is a dependence on time."""
+    return any(is_clock(over) for over in coordinates_of(of.coordinate))
+
+
+def of_whole_cycles(scene: Scene, of: Class) -> Class:
+    """Give a class over a clock without the curves that change within a cycle, as position and direction do.
+
+    The smoothest curves stay, and have the probability of those that are left out. The class itself where nothing is.
+    """
+    if not is_over_a_clock(of):
+        return of
+    histories = [part.history for part in scene.posterior.averages]
+    moved_s = sum(float(h.time_s[-1] - h.time_s[0]) for h in histories)
+    cycle = 2.0 * moved_s / sum(h.motion.n_half for h in histories) / histories[-1].tested_s
+    if all(v.curve is None or v.curve.length >= cycle for v in of.variants):
+        return of
+    kept = tuple(v for v in of.variants if v.curve is None)
+    for sides in sorted({v.curve.sides for v in of.variants if v.curve}):
+        own = [v for v in of.variants if v.curve is not None and v.curve.sides == sides]
+        slow = [v for v in own if v.curve and v.curve.length >= cycle] or own[-1:]
+        more = sum(v.weight for v in own) / sum(v.weight for v in slow)
+        kept += tuple(replace(v, weight=v.weight * more) for v in slow)
+    return replace(of, variants=kept)
+
+
+def follows_cycles(scene: Scene, effect: Effect, values: Values) -> bool:
+    """Whether what an effect does keeps step with the cycles."""
+    columns = []
+    for part in scene.posterior.averages:
+        does = effect.act(part.history, values, scene.base)
+        share = np.broadcast_to(does.clamping + does.added_kN / scene.scale_kN, part.history.time_s.shape)
+        columns.append(share[:, None])
+    return bool(keep_step(by_stroke(scene, columns), sides="side" in values)[0])
+
+
+def by_stroke(scene: Scene, columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Functions at `PER_STROKE` places of each push and of each pull, shapes (strokes, places, p).
+
+    They are given at the points of each run, shapes (n_points, p).
+    """
+    at = (np.arange(PER_STROKE) + 0.5) / PER_STROKE
+    strokes: dict[float, list[FloatArray]] = {1.0: [], -1.0: []}
+    for part, column in zip(scene.posterior.averages, columns, strict=True):
+        motion = part.history.motion
+        for k, direction in enumerate(motion.direction):
+            begin, end = motion.start[k], motion.start[k + 1]
+            strokes[float(direction)].append(column[np.minimum((begin + at * (end - begin)).astype(int), end - 1)])
+    return [np.array(own).reshape(len(own), PER_STROKE, columns[0].shape[1]) for own in strokes.values()]
+
+
+def keep_step(strokes: Sequence[NDArray[Any]], *, sides: bool = False) -> NDArray[np.bool_]:
+    """Whether most of each function, more than half its variance, is the same in each cycle, shape (p,).
+
+    Of functions, which may be complex, as from `by_stroke`; with `sides` their variance is that about their means in
+    push and in pull. A constant keeps step; nothing does where a test has no second cycle.
+    """
+    if min(len(own) for own in strokes) < 2:
+        return np.zeros(strokes[0].shape[2], dtype=bool)
+    if sides:
+        strokes = [own - own.mean(axis=(0, 1)) for own in strokes]
+    same = np.var(np.concatenate([own.mean(axis=0) for own in strokes]), axis=0)
+    apart = np.mean([np.var(own, axis=0).mean(axis=0) for own in strokes], axis=0)
+    return np.asarray((same > apart) | (same + apart == 0.0))
+
+
+LENGTH = 0.15  # correlation length of a curve that comes again, as a share of its period
+PER_TURN = 2.5  # blocks to a period at least, for it to be seen at all
+MOST_TURNS = 200.0  # in all tests: what is faster counts as noise
+AT_ONCE = 128  # frequencies
+
+
+def waves(scene: Scene, metric: Metric, state: State, of: Class, most: int = 2) -> list[Candidate]:
+    """Find at most so many periods after which a curve of a class may come again, beside a model.
+
+    An empty list where curves over the coordinate do not come again: `Coordinate.repeats` says how likely that is.
+    """
+    over = _repeating(of)
+    if over is None:
+        return []
+    slowest, fastest = _limits(scene, over)
+    spacing = slowest / 4.0
+    frequencies = np.arange(slowest, fastest, spacing)
+    if is_clock(over):
+        places = [over.values(part.history, scene.base)[:, None] for part in scene.posterior.averages]
+        turns = [np.exp(2j * np.pi * frequencies * place) for place in by_stroke(scene, places)]
+        frequencies = frequencies[~keep_step(turns)]
+    if frequencies.size < 3:
+        return []
+    response = _response(scene, state, of.action)
+    if (of.action, over.id) not in scene.waves:  # what more capacity gives differs little from model to model
+        scene.waves[of.action, over.id] = _columns(scene, over, response, frequencies)
+    gains = _gains(metric, state, scene.waves[of.action, over.id])
+    peaks = np.flatnonzero((gains >= np.append(gains[1:], -np.inf)) & (gains >= np.append(-np.inf, gains[:-1])))
+    weight = (1.0 - FORMS) * over.repeats / frequencies.size
+    out = []
+    for peak in peaks[np.argsort(-gains[peaks], kind="stable")][:most]:
+        near = frequencies[peak] + spacing * np.linspace(-0.75, 0.75, 13)
+        best = near[np.argmax(_gains(metric, state, _columns(scene, over, response, near)))]
+        period = round(PERIODS_PER_UNIT / best) / PERIODS_PER_UNIT
+        curve = Curve(of.action, over.id, LENGTH, period=period)
+        variant = Variant(curve, curve.effect(), weight)
+        out += [replace(c, of=of) for c in candidates(scene, state, (replace(of, variants=(variant,)),))]
+    return out
+
+
+def resolved(scene: Scene, metric: Metric, state: State, of: Sequence[Class]) -> Scene:
+    """Give the recordings in blocks that show what comes again: finer ones where its period is too short for these.
+
+    The state is that of the base law.
+    """
+    short = [one for one in of if (over := _repeating(one)) is not None and not _enough(scene, over)]
+    if not short:
+        return scene
+    fine = scene.finer
+    own, base = settle_under(fine, metric.setting, state.model, state.z)
+    for one in short:
+        best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
+        if best is None or best.gain < 0.0:
+            continue
+        curve = best.variant.curve
+        if curve is not None and curve.period is not None and curve.period * _limits(scene, curve.over)[1] < 1.0:
+            return fine
+    return scene
+
+
+def _repeating(of: Class) -> Coordinate | None:
+    """Coordinate of a class whose curves may come again."""
+    over = coordinates().get(of.coordinate)
+    return over if over is not None and over.repeats and any(v.curve for v in of.variants) else None
+
+
+def _limits(scene: Scene, over: Coordinate) -> tuple[float, float]:
+    """Lowest and highest frequency that is looked at over a coordinate, in turns to its unit."""
+    values = [over.values(part.history, scene.base) for part in scene.posterior.averages]
+    place = scene.blocks([v[:, None] for v in values])[:, 0]
+    block = float(np.quantile(np.abs(np.diff(place[scene.used > 0])), 0.9))  # all but the longest tenth
+    low, high = over.reach(scene.posterior.averages[0].history)
+    return 2.0 / (high - low), min(1.0 / (PER_TURN * block), MOST_TURNS / (high - low))
+
+
+def _enough(scene: Scene, over: Coordinate) -> bool:
+    """Whether the blocks show all that is looked for over a coordinate."""
+    slowest, fastest = _limits(scene, over)
+    return fastest >= MOST_TURNS / 2.0 * slowest
+
+
+def _response(scene: Scene, state: State, action: str) -> list[FloatArray]:
+    """Force at the points of each run by a curve of height 1: Fy where it is added, what more capacity gives else."""
+    histories = [part.history for part in scene.posterior.averages]
+    if action == "added":
+        return [np.full(h.position_mm.size, scene.scale_kN) for h in histories]
+    step = 1e-3
+    at = list(state.model.law_names).index("Fy")
+    z = state.z + step * np.eye(state.z.size)[at][None]
+    theta = state.model.natural_of_law(np.vstack([state.z, z]))
+    rise = float(theta[1, at] / theta[0, at] - 1.0)
+    forces = [state.model.force(theta, p.history, p.start_force_kN) for p in scene.posterior.averages]
+    return [np.asarray((f[1] - f[0]) / rise) for f in forces]
+
+
+def _columns(scene: Scene, over: Coordinate, response: list[FloatArray], frequencies: FloatArray) -> FloatArray:
+    """Force of each block by a cosine and a sine of each frequency, shape (n, n_frequencies, 2), kN."""
+    places = [over.values(part.history, scene.base) for part in scene.posterior.averages]
+    parts = []
+    for some in np.array_split(frequencies, -(-frequencies.size // AT_ONCE)):
+        angles = [2.0 * np.pi * place[:, None] * some for place in places]
+        points = [np.concatenate([np.cos(a), np.sin(a)], axis=1) for a in angles]
+        blocks = scene.blocks([p * r[:, None] for p, r in zip(points, response, strict=True)])
+        parts.append(np.stack(np.split(blocks, 2, axis=1), axis=2))
+    return np.concatenate(parts, axis=1)
+
+
+def _gains(metric: Metric, state: State, columns: FloatArray) -> FloatArray:
+    """Log Bayes factor of a plain wave of each frequency, to first order, shape (n_frequencies,)."""
+    beside, beside_taken = metric.factors(state.beside())
+    k = columns.shape[1]
+    wave, taken = metric.factors(columns.reshape(columns.shape[0], 2 * k))
+    own = beside.T @ beside - beside_taken.T @ beside_taken
+    along, cross = np.split(beside.T @ wave - beside_taken.T @ taken, [1])
+    law = Gaussian.of(own)
+    solved = law.solve(cross)
+    along = (along[0] - law.along @ solved).reshape(k, 2)
+    inner = _of_each(wave, wave) - _of_each(taken, taken) - _of_each(cross, solved)
+    return np.asarray(logsumexp(log_gains(inner, along, np.array(SIZES)) + np.log(size_weights()), axis=-1))
+
+
+def _of_each(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products of the cosine and the sine of each frequency in `a` with those in `b`, shape (m, 2 k) to (k, 2, 2)."""
+    pairs = [np.einsum("mk,mk->k", a[:, i::2], b[:, j::2]) for i in (0, 1) for j in (0, 1)]
+    return np.stack(pairs, axis=-1).reshape(-1, 2, 2)
+
+
+TOGETHER = 8  # readings in a row that must scatter: a jump of the force is none
+# Median product of neighbouring second differences of white noise of variance 1, its sign turned; its mean is 4, which
+# also holds for readings in steps. That of teeth is larger yet, that of what a model misses negative.
+ALTERNATE, MEAN = 1.482, 4.0
+SURE = 0.99  # probability with which what is called chatter is no noise
+ROUGHEST = math.exp(float(ndtri(SURE)) * ROUGHER)  # of noise at low speed over that at speed, with that probability
+SLIDING, ELASTIC = 0.9, 0.6  # of the largest force of the law alone: above it slides, below it is elastic
+LEAST = 0.05  # of the sliding time: less is no chatter
+FEWEST_STROKES = 2  # that chatter: what happens once says nothing of the next stroke
+
+STATEMENT = (
+    "While it slides the force scatters by up to {size:.0%} of Fy to either side of the model, in {share:.0%} of that "
+    "time: it sticks and jumps. The model gives the mean; the largest force is that much higher."
+)
+EQUATION = "|F - model| < a Fy while it slides"
+SHOWS = "Scatter from reading to reading that comes and goes on the plateaus, and none on the elastic branches."
+
+
+@dataclass(frozen=True, eq=False)
+class Chatter:
+    """Scatter of the force that the sliding makes."""
+
+    size: float  # 99th percentile of its distance from its local mean while sliding, as a share of Fy
+    share: float  # of the sliding time in which it is larger than noise
+    of_strokes: FloatArray  # shape (n,): largest distance in each stroke that chatters, as a share of Fy
+    apart: float  # largest less smallest of these over all strokes that slide, 0 for those that do not chatter
+    # direction that it lowers the mean force of, 1 push, -1 pull: the one with the larger distances in the mean
+    lowers: float
+
+
+def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
+    """Look for chatter beside a model; None where the scatter is no larger than that of noise.
+
+    The noise of a load cell has a standard deviation of `most_kN` at most.
+    """
+    fine = scene.finer_at(state.model, state.z, longest_s=0.0)
+    residual, _ = fine.residual_and_slope(state.model, state.z[None])
+    loaded = np.abs(fine.force(fine.device, state.of_law(fine.device)[None]))
+    rows = np.concatenate([residual, loaded / loaded.max()])
+    longest = AVERAGED_S / scene.step_s
+    found = None
+    for together in (2**i for i in range(1 + max(0, int(math.log2(longest))))):
+        one = _at_scale(list(_half_cycles(fine, rows, together)), scene.scale_kN, most_kN)
+        if one is not None and one.share > max(LEAST, found.share if found else 0.0):
+            found = one
+    return found
+
+
+def _half_cycles(fine: Scene, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray, float]]:
+    """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of so many readings.
+
+    And its direction, 1 or -1.
+    """
+    first = 0
+    for part in fine.posterior.averages:
+        halves = zip(part.timing.half[:-1], part.timing.half[1:], part.history.motion.direction, strict=True)
+        for a, b, direction in halves:
+            own = rows[:, first + a : first + b][:, part.count[a:b] > 0]
+            n = own.shape[1] // together
+            if n > TOGETHER + 3:
+                means = own[:, : n * together].reshape(2, n, together).mean(axis=2)
+                yield means[0], means[1], float(direction)
+        first += part.n
+
+
+def _at_scale(
+    half_cycles: list[tuple[FloatArray, FloatArray, float]], scale_kN: float, most_kN: float
+) -> Chatter | None:
+    """Compare the scatter while sliding with that on the elastic branches; None where there is no chatter."""
+    products, sliding, elastic, local, away, stroke = [], [], [], [], [], []
+    for i, (residual, load, _) in enumerate(half_cycles):
+        bends = np.diff(residual, 2)
+        product = -bends[1:] * bends[:-1]
+        products.append(product)
+        local.append(median_filter(product, TOGETHER))
+        sliding.append(load[1:-2] > SLIDING)
+        elastic.append(load[1:-2] < ELASTIC)
+        away.append(np.abs(residual - uniform_filter1d(residual, TOGETHER))[1:-2])
+        stroke.append(np.full(product.size, i))
+    if not products:
+        return None
+    slides, rests = np.concatenate(sliding), np.concatenate(elastic)
+    if slides.sum() < TOGETHER or rests.sum() < TOGETHER:
+        return None
+    quiet = max(float(np.mean(np.concatenate(products)[rests])), 0.0) / MEAN
+    loud = np.concatenate(local)[slides] > ALTERNATE * max(most_kN**2, ROUGHEST**2 * quiet)
+    distance, of = np.concatenate(away)[slides] / scale_kN, np.concatenate(stroke)[slides]
+    largest = np.zeros(len(half_cycles))
+    np.maximum.at(largest, of[loud], distance[loud])
+    if np.count_nonzero(largest) < FEWEST_STROKES:
+        return None
+    size, apart = float(np.percentile(distance, 99)), float(np.ptp(largest[np.unique(of)]))
+    direction = np.array([one for _, _, one in half_cycles])
+    lowers = 1.0 if float(np.average(direction, weights=largest)) > 0.0 else -1.0
+    return Chatter(size, float(loud.mean()), largest[largest > 0.0], apart, lowers)
