@@ -112,7 +112,7 @@ def test_a_protocol_that_its_samples_do_not_show_comes_behind_all_others(heated:
     assert quick.name not in rows or rows["quick"].order < rows["slow"].order
     far, near = (foresee(heated, p, 20.0, 1) for p in (quick, slow))
     assert far.misread_kN > 0.01 * heated.sliding_kN > near.misread_kN
-    assert far.apart > near.apart
+    assert far.of_truth > near.of_truth
 
 
 def test_what_the_reader_gets_wrong_is_foreseen(heated: Known) -> None:
