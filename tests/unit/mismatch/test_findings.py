@@ -83,7 +83,7 @@ def test_a_draw_without_a_force_does_not_make_a_class_small(monkeypatch):
     assert findings.that_matter(out, h) == {"delay"}
 
 
-@pytest.mark.parametrize(("left", "verdict"), [(0.03, findings.Verdict.NAMED), (0.12, findings.Verdict.UNKNOWN)])
+@pytest.mark.parametrize(("left", "verdict"), [(0.03, findings.DiagnosisVerdict.NAMED), (0.12, findings.DiagnosisVerdict.UNKNOWN)])
 def test_what_is_left_within_strokes_that_chatter_is_no_more_than_the_teeth(left, verdict):
     """Smooth functions within a stroke take up the mean of the teeth, too."""
     smooth = SimpleNamespace(fluctuation=0.0)
@@ -176,7 +176,7 @@ def test_mechanisms_of_one_probability_stand_in_the_order_of_their_words():
     """The order in which a set of words is gone through differs from process to process."""
     words = list("abcdefghij")
     answer = SimpleNamespace(
-        verdict=findings.Verdict.FAMILY,
+        verdict=findings.DiagnosisVerdict.FAMILY,
         sets=((frozenset(words), 0.6), (frozenset(), 0.4)),
         findings=(),
         alternatives={},
