@@ -365,8 +365,8 @@ def plan(
     rig : str or Path, optional
         ``rig.toml``.
     **options
-        Fields of `shj_bayes.planning.asked.Asked` (question, among, priors, histories, seed), and limits, which go
-        before those of `rig`: max_stroke_mm, max_speed_mm_s, max_force_kN, max_minutes, rate_Hz.
+        Fields of `shj_bayes.planning.asked.PlanOptions` (question, among, priors, histories, seed), and limits, which
+        go before those of `rig`: max_stroke_mm, max_speed_mm_s, max_force_kN, max_minutes, rate_Hz.
 
     Returns
     -------

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 import shj_bayes
 from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.margins.following import following_of
+from shj_bayes.margins.asked import following_of
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve

@@ -13,10 +13,9 @@ from shj_bayes.margins.codes import asce7, en15129
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.codes.iso16269_6 import one_sided
-from shj_bayes.margins.parts import DesignBasis, Environment
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.spread import Sample, between_sets, of_set
+from shj_bayes.margins.spread import DesignBasis, Environment, Sample, between_sets, of_set
 from shj_bayes.population.predict import NewDevice
 
 FORCE = Delivered(

@@ -10,12 +10,11 @@ import numpy as np
 
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import LEEWAY, asked_for
+from shj_bayes.margins.asked import LEEWAY, asked_for, left_out_words
 from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.export import link_csv, loops, python_script, tcl_script, write_loops
 from shj_bayes.margins.files import CHOSEN, design_table, to_json, write_margins
-from shj_bayes.margins.following import left_out_words
 from shj_bayes.margins.monte_carlo import draw_devices, draws_csv, draws_script
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool

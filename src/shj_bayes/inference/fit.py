@@ -13,10 +13,10 @@ from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, FitVerdict, judge
 from shj_bayes.inference.floor import Floor, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.remarks import remarks_of
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
+from shj_bayes.inference.store import remarks_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.results.fit import FitRecord, Trust
 

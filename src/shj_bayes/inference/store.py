@@ -1,7 +1,4 @@
-"""Posteriors and the files of a fit; the only module that writes them.
-
-``posterior.nc`` is an `xarray.DataTree` in groups that ArviZ knows, so that every version of ArviZ opens it.
-"""
+"""Files of a fit, and the remarks that stand in them."""
 
 from __future__ import annotations
 
@@ -39,6 +36,8 @@ from shj_bayes.results.fit import (
     ParameterRow,
     PriorRecord,
     Reduction,
+    Remark,
+    RemarkRecord,
     RunInput,
     SamplingRecord,
     SummaryRecord,
@@ -46,9 +45,39 @@ from shj_bayes.results.fit import (
 )
 from shj_bayes.results.store import FILES, write
 
-if TYPE_CHECKING:  # whoever only reads files need not wait for ArviZ
+if TYPE_CHECKING:
     from shj_bayes.inference.convergence import Diagnostics, FitVerdict
     from shj_bayes.inference.floor import Floor
+
+
+UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away
+AGAINST = 2.6  # standard deviations of the prior: 1 in 100 beyond it
+
+
+def remarks_of(model: DeviceModel, chains: FloatArray) -> tuple[RemarkRecord, ...]:
+    """Parameters that the recordings do not determine, and those whose value the prior holds nearly impossible.
+
+    From draws of shape (..., d) in natural units; of the law alone, since nobody designs with the noise.
+    """
+    flat = chains.reshape(-1, chains.shape[-1])
+    out = []
+    for i, (name, law) in enumerate(zip(model.law_names, model.laws_of_parameters, strict=False)):
+        if not model.predicted[i]:
+            continue
+        place = law.to_free(flat[:, i])  # standard normal, were there no data
+        place = place[np.isfinite(place)]
+        kind = None
+        # A recording that adds nothing to what an earlier one said leaves the parameter as well known.
+        if place.size and np.std(place) > UNDETERMINED and not law.earlier:
+            kind = Remark.UNDETERMINED
+        elif place.size and abs(np.median(place)) > AGAINST:
+            kind = Remark.AGAINST_EARLIER if law.earlier else Remark.AGAINST_PRIOR
+        if kind:
+            low, high = law.quantile(np.array([0.05, 0.95])).tolist()
+            middle = float(np.median(flat[:, i]))
+            out.append(RemarkRecord(parameter=name, kind=kind, q50=middle, prior_q05=low, prior_q95=high))
+    return tuple(out)
+
 
 Group = Callable[..., xr.Dataset]  # `_group` with the words of a fit
 SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")

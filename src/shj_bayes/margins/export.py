@@ -17,7 +17,7 @@ from scipy.special import hyp2f1
 from shj_bayes._util.files import write_text
 from shj_bayes.margins.bounds import Bound
 from shj_bayes.margins.trial import Trial
-from shj_bayes.population.loops import N_POINTS, LoopBand
+from shj_bayes.population.predict import N_POINTS, LoopBand
 from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
 from shj_bayes.population.results import safe_cell
 

@@ -7,17 +7,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shj_bayes.errors import PopulationError
+from shj_bayes.margins import asked as following
 from shj_bayes.margins import bounds as bands
-from shj_bayes.margins import following
 from shj_bayes.margins.agreement import agreement
 from shj_bayes.margins.asked import LoadingHistory, published_factors
 from shj_bayes.margins.bounds import newcomers
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.parts import DesignBasis, parts_of
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
-from shj_bayes.margins.spread import NOT_NORMAL, Sample, between_sets, common_spread, of_set, samples
+from shj_bayes.margins.spread import (
+    NOT_NORMAL,
+    DesignBasis,
+    Sample,
+    between_sets,
+    common_spread,
+    of_set,
+    parts_of,
+    samples,
+)
 from shj_bayes.margins.trial import Trial
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior

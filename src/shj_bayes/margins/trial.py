@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import LoadCase, LoadingHistory, courses
-from shj_bayes.margins.following import Following, following_of
+from shj_bayes.margins.asked import Following, LoadCase, LoadingHistory, courses, following_of
 from shj_bayes.margins.quantities import SIDE, TABLE, counted_from, of_readings, pooled
 from shj_bayes.margins.row import LOW
 from shj_bayes.margins.specimen import Belief, Specimen

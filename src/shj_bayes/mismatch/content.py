@@ -10,12 +10,11 @@ import xarray as xr
 from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, Proven, cycles_of
-from shj_bayes.mismatch.hypothesis import TEETH
+from shj_bayes.mismatch.hypothesis import TEETH, formula_of
 from shj_bayes.mismatch.periodic import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.mismatch.scene import Scene
 from shj_bayes.mismatch.search import LARGEST_OF, Search
-from shj_bayes.mismatch.shapes import formula_of
 from shj_bayes.mismatch.state import State, drawn_from
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue

@@ -14,13 +14,12 @@ from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
-from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.heldout import Proven, proven
 from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.missed import beside_missed
-from shj_bayes.mismatch.regions import regions_of
+from shj_bayes.mismatch.regions import aliases_of, regions_of
 from shj_bayes.mismatch.scene import Metric, scene_of
 from shj_bayes.mismatch.search import search
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under

@@ -10,10 +10,20 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate
-from shj_bayes.mismatch.hypothesis import SLIP, Hypothesis, columns_of, replaced, second_of
+from shj_bayes.mismatch.hypothesis import (
+    MOTION,
+    SLIP,
+    Hypothesis,
+    away,
+    columns_of,
+    largest_size_of,
+    may_miss,
+    replaced,
+    second_of,
+    size_of,
+)
 from shj_bayes.mismatch.missed import missed_by
 from shj_bayes.mismatch.search import Search
-from shj_bayes.mismatch.sizes import MOTION, away, largest_size_of, may_miss, size_of
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray

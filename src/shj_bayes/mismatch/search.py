@@ -25,14 +25,18 @@ from shj_bayes.mismatch.hypothesis import (
     CONSTANT,
     DIRECTION,
     DISTANCE,
+    MOTION,
     TEETH,
     Hypothesis,
+    away,
     columns_of,
     is_curve,
     joined,
+    may_miss,
     replaced,
     same_twice,
     second_of,
+    size_of,
     without,
 )
 from shj_bayes.mismatch.periodic import (
@@ -46,7 +50,6 @@ from shj_bayes.mismatch.periodic import (
 )
 from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.sizes import MOTION, away, may_miss, size_of
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible, zero_of
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.curve import SIZES

@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.inference.ranks import ess_bulk, rhat
+from shj_bayes.inference.convergence import ess_bulk, rhat
 from shj_bayes.inference.shared import n_threads
 from shj_bayes.population.device import DeviceEstimate, sets_of
 from shj_bayes.population.kernel import log_likelihood_of_set, run_chain

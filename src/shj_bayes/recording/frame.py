@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.headers import split_header
+from shj_bayes.recording.heads import split_header
 from shj_bayes.recording.reader import recording_of
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.tables import Column, Table, as_floats

@@ -6,9 +6,8 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
 from shj_bayes.recording.cells import clipped, complete_rows, fill, runs, stopped
 from shj_bayes.recording.clock import clock_findings, orderly_rows
-from shj_bayes.recording.excursions import NoReadings, not_readings
+from shj_bayes.recording.excursions import NoReadings, held, not_readings
 from shj_bayes.recording.force_unit import unit_of
-from shj_bayes.recording.held import held
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.limits import BAD_CELL_SHARE
 from shj_bayes.recording.loops import cycle_findings, exchanged, few_points, magnitude_findings, sign_findings

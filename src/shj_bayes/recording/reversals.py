@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from scipy.special import erf, erfinv
 
 from shj_bayes.recording import limits
-from shj_bayes.recording.polynomial import hermite
 from shj_bayes.recording.recording import FloatArray
+from shj_bayes.recording.smoothing import hermite
 
 if TYPE_CHECKING:
     from shj_bayes.recording.smoothing import Smooth

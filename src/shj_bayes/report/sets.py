@@ -9,9 +9,16 @@ import numpy as np
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
-from shj_bayes.population.loops import LoopBand, loop_band
 from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
-from shj_bayes.population.predict import RUN_FORCES, SECOND_RUN, new_device, new_device_table, sets_suffice
+from shj_bayes.population.predict import (
+    RUN_FORCES,
+    SECOND_RUN,
+    LoopBand,
+    loop_band,
+    new_device,
+    new_device_table,
+    sets_suffice,
+)
 from shj_bayes.population.quantities import LEVELS, QUANTITIES
 
 MEANING = {

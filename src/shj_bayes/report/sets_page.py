@@ -11,9 +11,16 @@ from shj_bayes.errors import ShjError
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.population.compare import Comparison, compare
-from shj_bayes.population.loops import LoopBand
 from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.predict import RUN_FORCES, SECOND_RUN, dep_words, how_wide, never_tested_words, sets_suffice
+from shj_bayes.population.predict import (
+    RUN_FORCES,
+    SECOND_RUN,
+    LoopBand,
+    dep_words,
+    how_wide,
+    never_tested_words,
+    sets_suffice,
+)
 from shj_bayes.report import sets, words
 from shj_bayes.report.campaign_physics import NUMBERS
 from shj_bayes.report.figures import population as figures

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shj_bayes.inference import ranks
+from shj_bayes.inference import convergence as ranks
 from shj_bayes.inference.quiet_arviz import az
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shj_bayes.inference.remarks import remarks_of
+from shj_bayes.inference.store import remarks_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 

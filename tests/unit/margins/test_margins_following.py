@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from shj_bayes.margins.asked import courses, sine
+from shj_bayes.margins.asked import courses, following_of, left_out_words, sine, values_to_try, words_of
 from shj_bayes.margins.bounds import Bound
 from shj_bayes.margins.export import python_script, tcl_script
-from shj_bayes.margins.following import following_of, left_out_words, values_to_try, words_of
 from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.trial import try_all
 from shj_bayes.margins.virtual_test import drive

@@ -15,11 +15,11 @@ from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.export import loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.monte_carlo import draw_devices
-from shj_bayes.margins.parts import corroded_pairs
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
+from shj_bayes.margins.spread import corroded_pairs
 from shj_bayes.margins.trial import try_all
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.tested import PUBLISHED, RangeTested, common

@@ -11,13 +11,13 @@ from made_diagnosis import made
 import shj_bayes.mismatch.heldout as proven_module
 from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.alias import aliases_of
 from shj_bayes.mismatch.classes import classes as all_classes
 from shj_bayes.mismatch.content import heldout as heldout_row
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.findings import Reason, answer_of
 from shj_bayes.mismatch.heldout import held_out, proven
 from shj_bayes.mismatch.look import Look
+from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.mismatch.scene import NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import NOISE_MOST, Search, noise_beside, search
 from shj_bayes.mismatch.state import find_noise, settle_under

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from shj_bayes.mismatch import content, findings, sizes
+from shj_bayes.mismatch import content, findings
+from shj_bayes.mismatch import hypothesis as sizes
 from shj_bayes.mismatch.periodic import Chatter
 from shj_bayes.mismatch.search import Search
 
@@ -83,7 +84,9 @@ def test_a_draw_without_a_force_does_not_make_a_class_small(monkeypatch):
     assert findings.that_matter(out, h) == {"delay"}
 
 
-@pytest.mark.parametrize(("left", "verdict"), [(0.03, findings.DiagnosisVerdict.NAMED), (0.12, findings.DiagnosisVerdict.UNKNOWN)])
+@pytest.mark.parametrize(
+    ("left", "verdict"), [(0.03, findings.DiagnosisVerdict.NAMED), (0.12, findings.DiagnosisVerdict.UNKNOWN)]
+)
 def test_what_is_left_within_strokes_that_chatter_is_no_more_than_the_teeth(left, verdict):
     """Smooth functions within a stroke take up the mean of the teeth, too."""
     smooth = SimpleNamespace(fluctuation=0.0)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.inference.ranks import ess_bulk, rhat
+from shj_bayes.inference.convergence import ess_bulk, rhat
 from shj_bayes.population import hierarchy
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.hierarchy import Sweeps, fit_population, fit_quantity

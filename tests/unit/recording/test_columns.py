@@ -6,7 +6,7 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording.columns import choose, parse_columns
 from shj_bayes.recording.formula import evaluate
 from shj_bayes.recording.frame import read_frame
-from shj_bayes.recording.headers import split_header
+from shj_bayes.recording.heads import split_header
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.tables import Column, Table
 

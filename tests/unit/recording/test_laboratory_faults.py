@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from one_device import RATE_HZ, plain
 
-from shj_bayes.recording.held import held
+from shj_bayes.recording.excursions import held
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.quality import inspect, repair
 from shj_bayes.recording.reader import read

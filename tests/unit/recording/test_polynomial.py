@@ -8,7 +8,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from shj_bayes.recording import polynomial, units
+from shj_bayes.recording import smoothing as polynomial
+from shj_bayes.recording import units
 
 
 @pytest.mark.parametrize(("window", "degree"), [(5, 3), (9, 5), (41, 5), (201, 5)])

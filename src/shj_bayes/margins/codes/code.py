@@ -4,10 +4,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from shj_bayes.margins.parts import DesignBasis
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import FACTORS, Margin
-from shj_bayes.margins.spread import Sample, Spread
+from shj_bayes.margins.spread import DesignBasis, Sample, Spread
 from shj_bayes.population.quantities import LOWEST
 
 

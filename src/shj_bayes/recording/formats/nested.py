@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.recording.headers import is_unit_row, split_header
+from shj_bayes.recording.heads import is_unit_row, split_header
 from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import Column, as_floats, left_out
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.population.loops import LoopBand
+from shj_bayes.population.predict import LoopBand
 from shj_bayes.report.figures.canvas import (
     BLUE,
     GREY,
