@@ -124,7 +124,7 @@ def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) 
     paths, out = fitted
     record = store.read(FitRecord, out)
     assert list(record.channels) == ["measured_tension"]
-    specimen = read_specimen(out, "d", "s", out)
+    specimen = read_specimen(out, "", "s", out)
     (one,) = following_of(specimen)
     said = record.channels["measured_tension"]
     assert (one.unit, one.low, one.reference, one.high) == ("kN", said.low, said.reference, said.high)
