@@ -18,10 +18,10 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 36_000,
-    "files": 285,
+    "lines": 35_630,
+    "files": 253,
     "dataclasses": 227,
-    "class names that exist twice": 17,
+    "class names that exist twice": 1,
     "methods of the largest class": 49,
     "modules that open a result file": 3,
     "layers of the import contract": 21,
