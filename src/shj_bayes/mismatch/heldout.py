@@ -157,7 +157,7 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
     while True:
         answer = answer_of(out)
         tell("predicting cycles that were left out")
-        held = _Held.of(out, answer)
+        held = _LeftOut.of(out, answer)
         if not dropped:
             missing = bool(answer.findings) and _nothing(answer) < DOUBT
         worst = held.worst(out, answer)
@@ -190,7 +190,7 @@ def _less(out: Search, shown: Hypothesis, of: str) -> Search:
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
+class _LeftOut:
     """The base law and the model of an answer, on cycles that were left out."""
 
     fine: Scene
@@ -201,7 +201,7 @@ class _Held:
     shown: HeldOut
 
     @classmethod
-    def of(cls, out: Search, answer: Answer) -> "_Held":
+    def of(cls, out: Search, answer: Answer) -> "_LeftOut":
         """Fit both, in blocks as fine as those of a fit, and leave cycles out."""
         h, base, setting = answer.shown, out.found[frozenset()].state, out.metric.setting
         fine = out.scene.finer_at(h.state.model, h.state.z)
