@@ -18,7 +18,6 @@ from shj_bayes.recording.recording import Recording
 
 MOVED = 2e-3  # of the largest stroke: more than noise
 LOADED = 0.3  # likewise: how far a first loading is followed as a straight line
-INDEPENDENT = 9  # readings at rest that tell the noise; as many count as independent, since part of it is slow
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +59,7 @@ class Run:
             line = np.polynomial.Polynomial.fit(x[some], force[some], 1)
             return float(line(self.motion.turning_mm[0]))
         first = float(np.median(force[: self._n_rest]))
-        still = int(np.argmax(np.abs(x - x[0]) > self.motion.noise_mm))
-        known = still >= INDEPENDENT  # else the changes are in part those of the motion
-        noise = 1.4826 * float(np.median(np.abs(np.diff(force[:still] if known else force))))
-        noise /= np.sqrt(INDEPENDENT if known else 1.0)
+        noise = 1.4826 * float(np.median(np.abs(np.diff(force))))
         return first if abs(first) > 6 * noise else 0.0
 
     @cached_property

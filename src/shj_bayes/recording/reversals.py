@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import erf, erfinv
 
 from shj_bayes.recording import limits
 from shj_bayes.recording.recording import FloatArray
@@ -22,7 +20,8 @@ NEAR = 0.12  # share of the shorter neighbouring stroke that the local fit spans
 _MIN_POINTS = 9
 _MANY_POINTS = 100
 _LINE_POINTS, _LEAST_POINTS = 8, 3  # samples on each side of a corner through which lines go where few are near; least
-_TAIL = 6.0  # standard deviations of its rounding beyond which a corner is straight
+_STRAIGHT = 4.0  # standard deviations of its rounding beyond which samples must be seen to be straight
+_TRIES = 15  # evaluations of a fit of lines
 _ROUNDER = 9.0  # twice the log likelihood that a rounded corner gains over a sharp one, at least: three deviations
 _GOOD = 1.1  # a fit whose residual is not more than this many times the noise is not compared with another
 _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
@@ -95,6 +94,8 @@ class Corner:
 
     def turns(self) -> tuple[float, float]:
         """Time and displacement of the extreme."""
+        from scipy.special import erfinv  # noqa: PLC0415  (most recordings have no corners)
+
         before, after = self.slopes
         later = self.rounding_s * math.sqrt(2.0) * float(erfinv((before + after) / (before - after)))
         line = self.meets_mm + (before if later < 0 else after) * later
@@ -106,6 +107,8 @@ def rounding(time_s: FloatArray, sd_s: float) -> tuple[FloatArray, FloatArray]:
     """Give what convolving ``abs(t)`` with a Gaussian of a standard deviation adds to it, and to its slope."""
     if sd_s <= 0:
         return np.zeros_like(time_s), np.zeros_like(time_s)
+    from scipy.special import erf  # noqa: PLC0415  (most recordings have no corners)
+
     u = time_s / (sd_s * math.sqrt(2.0))
     slope = erf(u)
     return time_s * slope + sd_s * math.sqrt(2 / math.pi) * np.exp(-(u**2)) - np.abs(time_s), slope - np.sign(time_s)
@@ -158,7 +161,7 @@ def unfolded(time_s: FloatArray, corners: list[Corner]) -> tuple[FloatArray, Flo
     jump = -np.diff(direction) * np.array([corner.meets_mm for corner in corners])
     level, slope = np.zeros_like(time_s), np.zeros_like(time_s)
     for corner in corners:
-        reach = _TAIL * corner.rounding_s
+        reach = _STRAIGHT * corner.rounding_s
         near = slice(*np.searchsorted(time_s, [corner.meets_s - reach, corner.meets_s + reach]).tolist())
         moved = corner.rounded(time_s[near])
         level[near] += moved[0]
@@ -302,16 +305,20 @@ def _lines(time_s: FloatArray, raw: FloatArray, around: tuple[int, int, int, int
     are near, lines are fitted to more, since a line is as straight farther away,
     without the neighbouring reversals, which are rounded too.
     """
+    from scipy.optimize import least_squares  # noqa: PLC0415  (most recordings have no corners)
+
     before, lo, index, hi, after = around
     lo = min(lo, max(before + (before > 0), index - _LINE_POINTS))
     hi = max(hi, min(after - (after < raw.size - 1), index + _LINE_POINTS))
     if min(index - lo, hi - index) < _LEAST_POINTS:
         return None
-    some = slice(lo, hi + 1, 1 + (hi - lo) // _MAX_POINTS)
+    some = slice(lo, hi + 1, 1 + (hi - lo) // _MANY_POINTS)
     t, x = time_s[some] - time_s[index], raw[some]
     step, end = float(np.median(np.diff(t))), np.array([t[0], t[-1]])
     level, height = float(raw[index]), float(np.ptp(x))
     slopes = (x[[0, -1]] - level) / end
+    if slopes[0] * slopes[1] >= 0:
+        return None
 
     def misfit(z: FloatArray) -> FloatArray:
         meet, corner, one, other, sd = (*z, 0.0)[:5]
@@ -319,12 +326,13 @@ def _lines(time_s: FloatArray, raw: FloatArray, around: tuple[int, int, int, int
         return np.asarray((corner + np.where(t < meet, one, other) * (t - meet) + bend - x) / height)
 
     begin, scale = np.array([0.0, level, *slopes]), np.array([step, height, *np.abs(slopes)])
-    best = least_squares(misfit, begin, x_scale=scale)
-    rounded = least_squares(misfit, np.append(best.x, 0.5 * step), x_scale=np.append(scale, step))
-    if t.size * np.log(best.cost / max(rounded.cost, 1e-300)) > _ROUNDER:
+    best = least_squares(misfit, begin, x_scale=scale, max_nfev=_TRIES)
+    rounded = least_squares(misfit, np.append(best.x, 0.5 * step), x_scale=np.append(scale, step), max_nfev=_TRIES)
+    gained = t.size * np.log(max(best.cost, 1e-300) / max(rounded.cost, 1e-300))
+    if gained > _ROUNDER and _STRAIGHT * abs(rounded.x[4]) < min(-end[0], end[1]):
         best = rounded
     meet, corner, one, other, sd = (*best.x, 0.0)[:5]
     residual = height * float(np.sqrt(2 * best.cost / max(t.size - best.x.size, 1)))
-    if residual > _POOR * noise + 1e-3 * height or one * other >= 0 or abs(meet) > 2 * step or not 3 * abs(sd) < end[1]:
+    if residual > _POOR * noise + 1e-3 * height or one * other >= 0 or abs(meet) > 2 * step:
         return None
     return Corner(float(time_s[index]) + meet, corner, (one, other), abs(sd), residual)

@@ -67,6 +67,7 @@ def hermite(knots: FloatArray, values: FloatArray, slopes: FloatArray, at: Float
 
 NARROWEST = 3.5  # windows below the one that suits every half-cycle, by this factor, for what changes within one
 MAX_HALF_WIDTH = 100  # grid points on each side: wider windows are reached by averaging samples first
+MAX_CELLS = 20_000_000  # of a grid: a time axis with absurd gaps is no reason to run out of memory
 _CUBIC, _QUINTIC = 3, 5
 
 
@@ -125,7 +126,8 @@ class Samples:
 
     def grid(self, half_s: float) -> Grid:
         """Average what a window of half a width (s) need not tell apart."""
-        return grid_of(self.time_s, self.values, self.noise, max(self.step, half_s / MAX_HALF_WIDTH))
+        least = float(np.ptp(self.time_s)) / MAX_CELLS
+        return grid_of(self.time_s, self.values, self.noise, max(self.step, half_s / MAX_HALF_WIDTH, least))
 
 
 def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, turns: list[int]) -> Smooth:

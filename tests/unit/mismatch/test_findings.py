@@ -186,4 +186,4 @@ def test_mechanisms_of_one_probability_stand_in_the_order_of_their_words():
     )
     classes = {word: SimpleNamespace(action="motion", coordinate=word) for word in words}
     out = SimpleNamespace(classes=classes, scene=SimpleNamespace(measured=()), hidden=frozenset())
-    assert [one["id"] for one in content.family(out, answer)] == words
+    assert [one.id for one in content.family(out, answer)] == words
