@@ -302,8 +302,8 @@ def _lines(time_s: FloatArray, raw: FloatArray, around: tuple[int, int, int, int
     """Two straight lines that meet at an extreme, rounded or not; None where they do not fit.
 
     `around` are the neighbouring reversals, outermost, the samples near the extreme, and the extreme. Where few samples
-    are near, lines are fitted to more, since a line is as straight farther away,
-    without the neighbouring reversals, which are rounded too.
+    are near, lines are fitted to more, since a line is as straight farther away; not to the neighbouring reversals,
+    which are rounded too.
     """
     from scipy.optimize import least_squares  # noqa: PLC0415  (most recordings have no corners)
 
