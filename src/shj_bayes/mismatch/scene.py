@@ -19,6 +19,7 @@ import numpy as np
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
+from shj_bayes.inference.squares import STEP
 from shj_bayes.inference.start import law_starts, started
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
@@ -32,7 +33,6 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import BoolArray
 
 COARSER = 2.5  # blocks than those of a fit: many models are compared
-STEP = 1e-4  # of the standardised parameters, for derivatives
 MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device
 NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load cell
 AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the same at any sampling rate
