@@ -65,7 +65,7 @@ def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials)
     out, answer = answered(trials.simulate({"prying": {"size": 0.007, "power": 2.0}}, 2), "distance")
     assert not answer.findings
     state = out.found[frozenset()].state
-    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.classes.values()))
+    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.fitter.classes.values()))
     ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
     assert np.all(ratio > 1.0 - 1e-6)
     assert ratio.max() > 1.2
