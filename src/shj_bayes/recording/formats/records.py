@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError, shown
-from shj_bayes.recording.dialect import PLAIN
-from shj_bayes.recording.formats.format import Format
-from shj_bayes.recording.heads import split_header
 from shj_bayes.recording.limits import MAX_BRACKETS, MAX_CELL, MAX_JSON_BYTES, MAX_TABLE_CELLS
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.tables import Column, Table, as_floats, bounded_columns, left_out
+from shj_bayes.recording.rows import PLAIN, split_header
+from shj_bayes.recording.tables import Column, Format, Table, as_floats, bounded_columns, left_out
 
 _SHAPES = '[{"time_s": 0, ...}, ...], {"time_s": [0, ...], ...} or [[0, ...], ...]'
 _INDEX = "index"  # of the rows, as pandas writes it

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.formats.format import Format
-from shj_bayes.recording.groups import grouped, same_clock
-from shj_bayes.recording.heads import split_header
 from shj_bayes.recording.limits import MAX_PARTS
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.tables import Column, Table, as_floats, left_out, refuse_large
+from shj_bayes.recording.rows import split_header
+from shj_bayes.recording.tables import Column, Format, Table, as_floats, grouped, left_out, refuse_large, same_clock
 
 _MARK = "/"  # between group and channel
 
