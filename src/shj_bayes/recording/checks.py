@@ -16,6 +16,146 @@ from shj_bayes.recording.recording import BoolArray, Finding, FloatArray, Record
 from shj_bayes.recording.units import TARGET, Role, factor
 
 
+def repair(
+    time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray, name: str
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, tuple[Finding, ...]]:
+    """Make three raw channels, NaN where the file has no number, into channels that can be used, and say what was done.
+
+    Times (strictly increasing), displacement and force, finite; which samples are evidence, those filled in, repeated
+    or clipped being none; findings. `RecordingError` if too little is left to be a recording, or the clock is broken.
+    """
+    keep, findings = orderly_rows(time_s, name)
+    t, x, f = time_s[keep], displacement_mm[keep], force_kN[keep]
+    for label, values in (("displacement", x), ("force", f)):
+        if not np.any(np.isfinite(values)):
+            raise RecordingError(
+                f"{name}: the {label} column holds no number; choose another with --columns {label}=..."
+            )
+    t, x, f, repeats, more = _at_own_rates(t, x, f)
+    findings += more
+    bad_x, bad_f, jumps = not_readings(t, x, f)
+    if jumps:
+        step = np.nan_to_num(np.diff(x))
+        step[jumps] = 0.0
+        known = np.isfinite(f)
+        if exchanged(np.append(0.0, np.cumsum(step)), np.interp(t, t[known], f[known])) > limits.SWAPPED_PRODUCT:
+            # A force that is taken for the displacement jumps because it is one.
+            bad_x, bad_f, jumps = np.zeros_like(bad_x), np.zeros_like(bad_f), []
+    findings += [*_spikes("displacement", t, x, bad_x), *_spikes("force", t, f, bad_f), *_jumps(t, x, jumps)]
+    x, f = np.where(bad_x, np.nan, x), np.where(bad_f, np.nan, f)
+    keep, more = complete_rows((x, f))
+    t, x, f, repeats, findings = t[keep], x[keep], f[keep], repeats[keep], findings + more
+    if t.size < 2:
+        raise RecordingError(f"{name}: {t.size} rows have displacement and force; at least 2 are needed")
+    x, filled_x, more_x = fill(t, x, "displacement", bad_x[keep])
+    f, filled_f, more_f = fill(t, f, "force", bad_f[keep])
+    cut_x, cut_f, dead = clipped(x, f), clipped(f, x), stopped(f, x)
+    findings += [*more_x, *more_f, *_clipping("displacement", x, cut_x), *_clipping("force", f, cut_f)]
+    findings += [*_stops(t, f, dead), *clock_findings(t, x), *magnitude_findings(x, f)]
+    f, more = sign_findings(x, f)
+    return t, x, f, ~(repeats | filled_x | filled_f | cut_x | cut_f | dead), (*findings, *more)
+
+
+def inspect(recording: Recording) -> tuple[Finding, ...]:
+    """Run the checks that need the half-cycles; the recording's own findings are not repeated."""
+    try:
+        motion = motion_of(recording)
+    except RecordingError as error:
+        return tuple(few_points(recording, None)) or (Finding("no-motion", "unusable", str(error)),)
+    return tuple(cycle_findings(recording, motion))
+
+
+def _at_own_rates(
+    t: FloatArray, x: FloatArray, f: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, list[Finding]]:
+    """Take a channel that is slower than the table at its own rate.
+
+    A displacement that repeats drives nothing: the rows with a new one are kept, at the moments at which it was read. A
+    force that repeats is no evidence, and the displacement of these rows is. Times, displacement, force, rows that
+    repeat a force, findings.
+    """
+    findings = []
+    if of := held(x):
+        findings.append(_held_finding("displacement", of.period, t, "the rows with a new one are kept"))
+        t, x, f = of.at_readings(t), x[of.fresh], of.at_readings(f)
+    repeats = np.zeros(t.size, dtype=np.bool_)
+    if of := held(f):
+        findings.append(_held_finding("force", of.period, t, "the rows that repeat one are not used as evidence"))
+        moments, places = of.at_readings(t), of.at_readings(x)
+        t, x, repeats = t.copy(), x.copy(), ~of.fresh
+        t[of.fresh], x[of.fresh] = moments, places
+    return t, x, f, repeats, findings
+
+
+def _held_finding(label: str, period: float, t: FloatArray, then: str) -> Finding:
+    """Say at which rate a channel was read."""
+    rate = 1.0 / float(np.median(np.diff(t)))
+    ordinal = {2.0: "2nd", 3.0: "3rd"}.get(round(period, 1), f"{round(period, 1):g}th")
+    message = (
+        f"{label} changes in every {ordinal} row only, at {rate / period:.4g} Hz of {rate:.4g} Hz: its channel is "
+        f"slower than the table; it is used at its own rate, and {then}"
+    )
+    return Finding("held", "repaired", message)
+
+
+def _spikes(label: str, t: FloatArray, values: FloatArray, bad: BoolArray) -> Iterator[Finding]:
+    """Name rows that are no readings."""
+    if not bad.any():
+        return
+    count, times, first = int(np.count_nonzero(bad)), len(runs(bad)), int(np.argmax(bad))
+    unit, factor = _unit_of(label, values[~bad & np.isfinite(values)])
+    message = (
+        f"{label} jumps away and back {times} time{'s' if times > 1 else ''} ({count} rows), first to "
+        f"{values[first] * factor:.4g} {unit} at {t[first]:.6g} s, as no device does; taken for no readings: bridged "
+        "or left out, and not used as evidence"
+    )
+    yield Finding("spikes", "repaired", message, count)
+
+
+def _unit_of(label: str, values: FloatArray) -> tuple[str, float]:
+    """Give the unit in which a channel is shown, and how many of it make a mm or kN."""
+    return ("mm", 1.0) if label == "displacement" else unit_of(values)
+
+
+def _jumps(t: FloatArray, x: FloatArray, jumps: list[int]) -> Iterator[Finding]:
+    """Refuse a displacement that goes on elsewhere."""
+    if not jumps:
+        return
+    sizes = np.abs(np.diff(x))[jumps]
+    worst = jumps[int(np.nanargmax(sizes))]
+    message = (
+        f"displacement jumps {len(jumps)} time{'s' if len(jumps) > 1 else ''} from one row to the next, by up to "
+        f"{np.nanmax(sizes):.3g} mm, at {t[worst]:.6g} s, which the rest of the record excludes, while the force goes "
+        "on: a sensor slipped, or rows are no readings; correct the displacement behind each jump, take such rows out "
+        "of the file, or give the parts between them as files of their own"
+    )
+    yield Finding("jumps", "unusable", message, len(jumps))
+
+
+def _stops(t: FloatArray, f: FloatArray, dead: BoolArray) -> Iterator[Finding]:
+    """Name a force channel that has stopped."""
+    if not dead.any():
+        return
+    count, share, first = int(np.count_nonzero(dead)), float(np.mean(dead)), int(np.argmax(dead))
+    unit, factor = unit_of(f)
+    message = (
+        f"force holds {f[first] * factor:.4g} {unit} in {count} rows ({share:.1%}), from {t[first]:.6g} s, while the "
+        "device moves: its channel has stopped; these rows are not used as evidence"
+    )
+    yield Finding("stopped", "unusable" if share > 0.5 else "warning", message, count)
+
+
+def _clipping(label: str, values: FloatArray, cut: BoolArray) -> Iterator[Finding]:
+    """Name a clipped channel; displacement that is clipped can no longer drive the law."""
+    if not cut.any():
+        return
+    count, share, (unit, factor) = int(np.count_nonzero(cut)), float(np.mean(cut)), _unit_of(label, values)
+    levels = " and ".join(f"{level * factor:.4g}" for level in np.unique(values[cut]))
+    message = f"{label} is clipped at {levels} {unit} in {count} samples ({share:.1%}), which are not used as evidence"
+    severe = share > (limits.BAD_CELL_SHARE if label == "displacement" else 0.5)
+    yield Finding("clipped", "unusable" if severe else "warning", message, count)
+
+
 def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
     """Ranges, of arrays of shape (n_samples,), that no device of this kind has, which means a wrong unit or column."""
     force, stroke = float(np.max(np.abs(force_kN))), float(np.ptp(displacement_mm))
@@ -161,8 +301,8 @@ def few_points(recording: Recording, motion: Motion | None) -> list[Finding]:
     x, f, n = recording.displacement_mm, recording.force_kN, recording.n_samples
     turns = hysteresis(x, limits.FEW_RETURN * float(np.ptp(x)))
     apart = float(np.median(np.diff(turns))) if len(turns) > limits.FEW_HALF_CYCLES else np.inf
-    middle, half = (0.5 * float(s @ np.percentile(f, [5, 95])) for s in (np.array([1, 1]), np.array([-1, 1])))
-    push = (f - middle) / max(half, 1e-300)
+    low, high = (float(level) for level in np.percentile(f, [5, 95]))
+    push = (f - 0.5 * (low + high)) / max(0.5 * (high - low), 1e-300)  # over the plateau
     few = None
     follows = bool(turns) and float(np.median(np.sign(x[turns] - np.median(x)) * push[turns])) > 0.5
     if apart < limits.FEW_APART and follows:
@@ -171,7 +311,12 @@ def few_points(recording: Recording, motion: Motion | None) -> list[Finding]:
         per_half = n / motion.n_half
         spread = step_spread(recording.time_s)
         gaps = (np.count_nonzero(recording.restarts) - 1) / motion.n_half
-        if per_half < limits.FEW_UNSEEN and _unseen(motion, push) > limits.FEW_AGAINST:
+        along = motion.direction[motion.half_cycle] * push
+        with_it = np.concatenate([np.maximum.accumulate(part) for part in np.split(along, motion.start[1:-1])])
+        against = float(
+            np.mean((along < -0.5) & (with_it > 0.5))
+        )  # of the samples, after the force was with the motion
+        if per_half < limits.FEW_UNSEEN and against > limits.FEW_AGAINST:
             few = f"{per_half:.3g} points in a half-cycle, and the force turns round where no reversal is found"
         elif per_half < limits.FEW_UNEVEN and spread > 1.0:
             few = f"{per_half:.3g} points in a half-cycle, at times whose steps vary by {spread:.0%}"
@@ -184,13 +329,6 @@ def few_points(recording: Recording, motion: Motion | None) -> list[Finding]:
         f"{limits.FEW_UNEVEN} points in each half-cycle, at even steps of time"
     )
     return [Finding("few-points", "unusable", message, n)]
-
-
-def _unseen(motion: Motion, push: FloatArray) -> float:
-    """Share of the samples at which the force, over its plateau, is against the motion after it was with it."""
-    along = motion.direction[motion.half_cycle] * push
-    with_it = np.concatenate([np.maximum.accumulate(part) for part in np.split(along, motion.start[1:-1])])
-    return float(np.mean((along < -0.5) & (with_it > 0.5)))
 
 
 def _offsets(recording: Recording, motion: Motion) -> list[Finding]:
@@ -402,146 +540,6 @@ def _straight(values: FloatArray) -> float:
     return limits.BEND_COUNTS * max(float(np.min(steps)) if steps.size else 0.0, fuzz)
 
 
-def repair(
-    time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray, name: str
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, tuple[Finding, ...]]:
-    """Make three raw channels, NaN where the file has no number, into channels that can be used, and say what was done.
-
-    Times (strictly increasing), displacement and force, finite; which samples are evidence, those filled in, repeated
-    or clipped being none; findings. `RecordingError` if too little is left to be a recording, or the clock is broken.
-    """
-    keep, findings = orderly_rows(time_s, name)
-    t, x, f = time_s[keep], displacement_mm[keep], force_kN[keep]
-    for label, values in (("displacement", x), ("force", f)):
-        if not np.any(np.isfinite(values)):
-            raise RecordingError(
-                f"{name}: the {label} column holds no number; choose another with --columns {label}=..."
-            )
-    t, x, f, repeats, more = _at_own_rates(t, x, f)
-    findings += more
-    bad_x, bad_f, jumps = not_readings(t, x, f)
-    if jumps:
-        step = np.nan_to_num(np.diff(x))
-        step[jumps] = 0.0
-        known = np.isfinite(f)
-        if exchanged(np.append(0.0, np.cumsum(step)), np.interp(t, t[known], f[known])) > limits.SWAPPED_PRODUCT:
-            # A force that is taken for the displacement jumps because it is one.
-            bad_x, bad_f, jumps = np.zeros_like(bad_x), np.zeros_like(bad_f), []
-    findings += [*_spikes("displacement", t, x, bad_x), *_spikes("force", t, f, bad_f), *_jumps(t, x, jumps)]
-    x, f = np.where(bad_x, np.nan, x), np.where(bad_f, np.nan, f)
-    keep, more = complete_rows((x, f))
-    t, x, f, repeats, findings = t[keep], x[keep], f[keep], repeats[keep], findings + more
-    if t.size < 2:
-        raise RecordingError(f"{name}: {t.size} rows have displacement and force; at least 2 are needed")
-    x, filled_x, more_x = fill(t, x, "displacement", bad_x[keep])
-    f, filled_f, more_f = fill(t, f, "force", bad_f[keep])
-    cut_x, cut_f, dead = clipped(x, f), clipped(f, x), stopped(f, x)
-    findings += [*more_x, *more_f, *_clipping("displacement", x, cut_x), *_clipping("force", f, cut_f)]
-    findings += [*_stops(t, f, dead), *clock_findings(t, x), *magnitude_findings(x, f)]
-    f, more = sign_findings(x, f)
-    return t, x, f, ~(repeats | filled_x | filled_f | cut_x | cut_f | dead), (*findings, *more)
-
-
-def inspect(recording: Recording) -> tuple[Finding, ...]:
-    """Run the checks that need the half-cycles; the recording's own findings are not repeated."""
-    try:
-        motion = motion_of(recording)
-    except RecordingError as error:
-        return tuple(few_points(recording, None)) or (Finding("no-motion", "unusable", str(error)),)
-    return tuple(cycle_findings(recording, motion))
-
-
-def _at_own_rates(
-    t: FloatArray, x: FloatArray, f: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, list[Finding]]:
-    """Take a channel that is slower than the table at its own rate.
-
-    A displacement that repeats drives nothing: the rows with a new one are kept, at the moments at which it was read. A
-    force that repeats is no evidence, and the displacement of these rows is. Times, displacement, force, rows that
-    repeat a force, findings.
-    """
-    findings = []
-    if of := held(x):
-        findings.append(_held_finding("displacement", of.period, t, "the rows with a new one are kept"))
-        t, x, f = of.at_readings(t), x[of.fresh], of.at_readings(f)
-    repeats = np.zeros(t.size, dtype=np.bool_)
-    if of := held(f):
-        findings.append(_held_finding("force", of.period, t, "the rows that repeat one are not used as evidence"))
-        moments, places = of.at_readings(t), of.at_readings(x)
-        t, x, repeats = t.copy(), x.copy(), ~of.fresh
-        t[of.fresh], x[of.fresh] = moments, places
-    return t, x, f, repeats, findings
-
-
-def _held_finding(label: str, period: float, t: FloatArray, then: str) -> Finding:
-    """Say at which rate a channel was read."""
-    rate = 1.0 / float(np.median(np.diff(t)))
-    ordinal = {2.0: "2nd", 3.0: "3rd"}.get(round(period, 1), f"{round(period, 1):g}th")
-    message = (
-        f"{label} changes in every {ordinal} row only, at {rate / period:.4g} Hz of {rate:.4g} Hz: its channel is "
-        f"slower than the table; it is used at its own rate, and {then}"
-    )
-    return Finding("held", "repaired", message)
-
-
-def _spikes(label: str, t: FloatArray, values: FloatArray, bad: BoolArray) -> Iterator[Finding]:
-    """Name rows that are no readings."""
-    if not bad.any():
-        return
-    count, times, first = int(np.count_nonzero(bad)), len(runs(bad)), int(np.argmax(bad))
-    unit, factor = _unit_of(label, values[~bad & np.isfinite(values)])
-    message = (
-        f"{label} jumps away and back {times} time{'s' if times > 1 else ''} ({count} rows), first to "
-        f"{values[first] * factor:.4g} {unit} at {t[first]:.6g} s, as no device does; taken for no readings: bridged "
-        "or left out, and not used as evidence"
-    )
-    yield Finding("spikes", "repaired", message, count)
-
-
-def _unit_of(label: str, values: FloatArray) -> tuple[str, float]:
-    """Give the unit in which a channel is shown, and how many of it make a mm or kN."""
-    return ("mm", 1.0) if label == "displacement" else unit_of(values)
-
-
-def _jumps(t: FloatArray, x: FloatArray, jumps: list[int]) -> Iterator[Finding]:
-    """Refuse a displacement that goes on elsewhere."""
-    if not jumps:
-        return
-    sizes = np.abs(np.diff(x))[jumps]
-    worst = jumps[int(np.nanargmax(sizes))]
-    message = (
-        f"displacement jumps {len(jumps)} time{'s' if len(jumps) > 1 else ''} from one row to the next, by up to "
-        f"{np.nanmax(sizes):.3g} mm, at {t[worst]:.6g} s, which the rest of the record excludes, while the force goes "
-        "on: a sensor slipped, or rows are no readings; correct the displacement behind each jump, take such rows out "
-        "of the file, or give the parts between them as files of their own"
-    )
-    yield Finding("jumps", "unusable", message, len(jumps))
-
-
-def _stops(t: FloatArray, f: FloatArray, dead: BoolArray) -> Iterator[Finding]:
-    """Name a force channel that has stopped."""
-    if not dead.any():
-        return
-    count, share, first = int(np.count_nonzero(dead)), float(np.mean(dead)), int(np.argmax(dead))
-    unit, factor = unit_of(f)
-    message = (
-        f"force holds {f[first] * factor:.4g} {unit} in {count} rows ({share:.1%}), from {t[first]:.6g} s, while the "
-        "device moves: its channel has stopped; these rows are not used as evidence"
-    )
-    yield Finding("stopped", "unusable" if share > 0.5 else "warning", message, count)
-
-
-def _clipping(label: str, values: FloatArray, cut: BoolArray) -> Iterator[Finding]:
-    """Name a clipped channel; displacement that is clipped can no longer drive the law."""
-    if not cut.any():
-        return
-    count, share, (unit, factor) = int(np.count_nonzero(cut)), float(np.mean(cut)), _unit_of(label, values)
-    levels = " and ".join(f"{level * factor:.4g}" for level in np.unique(values[cut]))
-    message = f"{label} is clipped at {levels} {unit} in {count} samples ({share:.1%}), which are not used as evidence"
-    severe = share > (limits.BAD_CELL_SHARE if label == "displacement" else 0.5)
-    yield Finding("clipped", "unusable" if severe else "warning", message, count)
-
-
 _OTHERS: dict[Role, tuple[str, ...]] = {"displacement": ("m", "cm", "in"), "force": ("N", "MN"), "time": ("ms", "min")}
 
 
@@ -549,6 +547,9 @@ def plausibility_findings(
     channels: RawChannels, time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray
 ) -> list[Finding]:
     """Sizes that are unusual in a unit that was assumed, and columns that look like one another's.
+
+    No check can find a wrong unit that gives a usual size: refused is only what nobody said, warned of what the file
+    alone says, and an option that says it settles the matter.
 
     The channels say which units were assumed and which columns were named; the arrays, of shape (n_samples,), are those
     after the repairs.

@@ -34,12 +34,21 @@ def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding
     kept = longest_increasing(times)
     dropped = times.size - kept.size
     if dropped > max(3, limits.BAD_TIME_SHARE * times.size):
-        raise RecordingError(_broken_clock(name, times, steps, repeats, back, dropped))
+        allowed, row = f"allowed are {limits.BAD_TIME_SHARE:.0%}", int(np.argmax(steps < 0))
+        if repeats >= 5 * back:
+            raise RecordingError(
+                f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few "
+                "digits, or rows are there twice; export more digits and each row once, or give the sampling rate of "
+                "the rows with --rate HZ"
+            )
+        raise RecordingError(
+            f"{name}: time jumps back {back} times, first from {times[row]:.6g} s to {times[row + 1]:.6g} s at row "
+            f"{row + 2}; {dropped} of {times.size} rows would be lost ({allowed}); export the time of the test anew, "
+            "or one file for each run"
+        )
     keep[:] = False
     keep[index[kept]] = True
-    what = " and ".join(
-        text for text, n in ((f"repeats {repeats} times", repeats), (f"jumps back {back} times", back)) if n
-    )
+    what = " and ".join([f"repeats {repeats} times"] * (repeats > 0) + [f"jumps back {back} times"] * (back > 0))
     first = times[int(np.flatnonzero(steps <= 0)[0])]
     code = "time-jumps-back" if back else "time-repeats"
     message = f"time {what}, first after {first:.6g} s; {dropped} rows left out, the fewest that make it increase"
@@ -150,23 +159,6 @@ def follow_on(time_s: FloatArray, rows: list[int]) -> tuple[FloatArray, list[flo
     return out, shifts
 
 
-def _broken_clock(name: str, times: FloatArray, steps: FloatArray, repeats: int, back: int, dropped: int) -> str:
-    """Say which kind of broken clock it is and what to do."""
-    allowed = f"allowed are {limits.BAD_TIME_SHARE:.0%}"
-    if repeats >= back * 5:
-        return (
-            f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few digits, "
-            "or rows are there twice; export more digits and each row once, or give the sampling rate of the rows with "
-            "--rate HZ"
-        )
-    row = int(np.flatnonzero(steps < 0)[0])
-    return (
-        f"{name}: time jumps back {back} times, first from {times[row]:.6g} s to {times[row + 1]:.6g} s at row "
-        f"{row + 2}; {dropped} of {times.size} rows would be lost ({allowed}); export the time of the test anew, or "
-        "one file for each run"
-    )
-
-
 def longest_increasing(values: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Find the indices of a longest strictly increasing subsequence of values without NaN, shape (n,).
 
@@ -233,6 +225,7 @@ def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Find
 H_MIN_OR_MIN_S = "h:min or min:s"
 _DAY = 86400.0
 _MONTHS = ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez")
+_MONTH_OF = {word: i for i, words in enumerate(_MONTHS, start=1) for word in words.split()}
 _STAMP = re.compile(
     r"(?:(?P<days>\d{1,4}) days?,? ?)?"
     r"(?P<date>\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/. ](?:\d{1,2}|[^\W\d_]{3,9}\.?)[-/. ]\d{2,4}"
@@ -337,7 +330,7 @@ def _ordinals(texts: Iterable[str], order: str) -> list[int]:
         parts = re.split(r"[-/., ]+", text)
         if parts[0][:1].isalpha():
             parts = [parts[1], parts[0], parts[2]]  # May 3, 2024
-        numbers = [_month(part) if part[:1].isalpha() else int(part) for part in parts if part]
+        numbers = [_MONTH_OF.get(part.lower()[:3], 0) if part[:1].isalpha() else int(part) for part in parts if part]
         own = "ymd" if len(parts[0]) == 4 else "dmy" if parts[1][:1].isalpha() or "." in text else order
         try:
             year, month, day = (numbers[own.index(one)] for one in "ymd")
@@ -345,11 +338,6 @@ def _ordinals(texts: Iterable[str], order: str) -> list[int]:
         except (ValueError, IndexError):
             return []
     return found
-
-
-def _month(word: str) -> int:
-    """Give the number of a month by its first letters, 0 where it is none."""
-    return next((i for i, names in enumerate(_MONTHS, 1) if word.lower()[:3] in names.split()), 0)
 
 
 def _unwrapped(seconds: FloatArray, period: float) -> tuple[FloatArray, int]:

@@ -117,8 +117,8 @@ def choose(
             findings.append(Finding("unit-weight", "assumed", message))
         scaled = np.asarray(values[role].values * scale, dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
-    others = {name: _at(axis_s, evaluate(text, table)) for name, text in asked.items() if name not in ROLES}
-    extras = tuple(_extra(name, value, n, table) for name, value in others.items())
+    others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
+    extras = tuple(_extra(name, value, axis_s, n, table) for name, value in others.items())
     run, run_rows = _run_column(table, values)
     if run is not None:
         if run.clock_s is not None and axis_s is not None and apart:
@@ -211,14 +211,6 @@ def _laid(
     return axis_s
 
 
-def _at(axis_s: FloatArray | None, value: Value) -> Value:
-    """Further channel with times of its own at the instants of the others."""
-    clock = None if axis_s is None else clock_of(value.columns)
-    if axis_s is None or clock is None or clock.size != value.values.size or same_clock(clock, axis_s):
-        return value
-    return replace(value, values=np.interp(axis_s, clock, value.values, left=np.nan, right=np.nan))
-
-
 def _columns(
     table: Table, roles: Sequence[Role], asked: dict[str, str], findings: list[Finding]
 ) -> tuple[dict[Role, Value], dict[str, str]]:
@@ -248,8 +240,12 @@ def _text_in(role: Role, value: Value) -> Iterator[Finding]:
             yield Finding("text-cells", "unusable", message, column.n_words)
 
 
-def _extra(name: str, value: Value, n: int, table: Table) -> Extra:
+def _extra(name: str, value: Value, axis_s: FloatArray | None, n: int, table: Table) -> Extra:
     """Take a further channel; a force, such as a bolt tension, in kN, anything else in the unit of its header."""
+    clock = None if axis_s is None else clock_of(value.columns)
+    if axis_s is not None and clock is not None and clock.size == value.values.size and not same_clock(clock, axis_s):
+        at = np.interp(axis_s, clock, value.values, left=np.nan, right=np.nan)  # its times are its own
+        value = replace(value, values=at)
     if value.values.size != n or not value.values.ndim:
         raise RecordingError(f"{table.name}: {name} has {value.values.size} rows, the force {n}; choose another column")
     unit = value.unit or ""
@@ -346,32 +342,23 @@ def _rate_agrees(
     rate_Hz: float, table: Table, given: dict[Role, str], own: tuple[FloatArray, FloatArray] | None
 ) -> None:
     """Refuse a sampling rate that the file's own clock, or the times of its channels, contradict."""
-    step = 0.0 if own is None else usual_step(own[0])
-    ours = [("the time of the channels", (1.0 / step,))] if step > 0 else []
-    for name, said in [*_rates(table, given), *ours]:
+    steps: dict[str, list[float]] = {"wf_increment": [table.scalars.get("wf_increment", 0.0)]}
+    column = found[0] if len(found := candidates(table, "time")[0]) == 1 else None
+    times = None if column is None else seconds_of(replace(column, unit=given.get("time") or column.unit))
+    times = np.zeros(0) if times is None else times[np.isfinite(times)]
+    if column is not None and times.size > 1 and times[-1] > times[0]:
         # A clock printed with few digits repeats its times, and one with gaps ends late: each shows in one of the two.
-        if all(abs(rate / rate_Hz - 1) > limits.RATE_AGREES for rate in said):
+        mean = float(times[-1] - times[0]) / (times.size - 1)
+        steps[f"column {column.label!r}"] = [float(np.median(np.diff(times))), mean]
+    if own is not None:
+        steps["the time of the channels"] = [usual_step(own[0])]
+    for name, told in steps.items():
+        said = [1.0 / step for step in told if 0 < step < np.inf]
+        if said and all(abs(rate / rate_Hz - 1) > limits.RATE_AGREES for rate in said):
             raise RecordingError(
                 f"{table.name}: {name} says {said[0]:.4g} Hz, --rate {rate_Hz:g} Hz; leave --rate out, which is for "
                 "files without time; where the time is wrong, correct it, or take its column out"
             )
-
-
-def _rates(table: Table, given: dict[Role, str]) -> Iterator[tuple[str, tuple[float, ...]]]:
-    """Give the sampling rates that a file states: name of the column, its rate by the usual step and over all rows."""
-    step = table.scalars.get("wf_increment", 0.0)
-    if np.isfinite(step) and step > 0:
-        yield "wf_increment", (1.0 / step,)
-    found = candidates(table, "time")[0]
-    if len(found) != 1:
-        return
-    column = found[0]
-    times = seconds_of(replace(column, unit=given.get("time") or column.unit))
-    times = np.zeros(0) if times is None else times[np.isfinite(times)]
-    if times.size < 2 or times[-1] <= times[0]:
-        return
-    usual, mean = float(np.median(np.diff(times))), float(times[-1] - times[0]) / (times.size - 1)
-    yield f"column {column.label!r}", tuple(1.0 / s for s in (usual, mean) if s > 0)
 
 
 def _length(values: dict[Role, Value], table: Table) -> int:

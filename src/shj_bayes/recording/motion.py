@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import weakref
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,7 @@ from shj_bayes._util.frozen_arrays import freeze, frozen
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
 from shj_bayes.recording.recording import BoolArray, FloatArray, Recording, noise_of, resolution_of
-from shj_bayes.recording.smoothing import hermite, smooth
-
-if TYPE_CHECKING:
-    from shj_bayes.recording.smoothing import Smooth
-
+from shj_bayes.recording.smoothing import Smooth, hermite, smooth
 
 IntArray = NDArray[np.int64]
 
@@ -210,12 +205,6 @@ def hysteresis(values: FloatArray, threshold: float) -> list[int]:
             direction, high = 1, index
             low = index
     return found
-
-
-def first_direction(values: FloatArray, turns: list[int]) -> int:
-    """Direction of the first half-cycle of a displacement, shape (n_samples,): +1 when it grows."""
-    end = turns[0] if turns else values.size - 1
-    return 1 if values[end] >= values[0] else -1
 
 
 @dataclass(frozen=True)
@@ -525,7 +514,8 @@ def _motion(recording: Recording) -> Motion:
         x, v = way * (straight.values - offset) + rounded, way * straight.velocity + rounded_v
         curve = replace(straight, values=x, velocity=v)
     start = _boundaries(time, turn_s)
-    direction = alternating(start.size - 1, first_direction(curve.values, turns))
+    grows = curve.values[turns[0] if turns else -1] >= curve.values[0]
+    direction = alternating(start.size - 1, 1 if grows else -1)
     turning = np.concatenate([[curve.values[0]], turn_mm])
     displacement = _between(curve.values, turning, start)
     along = np.repeat(direction, np.diff(start))

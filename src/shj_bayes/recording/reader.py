@@ -18,7 +18,7 @@ from shj_bayes.recording.checks import inspect, plausibility_findings, repair, w
 from shj_bayes.recording.clock import follow_on, going_on, restarts
 from shj_bayes.recording.columns import RawChannels, choose, choose_history
 from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS
-from shj_bayes.recording.recording import Extra, Finding, FloatArray, Recording, RunStart, Source
+from shj_bayes.recording.recording import Finding, FloatArray, Recording, RunStart, Source
 from shj_bayes.recording.rows import split_header
 from shj_bayes.recording.smoothing import at_samples
 from shj_bayes.recording.tables import Column, Format, Table, as_floats
@@ -110,15 +110,13 @@ def _checked(table: Table) -> Table:
             f"{table.name}: {n_rows} rows and {len(table.columns)} columns; allowed are {MAX_ROWS} rows and "
             f"{MAX_COLUMNS} columns; export fewer"
         )
-    for column in table.columns:
+    columns = []
+    for column in table.columns:  # with names and units that are short and can be shown
         column.values.setflags(write=False)
-    return replace(table, columns=tuple(map(_plain, table.columns)))
-
-
-def _plain(column: Column) -> Column:
-    """Column whose name and unit are short and can be shown."""
-    name, header = plain_text(column.name[:MAX_NAME]), plain_text(column.header[:MAX_NAME])
-    return replace(column, name=name, header=header, unit=None if column.unit is None else plain_text(column.unit))
+        name, header = plain_text(column.name[:MAX_NAME]), plain_text(column.header[:MAX_NAME])
+        unit = None if column.unit is None else plain_text(column.unit)
+        columns.append(replace(column, name=name, header=header, unit=unit))
+    return replace(table, columns=tuple(columns))
 
 
 _HOLLOW = {"text-cells", "empty-cells", "jumps"}  # findings of channels of which too much is missing or wrong
@@ -195,30 +193,17 @@ def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: 
         source=Source(table.name, table.sha256, table.format, channels.columns, channels.units),
         findings=(*table.findings, *channels.findings, *told, *findings),
         run_starts=tuple(RunStart(at, shift) for at, shift in samples.items() if 0 < at < time_s.size),
-        extras=tuple(_at_samples(extra, clock_s, time_s) for extra in channels.extras),
+        extras=tuple(replace(e, values=at_samples(clock_s, e.values, time_s)) for e in channels.extras),
     )
     return recording.with_findings(*inspect(recording))
 
 
-def _at_samples(extra: Extra, clock_s: FloatArray, time_s: FloatArray) -> Extra:
-    """Further channel at the samples that were kept, of which some may have been filled in."""
-    known = np.flatnonzero(np.isfinite(clock_s) & np.isfinite(extra.values))
-    order = known[np.argsort(clock_s[known], kind="stable")]
-    return replace(extra, values=at_samples(clock_s[order], extra.values[order], time_s))
-
-
-def _within_runs(channels: RawChannels) -> tuple[FloatArray, list[int]]:
-    """Let the clock go on over the cycles of each run, but not over the beginning of a run that the file tells."""
-    time_s, found = channels.time_s.copy(), list[int]()
-    for a, b in pairwise([0, *channels.run_rows, time_s.size]):
-        time_s[a:b], cycles = going_on(time_s[a:b], channels.displacement_mm[a:b], channels.force_kN[a:b])
-        found += [a + row for row in cycles]
-    return time_s, found
-
-
 def _placed_runs(channels: RawChannels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
     """Put all rows on one clock; give the first time of each further run, what was added to it, and what to say."""
-    time_s, cycles = _within_runs(channels)
+    time_s, cycles = channels.time_s.copy(), list[int]()
+    for a, b in pairwise([0, *channels.run_rows, time_s.size]):  # a clock goes on over the cycles of each run
+        time_s[a:b], found = going_on(time_s[a:b], channels.displacement_mm[a:b], channels.force_kN[a:b])
+        cycles += [a + row for row in found]
     again = restarts(time_s, channels.displacement_mm, channels.force_kN)
     rows = sorted({*again, *channels.run_rows})
     clock_s, shifts = follow_on(time_s, rows)

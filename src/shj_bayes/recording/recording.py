@@ -204,7 +204,7 @@ class Recording:
         return all(finding.severity != "unusable" for finding in self.findings)
 
 
-SMALL_KN = 1.0
+SMALL_KN = 1.0  # newton below: 0.26 kN is no number that a laboratory reads off its load cell
 
 
 def unit_for(sliding_kN: float) -> tuple[str, float]:

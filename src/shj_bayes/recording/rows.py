@@ -235,8 +235,8 @@ def head_of(above: list[str], dialect: Dialect, line: int = 0) -> Head:
     labels = [""] * width if names is None else rows[names]
     below: list[str | None] = [None] * width
     for i, cells in enumerate(rows):
-        roles = {role_of(bare_unit(cell)) for cell in cells if cell} - {None}
-        if is_units[i] and i != names and (whole[i] or len(roles) > 1):
+        roles = {role_of(bare_unit(cell)) for cell in cells if cell} if is_units[i] and not whole[i] else set()
+        if is_units[i] and i != names and (whole[i] or len(roles - {None}) > 1):
             below = [bare_unit(cell) or None for cell in _unlabelled(cells)]
     labels = ["Time" if cell.lower() in _NAME_LABELS else cell for cell in labels]
     pairs = [split_header(cell) for cell in labels]
@@ -265,15 +265,13 @@ def _unlabelled(cells: list[str]) -> list[str]:
 
 def _row_of_names(rows: list[list[str]], whole: list[bool], is_units: list[bool], decimal: str) -> int | None:
     """Which row holds the names; None where none does."""
-    best, most = None, 0
-    for i, cells in enumerate(rows):
-        if is_units[i] or not whole[i] or any(is_number(cell, decimal) or is_stamp(cell) for cell in cells):
-            continue
-        roles = [roles_named(split_header(cell)[0]) for cell in cells]
-        found = len(set().union(*roles))
-        if found >= max(most, 1):
-            best, most = i, found
-    if best is not None:
+    named = [
+        (len(set().union(*(roles_named(split_header(cell)[0]) for cell in cells))), i)
+        for i, cells in enumerate(rows)
+        if whole[i] and not is_units[i] and not any(is_number(cell, decimal) or is_stamp(cell) for cell in cells)
+    ]
+    most, best = max(named, default=(0, 0))
+    if most:
         return best
     full = np.flatnonzero(whole).tolist()
     if len(full) > 1 and is_units[full[-1]]:
@@ -298,32 +296,26 @@ def _with_waves(head: Head, above: list[str], dialect: Dialect) -> Head:
     units = [
         "s" if timed and name.lower() == "x_value" else unit for name, unit in zip(head.names, head.units, strict=True)
     ]
+
+    def number(cell: str) -> float:
+        return float(cell.replace(dialect.decimal, ".")) if PLAIN[dialect.decimal].fullmatch(cell[:MAX_CELL]) else 0.0
+
     empty = [""] * (dialect.width - 1)
     columns = zip(*(fields.get(key, empty) for key in ("date", "time", "x0", "delta_x")), strict=True)
-    waves = [
-        Wave(f"{day} {time}".strip(), _number(x0, dialect), _number(step, dialect)) for day, time, x0, step in columns
-    ]
+    waves = [Wave(f"{day} {time}".strip(), number(x0), number(step)) for day, time, x0, step in columns]
     return replace(head, units=units, waves=waves)
-
-
-def _number(cell: str, dialect: Dialect) -> float:
-    """Give the number of a cell, 0 where there is none."""
-    return float(cell.replace(dialect.decimal, ".")) if PLAIN[dialect.decimal].fullmatch(cell[:MAX_CELL]) else 0.0
 
 
 def is_head(group: Sequence[str], first: Head, dialect: Dialect) -> bool:
     """Whether lines of words between rows of numbers are a head, and not a remark or a lost reading."""
     known = {name.lower() for name in first.names if name}
-    for line in group:
-        cells = _cells(line, dialect)
-        if len(cells) != dialect.width:
-            continue
-        names = [split_header(cell)[0] for cell in cells]
-        if is_unit_row(_unlabelled(cells)) or any(roles_named(name) or name.lower() in known for name in names):
-            return True
-        unlike = len(set(cells)) == len(cells) and min(map(len, cells)) >= _SHORTEST_NAME
-        if unlike and dialect.separator != " ":
-            return True
+    for cells in (_cells(line, dialect) for line in group):
+        if len(cells) == dialect.width:
+            names = [split_header(cell)[0] for cell in cells]
+            known_ones = any(roles_named(name) or name.lower() in known for name in names)
+            unlike = len(set(cells)) == len(cells) and min(map(len, cells)) >= _SHORTEST_NAME
+            if is_unit_row(_unlabelled(cells)) or known_ones or (unlike and dialect.separator != " "):
+                return True
     return False
 
 

@@ -291,17 +291,14 @@ def _repeated(recording: Recording, sketch: _Sketch) -> list[Division]:
             continue
         if not _varied(blocks[0]):
             return []  # the same cycle again and again is one run
-        starts = [_crossing(sketch, turns[k - 1], turns[k]) for k in range(period, n, period)]
+        starts = []
+        for k in range(period, n, period):  # where the displacement passes where it began, between two reversals
+            way = x[turns[k - 1] : turns[k] + 1]
+            beyond = (way - x[0]) * np.sign(way[-1] - way[0]) >= 0
+            starts.append(float(sketch.time_s[turns[k - 1] + int(np.argmax(beyond))]))
         words = f"the same {period} amplitudes come {n // period} times, one after the other"
         return [Division("repeat", _spans(recording, np.searchsorted(recording.time_s, starts).tolist()), words)]
     return []
-
-
-def _crossing(sketch: _Sketch, before: int, after: int) -> float:
-    """Time at which the displacement passes where the recording began, between two reversals."""
-    way = sketch.x_mm[before : after + 1]
-    beyond = (way - sketch.x_mm[0]) * np.sign(way[-1] - way[0]) >= 0
-    return float(sketch.time_s[before + int(np.argmax(beyond))])
 
 
 def _longest_rests(recording: Recording, n_runs: int) -> Division | None:

@@ -440,7 +440,11 @@ def channel_of(extra: Extra, time_s: FloatArray, force_kN: FloatArray) -> Channe
 
 
 def _smoothed(values: FloatArray) -> tuple[FloatArray, float]:
-    """Smooth evenly spaced values; give them and the variance of the noise that is left in them."""
+    """Smooth evenly spaced values by local parabolas; give them and the variance of the noise that is left in them.
+
+    The window is the one that predicts each value best from its neighbours (leave-one-out, in closed form for a linear
+    filter; Allen 1974, Technometrics 16, 125).
+    """
     # Most recordings have no further channel, and every command reads recordings.
     from scipy.signal import savgol_coeffs, savgol_filter  # noqa: PLC0415
 
@@ -461,8 +465,11 @@ def _smoothed(values: FloatArray) -> tuple[FloatArray, float]:
 def at_samples(extra_s: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
     """Values of a channel at the samples of a recording, on straight lines; NaN where no number is near.
 
-    Known values have ascending times `extra_s`, both of shape (m,); `time_s` has shape (n_samples,).
+    Values at times `extra_s`, both of shape (m,) and NaN where not known; `time_s` has shape (n_samples,).
     """
+    known = np.flatnonzero(np.isfinite(extra_s) & np.isfinite(values))
+    known = known[np.argsort(extra_s[known], kind="stable")]
+    extra_s, values = extra_s[known], values[known]
     if extra_s.size == 0:
         return np.full(time_s.size, np.nan)
     last = extra_s.size - 1

@@ -134,6 +134,9 @@ class Value:
 def evaluate(text: str, table: Table) -> Value:
     """Value of a column name, a 1-based column number, or a formula of them and of single numbers.
 
+    Python's parser reads ``#7 - 49.087*#6`` once names and numbers stand aside; of its tree nothing but + - * and / is
+    gone through, and nothing is ever evaluated as code.
+
     `RecordingError` for unknown names, a product of two columns, or anything that is no formula.
     """
     text = text.strip()
@@ -250,7 +253,11 @@ def grouped(
     of that name.
     """
     if sheet is not None:
-        columns = _chosen(columns, name, mark, sheet)
+        known = list(dict.fromkeys(column.group for column in columns if column.group))
+        columns = [c for c in columns if f"{c.group}{mark}".lower().startswith(f"{sheet.strip()}{mark}".lower())]
+        if not columns:
+            what = f"its groups are {listed(known)}{did_you_mean(sheet, known)}" if known else "the file has no groups"
+            raise RecordingError(f"{name}: --sheet {sheet!r} is no group of it; {what}")
     clocked = _clocked(columns, mark)
     runs = _runs(clocked)
     if not runs:
@@ -265,16 +272,6 @@ def grouped(
         f"--sheet {names[0]!r} takes one alone"
     )
     return (*joined, run, *_titled(rest, mark)), (Finding("groups", "assumed", words, len(runs)),)
-
-
-def _chosen(columns: Sequence[Column], name: str, mark: str, sheet: str) -> list[Column]:
-    """Columns of one group and of those in it."""
-    known = list(dict.fromkeys(column.group for column in columns if column.group))
-    inside = [c for c in columns if f"{c.group}{mark}".lower().startswith(f"{sheet.strip()}{mark}".lower())]
-    if not inside:
-        what = f"its groups are {listed(known)}{did_you_mean(sheet, known)}" if known else "the file has no groups"
-        raise RecordingError(f"{name}: --sheet {sheet!r} is no group of it; {what}")
-    return inside
 
 
 def _clocked(columns: Sequence[Column], mark: str) -> list[Column]:

@@ -22,7 +22,7 @@ from shj_bayes.recording.clock import Stamps
 from shj_bayes.recording.columns import roles_named
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE, SAME_INSTANT
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.rows import LOOK, Dialect, TextRows, Wave, find_dialect, head_of
+from shj_bayes.recording.rows import LOOK, TextRows, Wave, find_dialect, head_of
 from shj_bayes.recording.tables import Column, Format, Table, bounded_columns, seconds_of
 
 # hyphens, dashes and minus signs before a number or in its exponent; marks without width
@@ -51,8 +51,13 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
     head = head_of(first[: dialect.first], dialect)
     if not any(head.names) and text.comments:  # numpy and gnuplot write the header as a comment
         head = head_of([line.lstrip("#% ") for line in text.comments], dialect)
-    if not any(head.names):
-        _refuse_split_numbers(first[: dialect.first], dialect, name)
+    above = len(dialect.cells(first[dialect.first - 1])) if dialect.first else 0
+    if not any(head.names) and dialect.separator == "," and 2 * above == dialect.width:  # numbers taken apart
+        raise RecordingError(
+            f"{name}: the header has {above} cells and the rows of numbers {dialect.width}, so commas seem to be the "
+            "decimal sign and to stand between the columns; export with semicolons between the columns, or with "
+            "decimal points"
+        )
     bounded_columns(head.names, name)
     rows = TextRows(dialect, head, name, text.line_of)
     rows.read(chain(first[dialect.first :], stream))
@@ -63,17 +68,6 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
         findings.append(Finding("decimal-comma", "assumed", "a comma is read as the decimal sign (0,5 is one half)"))
     columns = _with_times(rows, findings)
     return Table(name, kind, sha256, tuple(columns), has_header=any(head.names), findings=tuple(findings))
-
-
-def _refuse_split_numbers(above: list[str], dialect: Dialect, name: str) -> None:
-    """Refuse rows of twice as many cells as the header has: each number was taken apart at its decimal comma."""
-    width = len(dialect.cells(above[-1])) if above else 0
-    if dialect.separator == "," and 2 * width == dialect.width:
-        raise RecordingError(
-            f"{name}: the header has {width} cells and the rows of numbers {dialect.width}, so commas seem to be the "
-            "decimal sign and to stand between the columns; export with semicolons between the columns, or with "
-            "decimal points"
-        )
 
 
 class _Lines:
@@ -91,7 +85,8 @@ class _Lines:
             text = line if line[:1].isdigit() else line.lstrip()
             if text and not text.startswith(("#", "%")):
                 n_rows += 1
-                yield line if line.isascii() else _typed(line)
+                # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.
+                yield line if line.isascii() else _MINUS.sub("-", line.translate(_INVISIBLE))
                 continue
             self.passed.append(n_rows)
             if len(self.passed) - n_rows > MAX_EMPTY:
@@ -105,11 +100,6 @@ class _Lines:
     def line_of(self, row: int) -> int:
         """Give the number of a row's line in the file, counted from 1."""
         return row + 1 + bisect_right(self.passed, row)
-
-
-def _typed(line: str) -> str:
-    """Line in which a minus before a number is a hyphen, whatever a typesetter made of it, and nothing is invisible."""
-    return _MINUS.sub("-", line.translate(_INVISIBLE))
 
 
 def find_encoding(path: Path) -> str:
