@@ -564,10 +564,13 @@ def plausibility_findings(
     )
     findings = []
     for role, value, words, (low, high), unit in measures:
-        read = channels.units[role]
+        read, power = channels.units[role], -1 if role == "time" else 1  # a speed is the smaller, the longer its time
+        own = value / factor(read, role) ** power
+        fit = [name for name in (TARGET[role], *_OTHERS[role]) if low <= own * factor(name, role) ** power <= high]
+        usual = f" (it would be usual in {' or '.join(fit)})" if fit else ""
         more = (
             f"(usual is {low:g} to {high:g} {unit}); state it: --units {role}={read} if it is right, else the unit "
-            f"that is{_usual(role, value, low, high, read)}"
+            f"that is{usual}"
         )
         if role in channels.assumed and not low <= value <= high:
             message = f"nobody stated the unit of the {role}, and {words.format(value)} is unusual in {read} {more}"
@@ -582,14 +585,6 @@ def plausibility_findings(
         )
         findings.append(Finding("time-long", "warning", message))
     return findings + _swapped(channels, displacement_mm, force_kN)
-
-
-def _usual(role: Role, value: float, low: float, high: float, read: str) -> str:
-    """Name the units in which a size `read` in one would be usual; a speed is the smaller, the longer that of time."""
-    power = -1 if role == "time" else 1
-    own = value / factor(read, role) ** power
-    fit = [name for name in (TARGET[role], *_OTHERS[role]) if low <= own * factor(name, role) ** power <= high]
-    return f" (it would be usual in {' or '.join(fit)})" if fit else ""
 
 
 def _swapped(channels: RawChannels, displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:

@@ -1,7 +1,5 @@
 """What the law needs to know of the displacement: half-cycles, turning points and speed."""
 
-from __future__ import annotations
-
 import math
 import weakref
 from dataclasses import dataclass, replace

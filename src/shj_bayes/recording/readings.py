@@ -374,8 +374,7 @@ def _left_by_jumps(values: FloatArray, here: BoolArray, share: float, *, ends: b
     touched = here[1:] | here[:-1]
     usual = 0.0 if touched.all() else 1.5 * float(np.percentile(np.abs(np.diff(values))[~touched], 99))
     core = float(np.diff(np.percentile(values[~here], [2, 98]))[0])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(np.int8)))
-    first, last = edges[::2], edges[1::2]
+    first, last = np.transpose(runs(here))
     level = values[first[0]]
     before, after = values[np.maximum(first - 1, 0)], values[np.minimum(last, values.size - 1)]
     if ends:

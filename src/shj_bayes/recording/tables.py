@@ -336,15 +336,12 @@ def _joined(parts: list[Column]) -> Column:
 
 def _titled(columns: Sequence[Column], mark: str) -> tuple[Column, ...]:
     """Columns by their own names, with the group before it where a name comes twice."""
-    names = [column.name for column in columns]
-    return tuple(_full(c, mark) if names.count(c.name) > 1 and c.group else c for c in columns)
-
-
-def _full(column: Column, mark: str) -> Column:
-    """Column with its group in the name."""
-    path = f"{column.group}{mark}"
-    header = column.header if column.header.startswith(path) else f"{path}{column.header}"
-    return replace(column, name=f"{path}{column.name}", header=header)
+    names, titled = [column.name for column in columns], list[Column]()
+    for column in columns:
+        path = f"{column.group}{mark}" if column.group and names.count(column.name) > 1 else ""
+        header = column.header if column.header.startswith(path) else f"{path}{column.header}"
+        titled.append(replace(column, name=f"{path}{column.name}", header=header))
+    return tuple(titled)
 
 
 def listed(names: Sequence[str]) -> str:

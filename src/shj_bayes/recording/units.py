@@ -124,7 +124,10 @@ def _spaced(text: str) -> str:
 
 
 def multiplier(text: str, role: Role) -> float | None:
-    """Give the factor from a unit (``lb`` is a pound-force) to that of a channel: s, mm and kN; None if it is none."""
+    """Give the factor from a unit (``lb`` is a pound-force) to the tool's unit of a channel: s, mm and kN.
+
+    None if it is not a unit of that channel.
+    """
     word = _spaced(text)
     if role == "force" and (word in _WEIGHTS_KN or word in _TONS):
         return _WEIGHTS_KN.get(word)
@@ -133,7 +136,7 @@ def multiplier(text: str, role: Role) -> float | None:
 
 
 def factor(text: str, role: Role) -> float:
-    """Give the same factor; `RecordingError` if it is not a unit of that channel."""
+    """Multiplier from a unit to the tool's unit of a channel; `RecordingError` if it is not a unit of that channel."""
     if (found := multiplier(text, role)) is not None:
         return found
     text = text.strip()

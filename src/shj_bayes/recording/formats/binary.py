@@ -305,7 +305,9 @@ class _Tree:
             self.seen.add(place)
             found[key] = self.group(item, depth + 1) if isinstance(item, self.h5py.Group) else self.dataset(item, depth)
         # The fields of an array of structs are references without a class, as many for each field.
-        if "MATLAB_class" in group.attrs and found and all(_of_elements(group[key]) for key in found):
+        fields = [group[key] for key in found] if "MATLAB_class" in group.attrs else []
+        kinds = [f.dtype.kind for f in fields if isinstance(f, self.h5py.Dataset) and "MATLAB_class" not in f.attrs]
+        if fields and kinds == ["O"] * len(fields):
             lists = [value for value in found.values() if isinstance(value, list)]
             if len(lists) == len(found) and len(set(map(len, lists))) == 1:
                 return [dict(zip(found, element, strict=True)) for element in zip(*lists, strict=True)]
@@ -321,7 +323,9 @@ class _Tree:
             ours = kind == "cell" or (not kind and "MATLAB_class" in item.parent.attrs)
             return self._followed(item, depth) if ours else None
         # What is stored of an object of MATLAB is no numbers but places.
-        if "MATLAB_empty" in item.attrs or not _numeric(item.dtype) or kind not in {"", "char", *_NUMERIC}:
+        parts = [item.dtype[name] for name in item.dtype.names or ()] or [item.dtype]
+        plain = all(part.kind in "fiub" for part in parts)
+        if "MATLAB_empty" in item.attrs or not plain or kind not in {"", "char", *_NUMERIC}:
             return None
         self.bytes += int(item.size or 0) * max(8, item.dtype.itemsize)
         refuse_large(self.bytes, self.name)
@@ -352,17 +356,6 @@ class _Tree:
             table[:] = read
             return table.reshape(item.shape)
         return read
-
-
-def _of_elements(item: Any) -> bool:
-    """Whether a member of a group is a field of an array of structs."""
-    return getattr(item, "dtype", None) is not None and item.dtype.kind == "O" and "MATLAB_class" not in item.attrs
-
-
-def _numeric(kind: Any) -> bool:
-    """Whether a dataset is plain numbers, or a table of them; references and objects are not."""
-    kinds = [kind[name] for name in kind.names] if kind.names else [kind]
-    return all(one.kind in "fiub" for one in kinds)
 
 
 def _unit(item: Any) -> str | None:

@@ -36,7 +36,12 @@ def read_excel(path: Path, sha256: str, sheet: str | None) -> Table:
     book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
     try:
         names = list(book.sheetnames)
-        asked = names if sheet is None else [_asked(sheet, names, path.name)]
+        asked = [name for name in names if sheet in (None, name)]
+        if sheet is not None and not asked:
+            asked = [name for name in names if name.lower() == sheet.strip().lower()][:1]
+            if not asked:
+                known = f"{did_you_mean(sheet, names)}; sheets are {', '.join(names[:8])}"
+                raise RecordingError(f"{path.name}: there is no sheet {sheet!r}{known}")
         tables: dict[str, Table] = {}
         left = [limits.MAX_TABLE_CELLS]
         for name in asked:
@@ -52,18 +57,9 @@ def read_excel(path: Path, sha256: str, sheet: str | None) -> Table:
     finally:
         book.close()
     if not tables:
-        said = ", ".join((names if sheet is None else asked)[:8])
+        said = ", ".join(asked[:8])
         raise RecordingError(f"{path.name}: no sheet holds rows of two or more numbers; sheets are {said}")
     return next(iter(tables.values())) if len(names) == 1 else _best(tables, path.name)
-
-
-def _asked(sheet: str, names: list[str], book: str) -> str:
-    """Name of the sheet that was asked for."""
-    found = [name for name in names if name == sheet] or [n for n in names if n.lower() == sheet.strip().lower()]
-    if not found:
-        known = ", ".join(names[:8])
-        raise RecordingError(f"{book}: there is no sheet {sheet!r}{did_you_mean(sheet, names)}; sheets are {known}")
-    return found[0]
 
 
 def _best(tables: dict[str, Table], book: str) -> Table:

@@ -32,7 +32,11 @@ def read_records(path: Path, sha256: str) -> Table:
         )
     content = _parsed(path)
     beside = content if isinstance(content, dict) else {}
-    table = _table(content, path.name)
+    table = _columns(content, path.name)
+    if table is None:  # of an object also those of the first value that is a table itself
+        table = next((found for value in beside.values() if (found := _columns(value, path.name)) is not None), None)
+    if table is None:
+        raise RecordingError(f"{path.name}: found no table of numbers in this JSON; write it as {_SHAPES}")
     given = beside.get("units")
     units: dict[str, Any] = given if isinstance(given, dict) else {}
     columns, skipped = list[Column](), list[str]()
@@ -85,16 +89,6 @@ def _parsed(path: Path) -> Any:
         if first is None:
             raise error from None
         return [first, *map(parse, lines[1:])]
-
-
-def _table(content: Any, name: str) -> _Cells:
-    """Columns; of an object also those of the first value that is a table itself."""
-    found = _columns(content, name)
-    if found is None and isinstance(content, dict):
-        found = next((table for value in content.values() if (table := _columns(value, name)) is not None), None)
-    if found is None:
-        raise RecordingError(f"{name}: found no table of numbers in this JSON; write it as {_SHAPES}")
-    return found
 
 
 def _columns(content: Any, name: str) -> _Cells | None:
