@@ -74,7 +74,7 @@ def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials)
 def test_a_class_that_is_not_there_widens_nothing(trials):
     out, _ = answered(trials.simulate({}, 3), "position")
     state = out.found[frozenset()].state
-    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.classes.values()))
+    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.fitter.classes.values()))
     assert np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance)).max() < 1.1
 
 
