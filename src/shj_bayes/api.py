@@ -16,7 +16,6 @@ from typing import Any, ClassVar, Self
 
 import pandas as pd
 
-from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
 from shj_bayes.commands.comparison import compare_sets
 from shj_bayes.commands.next_test import plan_next
@@ -24,7 +23,7 @@ from shj_bayes.commands.options import Options
 from shj_bayes.commands.pipeline import Work, diagnose_device, fit_device, step_told
 from shj_bayes.commands.summary import summarise_campaign, summarise_tables
 from shj_bayes.commands.validation import paper_claims
-from shj_bayes.errors import OptionError, ReportError
+from shj_bayes.errors import OptionError, ReportError, did_you_mean
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.mismatch.look import Look
 from shj_bayes.planning.asked import PlanOptions

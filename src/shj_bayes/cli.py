@@ -13,9 +13,8 @@ from typing import Any
 import click
 
 import shj_bayes
-from shj_bayes._util.child_processes import quiet_libraries
 from shj_bayes._util.files import make_writable, need_files, need_population
-from shj_bayes._util.interrupts import no_interrupt_lost
+from shj_bayes._util.processes import no_interrupt_lost, quiet_libraries
 from shj_bayes.commands.examples import EXAMPLES
 from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, plain_lines, system_words
 from shj_bayes.results.codec import to_json
@@ -220,7 +219,7 @@ def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
 
     They ship with the project.
     """
-    from shj_bayes._util.shipped import shipped
+    from shj_bayes._util.files import shipped
 
     manifest = shipped("data", "examples", "campaign.toml")
     _run_campaign(manifest, out, seed=seed, workers=workers or 0, output=Output(quiet=quiet))
@@ -555,8 +554,7 @@ def plan(
     Of the devices whose results are in DIR, or from --priors.
     """
     if example_rig is not None:
-        from shj_bayes._util.files import write_text
-        from shj_bayes._util.shipped import shipped
+        from shj_bayes._util.files import shipped, write_text
 
         write_text(example_rig, shipped("data", "examples", "rig.toml").read_text(encoding="utf-8"))
         return

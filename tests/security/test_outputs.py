@@ -16,7 +16,7 @@ import xarray as xr
 from made_diagnosis import made
 
 import shj_bayes
-from shj_bayes._util import vetting
+from shj_bayes._util import processes
 from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, sealed
 from shj_bayes.cli import Output
 from shj_bayes.commands.campaign import Device, read_manifest
@@ -342,15 +342,15 @@ def test_a_posterior_that_is_none_is_refused_before_it_is_read_here(copy, kind):
 
 @pytest.mark.parametrize("body", ["import os; os.abort()", "import sys, os; sys.stdin.readline(); os.abort()"])
 def test_a_posterior_that_ends_the_library_is_one_line_and_the_next_one_is_read(fitted, monkeypatch, body):
-    vetting._end()
+    processes._end()
     with monkeypatch.context() as changed:
-        changed.setattr(vetting, "_CHILD", body)
+        changed.setattr(processes, "_CHILD", body)
         with pytest.raises(InferenceError, match=r"posterior\.nc in .* cannot be read \(.* gave up\)"):
             device_file.read_group(fitted, "posterior")
     assert "Fy" in device_file.read_group(fitted, "posterior")
-    one = vetting._child().pid
+    one = processes._child().pid
     assert "Fy" in device_file.read_group(fitted, "posterior")
-    assert vetting._child().pid == one  # one process for all files
+    assert processes._child().pid == one  # one process for all files
 
 
 def test_the_fit_of_another_device_is_not_taken_for_this_one(fitted):
@@ -370,7 +370,7 @@ def test_a_diagnosis_is_not_written_through_a_link_and_its_old_page_goes(tmp_pat
 
 
 def test_what_a_fit_writes_is_no_window(fitted):
-    vetting.vet(fitted / "posterior.nc")
+    processes.vet(fitted / "posterior.nc")
 
 
 @pytest.mark.parametrize("name", ["posterior.nc", "summary.csv", "summary.json"])

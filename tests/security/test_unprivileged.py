@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from shj_bayes._util import import_safety
+from shj_bayes._util import imports
 from shj_bayes.commands.options import Options
 from shj_bayes.commands.pipeline import fit_device
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -69,7 +69,7 @@ def test_numba_has_a_cache_of_its_own_where_it_finds_none(monkeypatch):
             raise RuntimeError("no locator available")
 
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    import_safety._cache_somewhere(Numba)
+    imports._cache_somewhere(Numba)
     folder = os.environ["NUMBA_CACHE_DIR"]
     assert os.stat(folder).st_mode & 0o077 == 0
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")

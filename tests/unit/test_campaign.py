@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from shj_bayes._util.files import folder_name
-from shj_bayes._util.shipped import shipped
+from shj_bayes._util.files import folder_name, shipped
 from shj_bayes.cli import main
 from shj_bayes.commands.campaign import read_manifest, run_campaign
 from shj_bayes.commands.comparison import compare_sets

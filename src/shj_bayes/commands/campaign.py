@@ -19,22 +19,21 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from shj_bayes._util.child_processes import Workers
 from shj_bayes._util.dask_cluster import results_on
-from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import (
+    alone_in,
     folder_name,
     make_writable,
     plain_name,
     read_toml,
     toml_line,
 )
-from shj_bayes._util.lock import alone_in
 from shj_bayes._util.made import digests, made
+from shj_bayes._util.processes import Workers
 from shj_bayes.commands.finished import Done, kept_result
 from shj_bayes.commands.mistaken import repeated
 from shj_bayes.commands.options import Options
-from shj_bayes.errors import CampaignError, ShjError, plain_text, shown, system_words
+from shj_bayes.errors import CampaignError, ShjError, did_you_mean, plain_text, shown, system_words
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS, Tags

@@ -10,9 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import damage_told, file_digest
-from shj_bayes.errors import PriorError
+from shj_bayes.errors import PriorError, did_you_mean
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.population.posterior import ANY_SET
 from shj_bayes.population.quantities import band_of

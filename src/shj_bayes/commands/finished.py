@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import shj_bayes
-from shj_bayes._util.files import file_digest, plain_name
-from shj_bayes._util.shipped import shipped
+from shj_bayes._util.files import file_digest, plain_name, shipped
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.parameters import BASE, base_of
 from shj_bayes.recording.formats.catalogue import by_ending

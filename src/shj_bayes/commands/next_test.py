@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes._util.lock import alone_in
+from shj_bayes._util.files import alone_in
 from shj_bayes.commands.finished import Done
 from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from shj_bayes._util.lock import alone_in
+from shj_bayes._util.files import alone_in
 from shj_bayes.commands.earlier import earlier
 from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked

@@ -5,8 +5,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from shj_bayes._util.files import shipped
 from shj_bayes._util.made import digests, made
-from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import Outcome
 from shj_bayes.commands.comparison import curve_records, curves_of_pairs
 from shj_bayes.commands.margin_sheet import POPULATION, design_margins

@@ -5,10 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from shj_bayes._util.files import make_writable
-from shj_bayes._util.lock import alone_in
+from shj_bayes._util.files import alone_in, make_writable, shipped
 from shj_bayes._util.made import digests, made
-from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import FAILED, Outcome
 from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs

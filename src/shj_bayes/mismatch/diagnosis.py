@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import replacing
-from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content

@@ -13,10 +13,9 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi2, nct, norm
 
-from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
-from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.errors import PlanError
+from shj_bayes.errors import PlanError, did_you_mean
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run

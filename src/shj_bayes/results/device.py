@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.vetting import vet
+from shj_bayes._util.processes import vet
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.catalogue import noise_model
