@@ -36,7 +36,7 @@ from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import from_json, to_json
-from shj_bayes.results.device import whole
+from shj_bayes.results.device import read_whole
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import has, read
@@ -97,12 +97,7 @@ class FitResult(_Result):
 
         An ``arviz.InferenceData`` up to ArviZ 0.23, an ``xarray.DataTree`` from version 1 on.
         """
-        from_netcdf: Any = az.from_netcdf  # carries no types
-        with whole(self.folder) as path:
-            data = from_netcdf(str(path), engine="h5netcdf")
-            data.load()  # and close: an open file cannot be replaced on Windows
-            data.close()
-        return data
+        return read_whole(self.folder, az)
 
     @property
     def draws(self) -> pd.DataFrame:

@@ -28,7 +28,6 @@ from shj_bayes._util.files import (
     read_toml,
     toml_line,
 )
-from shj_bayes._util.made import digests, made
 from shj_bayes._util.processes import Workers
 from shj_bayes.commands.finished import Done, kept_result
 from shj_bayes.commands.mistaken import repeated
@@ -41,7 +40,7 @@ from shj_bayes.results.campaign import SCHEMA, WITH_SET, CampaignRecord, DeviceE
 from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import DIAGNOSIS, find, write
+from shj_bayes.results.store import DIAGNOSIS, digests, find, made, write
 
 MAX_DEVICES = 100_000
 OPTION_KINDS: dict[str, Any] = {

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes._util.files import file_digest, need_population
-from shj_bayes._util.made import digests, made
 from shj_bayes.commands.finished import Done
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import to_json
-from shj_bayes.results.store import has
+from shj_bayes.results.store import digests, has, made
 
 POPULATION = ("population.csv", "population.json", "population.npz")
 PAGE = "margins.html"

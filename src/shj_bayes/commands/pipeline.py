@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from shj_bayes._util.files import alone_in
+from shj_bayes._util.files import alone_in, file_digest
 from shj_bayes.commands.earlier import earlier
 from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device
 from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
 from shj_bayes.commands.options import Options
 from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_lines, plain_text
-from shj_bayes.inference.fit import CHECKPOINT, fit
+from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.mismatch.look import Look
@@ -25,7 +25,7 @@ from shj_bayes.report.device import render_device
 from shj_bayes.results.device import read_group
 from shj_bayes.results.diagnosis import DiagnosisRecord, Sampled
 from shj_bayes.results.fit import FitRecord, Trust
-from shj_bayes.results.store import has, written_ns
+from shj_bayes.results.store import CHECKPOINT, find, has
 
 
 def diagnosis_text(record: DiagnosisRecord, page: Path) -> str:
@@ -111,9 +111,9 @@ def _fit(
     try:
         result = sampled()
     except StrangeCheckpointError:
-        # One that an earlier fit left when it was finished goes with its result; one of a fit that was interrupted
-        # stays.
-        if checkpoint.stat().st_mtime_ns > written_ns(FitRecord, folder):
+        # One that a finished fit left goes with its result; one of a fit that was interrupted stays.
+        finished = find(FitRecord, folder)
+        if finished is None or finished.files.get(CHECKPOINT) != file_digest(checkpoint):
             raise
         checkpoint.unlink()
         result = sampled()

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes._util.files import shipped
-from shj_bayes._util.made import digests, made
 from shj_bayes.commands.campaign import Outcome
 from shj_bayes.commands.comparison import curve_records, curves_of_pairs
 from shj_bayes.commands.margin_sheet import POPULATION, design_margins
@@ -21,6 +20,7 @@ from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.sets import SHOWN, name_of
 from shj_bayes.results.codec import to_json
+from shj_bayes.results.store import digests, made
 
 
 def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes._util.files import alone_in, make_writable, shipped
-from shj_bayes._util.made import digests, made
 from shj_bayes.commands.campaign import FAILED, Outcome
 from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
@@ -15,6 +14,7 @@ from shj_bayes.report.campaign_physics import statements
 from shj_bayes.results.campaign import read_campaign
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.fit import Trust
+from shj_bayes.results.store import digests, made
 
 WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
 

@@ -109,6 +109,15 @@ def whole(folder: Path, group: str = "") -> Iterator[Path]:
         ) from error
 
 
+def read_whole(folder: Path, library: Any) -> Any:
+    """``posterior.nc`` as `library`, an ArviZ, reads it."""
+    with whole(folder) as path:
+        data = library.from_netcdf(str(path), engine="h5netcdf")
+        data.load()  # and close: an open file cannot be replaced on Windows
+        data.close()
+    return data
+
+
 def model_of(record: FitRecord) -> DeviceModel:
     """Rebuild the model of a fit with the priors that it was fitted with."""
     said = record.model
