@@ -18,14 +18,14 @@ from made_diagnosis import made
 import shj_bayes
 from shj_bayes._util import processes
 from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, sealed
+from shj_bayes.app.manifest import Device, read_manifest
+from shj_bayes.app.resume import design_margins
 from shj_bayes.cli import Output
-from shj_bayes.commands.campaign import Device, read_manifest
-from shj_bayes.commands.margin_sheet import design_margins
-from shj_bayes.commands.options import Options
 from shj_bayes.errors import InferenceError, PopulationError, ReportError, ShjError
 from shj_bayes.inference import store
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.diagnosis import DiagnosisResult
+from shj_bayes.options import FitOptions
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, safe_cell, write_population
@@ -104,7 +104,7 @@ def test_folders_of_devices_stay_below_the_campaign(tmp_path, name):
     slug = folder_name(name)
     assert re.fullmatch(r"[a-z0-9][a-z0-9.-]*", slug)
     assert len(slug) < 80
-    folder = (tmp_path / Device(name, name, (), Options()).folder).resolve()
+    folder = (tmp_path / Device(name, name, (), FitOptions()).folder).resolve()
     assert folder.is_relative_to(tmp_path / "devices")
     assert folder != tmp_path / "devices"
     shown = plain_name(name)

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from shj_bayes.commands.campaign import read_manifest, run_campaign
-from shj_bayes.commands.summary import summarise_campaign
+from shj_bayes.app.campaign import run_campaign, summarise_campaign
+from shj_bayes.app.manifest import read_manifest
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from shj_bayes.app import device
+from shj_bayes.app.resume import name_of_device
 from shj_bayes.cli import main
-from shj_bayes.commands import pipeline
-from shj_bayes.commands.finished import name_of_device
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.options import FitOptions
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 
@@ -102,7 +103,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, monke
     def denied(*_, **__):
         raise PermissionError(13, "Permission denied", "tmpabc")
 
-    monkeypatch.setattr("shj_bayes.commands.pooled.fit_population", never)
+    monkeypatch.setattr("shj_bayes.app.design.fit_population", never)
     (tmp_path / "file").write_text("x", encoding="utf-8")
     done = run("tables", "-o", tmp_path / "file" / "below")
     assert (done.exit_code, "rights" in done.output) == (1, True)
@@ -270,12 +271,12 @@ def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_pat
 
 def test_long_steps_are_told_before_they_begin_and_to_a_terminal_alone(recordings, capsys, monkeypatch):
     told = []
-    pipeline._usable(recordings, pipeline.Options(), told.append)
+    device._usable(recordings, FitOptions(), told.append)
     assert told == [f"reading {path.name}" for path in recordings]
-    pipeline.step_told("drawing the page")
+    device.step_told("drawing the page")
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    pipeline.step_told("drawing the page")
+    device.step_told("drawing the page")
     assert capsys.readouterr().err == "  drawing the page\n"
 
 
@@ -317,7 +318,7 @@ def test_an_interrupt_that_python_drops_stops_the_command_all_the_same(monkeypat
         for _ in range(1000):
             time.sleep(0.01)
 
-    monkeypatch.setattr("shj_bayes.commands.doctor.examine", examine)
+    monkeypatch.setattr("shj_bayes.app.doctor.examine", examine)
     begin = time.monotonic()
     result = run("doctor")
     assert result.exit_code == 1
@@ -363,13 +364,12 @@ def test_interrupted_fit_says_how_to_go_on(recordings, tmp_path):
 @pytest.mark.parametrize(
     ("module", "unneeded"),
     [
-        ("margin_sheet", {"scipy", "numba", "pandas", "xarray", "matplotlib"}),
-        ("summary", {"scipy.stats", "matplotlib", "openpyxl"}),
-        ("comparison", {"scipy.stats", "matplotlib", "openpyxl", "xarray"}),
+        ("resume", {"scipy", "numba", "pandas", "xarray", "matplotlib"}),
+        ("campaign", {"scipy.stats", "matplotlib", "openpyxl"}),
         ("design", {"scipy.stats", "matplotlib", "openpyxl", "xarray"}),
     ],
 )
 def test_commands_do_not_wait_for_libraries_that_they_may_not_need(module, unneeded):
-    code = f"import sys, shj_bayes.commands.{module}; print(*sys.modules)"
+    code = f"import sys, shj_bayes.app.{module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not unneeded & set(done.stdout.split())

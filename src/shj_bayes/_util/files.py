@@ -19,7 +19,6 @@ import sys
 import tomllib
 import unicodedata
 import zipfile
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -35,8 +34,11 @@ MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
 _MAY_STEER = re.compile(rb"\\[bfru]|[\x7f-\xff]")  # in JSON; without these, no text in it holds what steers a terminal
 FOLDER_DIGITS = 12  # of a digest: a hundred thousand names of one slug share one with a chance of 2e-5
 MAX_ARRAYS = 2 * 1024**3  # draws of a hundred thousand sets
-MAX_SEARCHED = 100_000  # characters of TOML in which the line of a value is looked for
-MAX_SEARCHES = 60  # a file that a text of many lines makes hard to search is left; each costs some 50 ms at most
+_TOML = re.compile(  # texts of several lines, texts, remarks, signs, and anything between them
+    r'"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|"(?:\\.|[^"\\])*"|\'[^\']*\'|#[^\n]*|[\[\]{}=,.\n]|[^\s\[\]{}=,.#"\']+',
+    re.DOTALL,
+)
+_DEPTH = {"[": 1, "{": 1, "]": -1, "}": -1}
 
 
 @contextmanager
@@ -240,35 +242,44 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
 
 
 def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
-    """Line, from 1, of a valid TOML file on which a value ends; `keys` is the way to it: tables, places in lists.
+    """Line, from 1, of a valid TOML file on which a value begins; `keys` is the way to it: tables, places in lists.
 
-    None where there is no such key, or looking for it would take long.
+    None where there is no such key. What stands within braces or brackets begins where these do.
     """
-    lines = path.read_text(encoding="utf-8-sig").split("\n")
-    if sum(map(len, lines)) > MAX_SEARCHED:
-        return None
+    lines = _toml_lines(path.read_text(encoding="utf-8-sig"))
+    found = (lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
+    return next((line for line in found if line), None)
 
-    searches = iter(range(MAX_SEARCHES))
 
-    def holds(n: int) -> bool:
-        for end in range(n, len(lines) + 1):  # what ends in the midst of a list or a text is no TOML yet
-            next(searches)
-            try:
-                node: Any = tomllib.loads("\n".join(lines[:end]) + "\n")
-            except ValueError:
-                continue
-            try:
-                for key in keys:
-                    node = node[key]
-            except (KeyError, IndexError, TypeError):
-                return False
-            return True
-        return False
-
-    try:
-        return bisect_left(range(len(lines) + 1), True, key=holds) if holds(len(lines)) else None
-    except StopIteration:
-        return None
+def _toml_lines(text: str) -> dict[tuple[str | int, ...], int]:
+    """Line on which each ``key = value`` of a valid TOML text begins, by the way to it."""
+    lines: dict[tuple[str | int, ...], int] = {}
+    last: dict[tuple[str | int, ...], int] = {}  # place of the last table of each list of tables
+    here: tuple[str | int, ...] = ()
+    words: list[str] = []  # of a header, or of a key and its =
+    line, begin, depth = 1, 1, 0  # depth of brackets and braces of a value
+    for token in _TOML.findall(f"{text}\n"):
+        line += token.count("\n")
+        if "=" in words:
+            depth += _DEPTH.get(token, 0)
+        elif token != "\n" and token[0] != "#":
+            begin = begin if words else line
+            words.append(token)
+        if token != "\n" or depth or not words:
+            continue
+        names = [word.strip("\"'") for word in words if word not in "[]=."]
+        if words[0] != "[":
+            for n in range(1, len(names) + 1):
+                lines.setdefault((*here, *names[:n]), begin)
+        else:
+            here = ()
+            for n, name in enumerate(names, start=1):
+                here += (name,)
+                if n == len(names) and words[1] == "[":
+                    last[here] = last.get(here, -1) + 1
+                here += (last[here],) if here in last else ()
+        words = []
+    return lines
 
 
 def file_digest(path: Path) -> str:

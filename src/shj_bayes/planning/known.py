@@ -23,7 +23,6 @@ from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
-from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, N_OF_RUN, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import ODDS, Search, noise_beside, noise_of_size
 from shj_bayes.mismatch.state import find_noise, settle
@@ -33,6 +32,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.history import SCALES, History, histories
 from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.protocol import Candidates
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Extra, Recording, Source
@@ -94,7 +94,7 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
-    tested = Subject(record.device, tuple(runs), device, sets, Look(without).hidden(device))
+    tested = Subject(record.device, tuple(runs), device, sets, DiagnoseOptions(without).hidden(device))
     return Stored(tested, spread)
 
 

@@ -1,26 +1,39 @@
-"""One device from files to page: read, check, fit, write, draw."""
+"""One device from files to page: read, check for slips, fit, diagnose, write, draw; or simulate it."""
 
+import hashlib
+import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from shj_bayes._util.files import alone_in, file_digest
-from shj_bayes.commands.earlier import earlier
-from shj_bayes.commands.finished import Done, device_text, finished_record, key_of, name_of_device
-from shj_bayes.commands.mistaken import content_digest, refuse_used_folder, remarked
-from shj_bayes.commands.options import Options
-from shj_bayes.errors import RecordingError, StrangeCheckpointError, plain_lines, plain_text
+import numpy as np
+
+from shj_bayes._util.files import alone_in, file_digest, write_text
+from shj_bayes.app.resume import (
+    CommandResult,
+    check,
+    device_text,
+    earlier,
+    finished_record,
+    key_of,
+    name_of_device,
+    priors_of,
+)
+from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_lines, plain_text
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import BASE, FloatArray, describe
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.options import DiagnoseOptions, FitOptions
+from shj_bayes.recording.protocol import table_1
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.recording import Finding, Recording
 from shj_bayes.recording.runs import settle
+from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.device import render_device
 from shj_bayes.results.device import read_group
 from shj_bayes.results.diagnosis import DiagnosisRecord, Sampled
@@ -55,7 +68,7 @@ class Work:
     tell: Callable[[str], None] = lambda _: None  # gets one line for each step
 
     def begin(
-        self, paths: Sequence[Path | Recording], folder: Path, options: Options, name: str | None
+        self, paths: Sequence[Path | Recording], folder: Path, options: FitOptions, name: str | None
     ) -> tuple[list[Recording], str]:
         """Read a device that may be written into a folder: its recordings and its name."""
         recordings = _usable(paths, options, self.tell)
@@ -65,7 +78,7 @@ class Work:
             refuse_used_folder(folder, name, recordings)
         return recordings, name
 
-    def plan(self, options: Options, tops: tuple[FloatArray, ...] = ()) -> SamplingPlan:
+    def plan(self, options: FitOptions, tops: tuple[FloatArray, ...] = ()) -> SamplingPlan:
         """How to sample; from `tops`, where the highest densities are known."""
         return SamplingPlan(
             options.seed, max_steps=options.max_steps, tops=tops, threads=self.threads, progress=self.progress
@@ -76,21 +89,21 @@ class Work:
 def fit_device(
     paths: Sequence[Path | Recording],
     folder: Path,
-    options: Options,
+    options: FitOptions,
     *,
     name: str | None = None,
     page: bool = True,
     work: Work | None = None,
-) -> Done:
+) -> CommandResult:
     """Fit one device from its recordings and write its files and, with `page`, its page.
 
     Arguments and errors are those of `shj_bayes.api.fit`. An unchanged finished result in `folder` is kept; an
     unfinished one is gone on with.
     """
-    options.check(len(paths))
+    check(options, len(paths))
     work = work or Work()
     recordings, name = work.begin(paths, folder, options, name)
-    model = options.device_model(len(recordings), options.read_priors())
+    model = options.device_model(len(recordings), priors_of(options))
     key = _key(paths, recordings, options, model, name)
     finished, note = finished_record(folder, key)
     fresh = finished is None
@@ -99,7 +112,7 @@ def fit_device(
     if page and (fresh or not (folder / "report.html").exists()):
         work.tell("drawing the page")
         render_device(folder)
-    return Done(finished, device_text(folder, finished, note), fresh=fresh, note=note)
+    return CommandResult(finished, device_text(folder, finished, note), fresh=fresh, note=note)
 
 
 def _fit(
@@ -126,12 +139,12 @@ def _fit(
 def diagnose_device(
     paths: Sequence[Path | Recording],
     folder: Path,
-    options: Options,
-    look: Look,
+    options: FitOptions,
+    wanted: DiagnoseOptions,
     *,
     name: str | None,
     work: Work,
-) -> Done:
+) -> CommandResult:
     """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
 
     Arguments are those of `shj_bayes.api.diagnose`.
@@ -141,7 +154,7 @@ def diagnose_device(
     from shj_bayes.report.diagnosis_page import render_diagnosis  # noqa: PLC0415
 
     recordings, name = work.begin(paths, folder, options, name)
-    priors, runs = options.read_priors(), runs_of(recordings)
+    priors, runs = priors_of(options), runs_of(recordings)
 
     def sample(model: DeviceModel, top: FloatArray) -> tuple[dict[str, FloatArray], Sampled]:
         """Fit what was found: the same files as those of `shj-bayes fit` with these effects."""
@@ -153,7 +166,7 @@ def diagnose_device(
         return draws, Sampled(how=f"{LIBRARY}; {'; '.join(record.reasons)}", verdict=record.verdict)
 
     given = options.device_model(len(runs), priors)
-    diagnosis = diagnose(runs, given, replace(look, name=name), seed=options.seed, sample=sample, tell=work.tell)
+    diagnosis = diagnose(runs, given, replace(wanted, name=name), seed=options.seed, sample=sample, tell=work.tell)
     findings = [finding.code for recording in recordings for finding in recording.findings]
     key = _key(paths, recordings, options, given, name)  # of the fit that it looks beyond
     diagnosis = replace(diagnosis, record=replace(diagnosis.record, simulated="simulated" in findings, key=key))
@@ -161,10 +174,10 @@ def diagnose_device(
     work.tell("drawing the pages")
     if has(FitRecord, folder):  # its page repeats the verdict
         render_device(folder)
-    return Done(diagnosis.record, diagnosis_text(diagnosis.record, render_diagnosis(folder)))
+    return CommandResult(diagnosis.record, diagnosis_text(diagnosis.record, render_diagnosis(folder)))
 
 
-def _usable(paths: Sequence[Path | Recording], options: Options, tell: Callable[[str], None]) -> list[Recording]:
+def _usable(paths: Sequence[Path | Recording], options: FitOptions, tell: Callable[[str], None]) -> list[Recording]:
     """Read recordings that are not read yet; refuse those that must not be fitted."""
     given = []
     for each in paths:
@@ -185,10 +198,99 @@ def _usable(paths: Sequence[Path | Recording], options: Options, tell: Callable[
 
 
 def _key(
-    paths: Sequence[Path | Recording], recordings: Sequence[Recording], options: Options, model: DeviceModel, name: str
+    paths: Sequence[Path | Recording],
+    recordings: Sequence[Recording],
+    options: FitOptions,
+    model: DeviceModel,
+    name: str,
 ) -> str:
     """Digest of all that the result depends on; the effects are those of the model, asked for or found."""
     changeable = any(isinstance(given, Recording) for given in paths)
     digests = [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
     chosen = asdict(options) | {"effects": [effect.id for effect in model.effects]}
     return key_of(digests, chosen, model.priors.sha256, name, speed=model.speed)
+
+
+def content_digest(recording: Recording) -> str:
+    """Digest of what a recording holds, whatever its file is called."""
+    extras = [extra.values for extra in recording.extras]
+    return _digest(recording.time_s, recording.displacement_mm, recording.force_kN, recording.used, *extras)
+
+
+def _digest(*arrays: object) -> str:
+    return hashlib.sha256(b"".join(np.asarray(values).tobytes() for values in arrays)).hexdigest()
+
+
+def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[Recording]:
+    """Warn where one of a device's recordings comes again, and where an option can have no effect.
+
+    Such as `free`, the parameters that each run has for itself, where there is one run.
+    """
+    if len(recordings) == 1 and free:
+        message = f"{', '.join(free)} cannot differ between runs where there is one run: --free has no effect"
+        return [recordings[0].with_findings(Finding("free-without-effect", "warning", message))]
+    first: dict[str, int] = {}
+    out = []
+    for number, recording in enumerate(recordings, start=1):
+        samples = _digest(recording.displacement_mm, recording.force_kN)  # whatever clock they were copied onto
+        earlier = first.setdefault(samples, number)
+        if earlier == number:
+            out.append(recording)
+            continue
+        message = (
+            f"run {number} ({recording.source.name}) holds the same samples as run {earlier} "
+            f"({recordings[earlier - 1].source.name}): the device would look as if a run changed nothing; name each "
+            "recording once"
+        )
+        out.append(recording.with_findings(Finding("same-recording", "warning", message)))
+    return out
+
+
+def refuse_used_folder(folder: Path, name: str, recordings: Sequence[Recording]) -> None:
+    """Refuse a folder that holds the result of another device: neither its name nor any recording is the same."""
+    mine = {recording.source.sha256 for recording in recordings}
+    # A damaged file is told of, and replaced, by whoever reads it.
+    for record in (find(FitRecord, folder), find(DiagnosisRecord, folder)):
+        if record and record.device != name and not mine & {str(sha256) for sha256 in record.sha256_of_inputs}:
+            word = record.FILE.removesuffix(".json")
+            raise InferenceError(
+                f"{folder.name} holds the {word} of another device, '{record.device}'; give '{name}' a folder of its "
+                "own with -o, or replace what is there with --force"
+            )
+
+
+def gamma_of(dep_mm_s: float | None) -> float:
+    """Speed coefficient, s/mm, of a dep, mm/s; None is no speed dependence."""
+    if dep_mm_s == 0:
+        raise ModelError("dep = 0 mm/s: allowed is any other number; leave --dep out for no speed dependence")
+    return 0.0 if dep_mm_s is None else 1 / dep_mm_s
+
+
+def write_simulated(
+    stem: Path, truth: Truth, *, seed: int, rate_Hz: float, last_cycles: int = 5, model: str = "published"
+) -> list[Path]:
+    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
+
+    The same seed gives the same files.
+    """
+    blocks = table_1(last_cycles)
+    recordings = simulate_device(truth, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    words = f"SIMULATED by shj-bayes, seed {seed}; not a measurement. Truth: {stem.name}.json"
+    paths = [
+        write_csv(stem.with_name(f"{stem.name}-run{run}.csv"), recording, comment=words)
+        for run, recording in enumerate(recordings, start=1)
+    ]
+    content = {
+        "schema": "shj-bayes/truth/1",
+        "simulated": True,
+        "seed": seed,
+        "model": model,
+        "rate_Hz": rate_Hz,
+        "blocks": [asdict(block) for block in blocks],
+        "truth": asdict(truth),
+        "units": {name: describe(name).unit for name in asdict(truth) if name in BASE},
+    }
+    path = stem.with_name(f"{stem.name}.json")
+    write_text(path, json.dumps(content, indent=1))
+    return [*paths, path]
