@@ -61,8 +61,14 @@ def option(
 def documented(kind: type[Kind]) -> type[Kind]:
     """Give a class of options the numpydoc section of its fields."""
     own: Any = kind
-    rows = [f"{one.name} : {one.type}\n    {one.metadata['words']}" for one in fields(own)]
-    kind.__doc__ = "\n".join([str(kind.__doc__), "", "Parameters", "----------", *rows])
+    rows = ["", "Parameters", "----------"]
+    for one in fields(own):
+        choices, bounds = one.metadata["choices"], one.metadata["bounds"]
+        allowed = (
+            f" One of {', '.join(choices)}." if choices else f" From {bounds[0]} to {bounds[1]}." if bounds else ""
+        )
+        rows.append(f"{one.name} : {one.type}, default {one.default!r}\n    {one.metadata['words']}{allowed}")
+    kind.__doc__ = "\n".join([str(kind.__doc__), *rows])
     return kind
 
 

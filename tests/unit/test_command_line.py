@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from shj_bayes.app import device
 from shj_bayes.app.resume import name_of_device
 from shj_bayes.cli import main
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.options import FitOptions
+from shj_bayes.options import DiagnoseOptions, FitOptions, MarginOptions, PlanOptions
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 
@@ -57,6 +58,17 @@ def test_help_answers_at_once_and_names_the_commands():
 def test_a_device_is_named_by_its_first_file_without_the_ending_of_its_format(ending):
     assert name_of_device(None, f"rig 2.5{ending}") == "rig 2.5"
     assert name_of_device("mine", f"rig{ending}") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [("fit", FitOptions), ("diagnose", DiagnoseOptions), ("plan", PlanOptions), ("margins", MarginOptions)],
+)
+def test_every_option_that_is_declared_is_one_of_its_command_and_is_explained(command, kind):
+    flags = {parameter.name for parameter in main.commands[command].params}
+    names = {one.name for one in fields(kind)}
+    assert names - {"runs"} <= flags  # it is given by three
+    assert all(f"\n{name} : " in kind.__doc__ for name in names)
 
 
 def test_the_command_runs_as_a_module():

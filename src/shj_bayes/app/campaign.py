@@ -8,7 +8,7 @@ take it. Population, margins and pages are made in the end.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -100,9 +100,11 @@ def run_campaign(
             words = did_you_mean(diagnose, DIAGNOSES)
             raise CampaignError(f"diagnose = {shown(diagnose)}; allowed are {', '.join(DIAGNOSES)}{words}")
         devices = tuple(replace(device, diagnose=diagnose) for device in devices)
-    crew = _Crew(folder, workers or os.cpu_count() or 1, cluster, progress)
-    outcomes, together, enter = _together(crew.run("fits", devices), folder)
-    outcomes = _fitted_with_sets(crew, outcomes, enter)
+    n_workers = workers or os.cpu_count() or 1
+    run = partial(_all_done, folder=folder, workers=n_workers, cluster=cluster, progress=progress)
+    outcomes, together, enter = _together(run(devices, "fits"), folder)
+    more = {o.device.folder: o for o in run(_with_sets(outcomes, enter), "with what the set has")}
+    outcomes = [_told_with_set(o, more.get(f"{o.device.folder}/{WITH_SET}")) for o in outcomes]
     write(campaign_record(manifest, outcomes, together), folder)
     return outcomes
 
@@ -145,58 +147,47 @@ def _together(
     return out, [from_json(SetTogether, one) for one in said["together"]], said["enter"]
 
 
-def _fitted_with_sets(crew: _Crew, outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]]) -> list[Outcome]:
-    """Fit the devices whose own fit lacks what their set has; the outcomes of the campaign with those of these fits."""
-    devices = []
-    for o in outcomes:
-        if o.device.folder in enter:
-            effects = (*o.device.options.effects, *enter[o.device.folder])
-            options = replace(o.device.options, effects=effects)
-            devices.append(replace(o.device, options=options, diagnose="off", below=f"/{WITH_SET}"))
-    done = {o.device.folder: o for o in crew.run("with what the set has", devices)}
-    out = []
-    for o in outcomes:
-        new = done.get(f"{o.device.folder}/{WITH_SET}")
-        if new is not None:
-            verdict = FAILED if new.status == FAILED else new.verdict
-            o = replace(o, with_set=verdict, with_set_reason=new.reason)  # noqa: PLW2901
-        out.append(o)
-    return out
+def _with_sets(outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]]) -> list[Device]:
+    """Devices whose own fit lacks what their set has, as they are to be fitted with it."""
+    return [
+        replace(
+            o.device,
+            options=replace(o.device.options, effects=(*o.device.options.effects, *enter[o.device.folder])),
+            diagnose="off",
+            below=f"/{WITH_SET}",
+        )
+        for o in outcomes
+        if o.device.folder in enter
+    ]
 
 
-@dataclass(frozen=True)
-class _Crew:
-    """Processes, of this machine or of a cluster, that fit and diagnose many devices."""
+def _told_with_set(outcome: Outcome, more: Outcome | None) -> Outcome:
+    """Outcome of a device with that of its fit with what its set has, where there is one."""
+    if more is None:
+        return outcome
+    return replace(outcome, with_set=more.verdict if more.status != FAILED else FAILED, with_set_reason=more.reason)
 
-    folder: Path
-    workers: int
-    cluster: str
-    progress: bool
 
-    def run(self, words: str, devices: Sequence[Device]) -> list[Outcome]:
-        """Outcome of each device, in order; those that are known already are taken as they are."""
-        outcomes = {device.folder: outcome for device in devices if (outcome := _kept(device, self.folder))}
-        waiting = [device for device in devices if device.folder not in outcomes]
-        quiet = None if self.progress and devices else True
-        with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
-            for device, outcome, reason in self._results(waiting, bar.set_postfix_str):
-                # It speaks of the device as the manifest names it.
-                new = replace(outcome, device=device) if outcome else Outcome(device, FAILED, reason)
-                outcomes[device.folder] = new
-                bar.update()
-        return [outcomes[device.folder] for device in devices]
-
-    def _results(
-        self, devices: Sequence[Device], tell: Callable[[str], None]
-    ) -> Iterator[tuple[Device, Outcome | None, str]]:
-        """Devices as they are finished, each with its outcome, or why there is none."""
-        if not self.cluster:
-            yield from results_here(self.workers, partial(_fit_one, folder=self.folder), devices)
-        elif devices:
-            there, named = self.folder.absolute(), {device.folder: device for device in devices}
-            sent, do = map(_with_whole_paths, devices), partial(_fit_one, folder=there)
-            for device, outcome, reason in results_on(self.cluster, there, do, sent, tell=tell):
-                yield named[device.folder], outcome, reason
+def _all_done(
+    devices: Sequence[Device], words: str, *, folder: Path, workers: int, cluster: str, progress: bool
+) -> list[Outcome]:
+    """Outcome of each device, in order: known already, or of a process, of this machine or of a cluster."""
+    outcomes = {device.folder: outcome for device in devices if (outcome := _kept(device, folder))}
+    waiting = [device for device in devices if device.folder not in outcomes]
+    quiet = None if progress and devices else True
+    with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
+        if not (cluster and waiting):
+            coming = results_here(workers, partial(_fit_one, folder=folder), waiting)
+        else:
+            there, sent = folder.absolute(), map(_with_whole_paths, waiting)
+            do = partial(_fit_one, folder=there)
+            coming = results_on(cluster, there, do, sent, tell=bar.set_postfix_str)
+        named = {device.folder: device for device in devices}  # an outcome speaks of the device as the manifest does
+        for device, outcome, reason in coming:
+            mine = named[device.folder]
+            outcomes[device.folder] = replace(outcome, device=mine) if outcome else Outcome(mine, FAILED, reason)
+            bar.update()
+    return [outcomes[device.folder] for device in devices]
 
 
 def _kept(device: Device, folder: Path) -> Outcome | None:

@@ -93,17 +93,8 @@ def check_files(folder: Path, record: FitRecord) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
-    """Work that was done: digest of what it rests on, digests of the files that it wrote, and what it said."""
-
-    rests_on: str
-    files: Mapping[str, str]
-    said: Any
-
-
-@dataclass(frozen=True, kw_only=True)
 class StageCache:
-    """Content of ``made.json``: the stages of a results folder by their names."""
+    """Content of ``made.json``: by stage the digest of what it rests on, those of its files, and what it said."""
 
     FILE: ClassVar[str] = "made.json"
     ERROR: ClassVar[type[ShjError]] = ShjError
@@ -111,7 +102,7 @@ class StageCache:
     AGAIN: ClassVar[str] = "run the command again"
 
     schema: Literal["shj-bayes/made/1"] = "shj-bayes/made/1"
-    stages: Mapping[str, Stage]
+    stages: Mapping[str, Mapping[str, Any]]
     digest: str = ""
 
 
@@ -129,16 +120,17 @@ def made(folder: Path, stage: str, rests_on: Any, writes: Sequence[str], make: C
     a package whose own files are others: an updated checkout has the same version number.
     """
     inputs = hashlib.sha256(json.dumps([package(), rests_on], sort_keys=True).encode()).hexdigest()
-    known = _stages(folder).get(stage)
-    if known and known.rests_on == inputs and known.files == digests(folder, writes):
-        return known.said  # type: ignore[no-any-return]
-    said: Said = json.loads(json.dumps(make()))  # as it will be read
-    new = Stage(rests_on=inputs, files=digests(folder, writes), said=said)
+    known = _stages(folder).get(stage, {})
+    if known.get("rests_on") == inputs and known.get("files") == digests(folder, writes):
+        said: Said = known["said"]
+        return said
+    said = json.loads(json.dumps(make()))  # as it will be read
+    new = {"rests_on": inputs, "files": digests(folder, writes), "said": said}
     write(StageCache(stages={**_stages(folder), stage: new}), folder, allow_nan=True)  # `make` may have added some
     return said
 
 
-def _stages(folder: Path) -> Mapping[str, Stage]:
+def _stages(folder: Path) -> Mapping[str, Mapping[str, Any]]:
     """Stages of a folder; none where nothing is known or the record cannot be trusted."""
     known = find(StageCache, folder)
     return known.stages if known else {}
