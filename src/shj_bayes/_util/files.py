@@ -34,6 +34,7 @@ MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
 _MAY_STEER = re.compile(rb"\\[bfru]|[\x7f-\xff]")  # in JSON; without these, no text in it holds what steers a terminal
 FOLDER_DIGITS = 12  # of a digest: a hundred thousand names of one slug share one with a chance of 2e-5
 MAX_ARRAYS = 2 * 1024**3  # draws of a hundred thousand sets
+MAX_SEARCHED = 5_000_000  # characters of TOML in which the line of a value is looked for: about a second
 _TOML = re.compile(  # texts of several lines, texts, remarks, signs, and anything between them
     r'"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|"(?:\\.|[^"\\])*"|\'[^\']*\'|#[^\n]*|[\[\]{}=,.\n]|[^\s\[\]{}=,.#"\']+',
     re.DOTALL,
@@ -244,9 +245,10 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
 def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
     """Line, from 1, of a valid TOML file on which a value begins; `keys` is the way to it: tables, places in lists.
 
-    None where there is no such key. What stands within braces or brackets begins where these do.
+    None where there is no such key, or the file is long. What stands within braces or brackets begins where these do.
     """
-    lines = _toml_lines(path.read_text(encoding="utf-8-sig"))
+    text = path.read_text(encoding="utf-8-sig")
+    lines = _toml_lines(text) if len(text) <= MAX_SEARCHED else {}
     found = (lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
     return next((line for line in found if line), None)
 
@@ -258,7 +260,8 @@ def _toml_lines(text: str) -> dict[tuple[str | int, ...], int]:
     here: tuple[str | int, ...] = ()
     words: list[str] = []  # of a header, or of a key and its =
     line, begin, depth = 1, 1, 0  # depth of brackets and braces of a value
-    for token in _TOML.findall(f"{text}\n"):
+    for match in _TOML.finditer(f"{text}\n"):
+        token = match[0]
         line += token.count("\n")
         if "=" in words:
             depth += _DEPTH.get(token, 0)
