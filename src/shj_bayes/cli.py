@@ -586,7 +586,7 @@ def doctor(as_json: bool) -> None:
 
     Also how fast this machine is.
     """
-    from shj_bayes.app.doctor import examine
+    from shj_bayes.app.device import examine
 
     record, text = examine()
     Output(as_json).show(record, text)

@@ -330,7 +330,7 @@ def test_an_interrupt_that_python_drops_stops_the_command_all_the_same(monkeypat
         for _ in range(1000):
             time.sleep(0.01)
 
-    monkeypatch.setattr("shj_bayes.app.doctor.examine", examine)
+    monkeypatch.setattr("shj_bayes.app.device.examine", examine)
     begin = time.monotonic()
     result = run("doctor")
     assert result.exit_code == 1

@@ -11,7 +11,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from shj_bayes._util.files import folder_name, plain_name, read_toml, toml_line
-from shj_bayes.app.resume import check
+from shj_bayes.app.resume import check_priors
 from shj_bayes.errors import CampaignError, ShjError, did_you_mean, shown
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DIAGNOSES, FitOptions
@@ -121,7 +121,7 @@ def _devices(top: _Table) -> Iterator[Device]:
 
 # What cannot be read or fitted is refused once for all devices that name it: a thousand share their options.
 _priors = lru_cache(read_priors)
-_check = lru_cache(check)
+_check = lru_cache(check_priors)
 
 
 @dataclass(frozen=True)

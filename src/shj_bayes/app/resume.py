@@ -225,7 +225,7 @@ def priors_of(options: FitOptions) -> Priors:
     return family if options.priors_from is None else earlier(options.priors_from).on(family)
 
 
-def check(options: FitOptions, n_runs: int) -> None:
+def check_priors(options: FitOptions, n_runs: int) -> None:
     """Refuse priors that cannot be read, or that lack a law that a device of so many runs needs."""
     assert options.device_model(n_runs, priors_of(options)).laws_of_parameters
 
