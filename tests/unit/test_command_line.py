@@ -15,8 +15,8 @@ from shj_bayes.cli import main
 from shj_bayes.commands import pipeline
 from shj_bayes.commands.finished import name_of_device
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 

@@ -13,7 +13,7 @@ from shj_bayes._util.files import file_digest, plain_name
 from shj_bayes._util.shipped import shipped
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.parameters import BASE, base_of
-from shj_bayes.recording.formats.catalogue import by_ending
+from shj_bayes.recording.reader import by_ending
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit
 from shj_bayes.results.diagnosis import LeftOver

@@ -8,8 +8,8 @@ from shj_bayes._util.files import write_text
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import BASE, describe
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import table_1
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import table_1
+from shj_bayes.recording.recording import write_csv
 
 
 def gamma_of(dep_mm_s: float | None) -> float:

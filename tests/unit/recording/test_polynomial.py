@@ -42,7 +42,7 @@ def test_usual_units_are_those_of_pint():
 
 HEAVY = "scipy pandas xarray pint numba matplotlib arviz emcee h5py"
 CASES = {
-    "check": ("shj_bayes.recording.check", HEAVY),
+    "check": ("shj_bayes.recording.runs", HEAVY),
     "finished": ("shj_bayes.commands.finished", HEAVY),
     "compare": ("shj_bayes.commands.comparison", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
     "unchanged campaign": (

@@ -12,7 +12,7 @@ from shj_bayes._util.files import read_json, write_text
 from shj_bayes._util.lock import alone_in
 from shj_bayes.errors import ProofError
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.recording import write_csv
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.report.page import head
 from shj_bayes.results.codec import from_json
