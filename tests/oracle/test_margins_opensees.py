@@ -11,7 +11,7 @@ from shj_bayes.margins.bounds import Bound
 from shj_bayes.margins.export import HELP, exponent_of_steel02, link_csv, python_script, tcl_script
 from shj_bayes.margins.monte_carlo import Drawn, draws_script
 from shj_bayes.model.law import force
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 HOSTILE = 'brass"; import os #\n[exec rm] {$x}'
 BOUNDS = tuple(

@@ -21,7 +21,7 @@ from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.planning.known import PLANNED, Known, RivalModel
 from shj_bayes.planning.protocol import Protocol
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 
 BoolArray = NDArray[np.bool_]

@@ -17,7 +17,7 @@ from shj_bayes.model.noise.filter import simulate
 from shj_bayes.planning.foresight import ForeseenQuantity, entropy_of, spread_of
 from shj_bayes.planning.known import PLANNED, Key, Known, RivalModel
 from shj_bayes.planning.protocol import Protocol
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 
 

@@ -15,7 +15,7 @@ from shj_bayes.population.correlation import correlation_draws
 from shj_bayes.population.posterior import ANY_SET, PopulationResult
 from shj_bayes.population.priors import ASSUMED
 from shj_bayes.population.quantities import LATER_RUNS, LEVELS, QUANTITIES, Band, FloatArray, band_of, quantity, stream
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 SECOND_RUN = "Fy_second"
 RUN_FORCES = {SECOND_RUN: "ratio"} | {f"Fy_run{run}": f"ratio_{run}" for run in LATER_RUNS}
