@@ -37,7 +37,6 @@ from shj_bayes.margins.bounds import DEFAULT, NONE, delivered, outer
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.quantities import counted_from, of_readings, pooled
-from shj_bayes.margins.request import PLAIN
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.spread import DesignBasis, Environment, Sample, common_spread, of_set
@@ -46,6 +45,7 @@ from shj_bayes.margins.virtual_test import Readings, read_off
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import PLAIN
 from shj_bayes.population.predict import NewDevice
 from shj_bayes.population.priors import other_priors, population_prior
 from shj_validation.proof.cases import Concealed, Key, stated_key

@@ -32,9 +32,9 @@ from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import DOUBT
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.foresight import quantity_of
 from shj_bayes.planning.known import Key as Set
 from shj_bayes.planning.known import Known, Subject, class_of, common_scales, know
@@ -158,7 +158,7 @@ def _trial(key: Key, seed: int, number: int, question: str) -> dict[str, Any]:
     candidates = proposals(rig, seed, (expert,))
     runs = runs_of([first])
     scales = common_scales(runs, candidates)
-    tested = Subject("device", runs, device, found.sets, Look(quick=True).hidden(device))
+    tested = Subject("device", runs, device, found.sets, DiagnoseOptions(quick=True).hidden(device))
     known = know(tested, scales)
     quantity = None if question == "which" else quantity_named(known, question)
     plan = make_plan(
@@ -214,7 +214,9 @@ class Diagnosed:
 
 
 def _diagnosed(recordings: Sequence[Recording], device: DeviceModel, truth: set[str]) -> Diagnosed:
-    record = diagnose(runs_of(list(recordings)), replace(device, n_runs=len(recordings)), Look(quick=True)).content
+    record = diagnose(
+        runs_of(list(recordings)), replace(device, n_runs=len(recordings)), DiagnoseOptions(quick=True)
+    ).content
     sets = tuple((frozenset(s["classes"]), float(s["probability"])) for s in record["sets"])
     return Diagnosed(str(record["verdict"]), sets or ((frozenset(), 1.0),), frozenset(truth))
 

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import PopulationError, plain_text
-from shj_bayes.margins.request import Request
 from shj_bayes.margins.specimen import Belief, Specimen, largest_ranges
 from shj_bayes.margins.virtual_test import drive
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.options import MarginOptions
 from shj_bayes.recording.motion import Block, Motion, alternating, exact_motion, hysteresis
 from shj_bayes.recording.reader import read_history
 
@@ -146,7 +146,7 @@ class LoadCase:
     channels: tuple[tuple[str, float], ...] = ()
 
 
-def asked_for(request: Request, specimens: Sequence[Specimen]) -> LoadingHistory | None:
+def asked_for(request: MarginOptions, specimens: Sequence[Specimen]) -> LoadingHistory | None:
     """Give the history that is asked for; None for the test that each device went through.
 
     The largest common amplitude and speed of the tested devices stand in for what was not stated.

@@ -14,7 +14,6 @@ from shj_bayes.margins.asked import LoadingHistory, published_factors
 from shj_bayes.margins.bounds import newcomers
 from shj_bayes.margins.codes.catalogue import catalogue
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.spread import (
     NOT_NORMAL,
@@ -27,6 +26,7 @@ from shj_bayes.margins.spread import (
     samples,
 )
 from shj_bayes.margins.trial import Trial
+from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import never_tested_words, sets_suffice
@@ -105,7 +105,7 @@ def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationRes
 def margins(
     design: PopulationResult,
     trials: Sequence[Trial],
-    request: Request = PLAIN,
+    request: MarginOptions = PLAIN,
     *,
     asked: LoadingHistory | None = None,
     words: Sequence[str] = (),
@@ -134,7 +134,7 @@ def margins(
     return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
 
 
-def _rows(result: PopulationResult, trials: Sequence[Trial], request: Request) -> Iterator[Margin]:
+def _rows(result: PopulationResult, trials: Sequence[Trial], request: MarginOptions) -> Iterator[Margin]:
     by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
     for name in request.sets or (*result.set_names, ANY_SET):
@@ -203,7 +203,7 @@ def _given(
     by_set: Mapping[str, dict[str, Sample]],
     common: Mapping[str, tuple[float, int]],
     parts: DesignBasis,
-    request: Request,
+    request: MarginOptions,
 ) -> Given:
     """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
     if name != ANY_SET:
@@ -233,7 +233,11 @@ def _degradation(row: Margin) -> Margin:
 
 
 def _warnings(
-    result: PopulationResult, request: Request, spoken: Sequence[str], asked: LoadingHistory | None, laws: Sequence[str]
+    result: PopulationResult,
+    request: MarginOptions,
+    spoken: Sequence[str],
+    asked: LoadingHistory | None,
+    laws: Sequence[str],
 ) -> Iterator[str]:
     """Say what limits the use of the margins: what was taken as known, what was not tested, where tests are too few."""
     tested = result.tested

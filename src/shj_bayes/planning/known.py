@@ -13,10 +13,9 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi2, nct, norm
 
-from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
-from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.errors import PlanError
+from shj_bayes.errors import PlanError, did_you_mean
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
@@ -25,7 +24,6 @@ from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, ODDS, PRESENT, TY
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
-from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, N_OF_RUN, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
@@ -34,6 +32,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.history import SCALES, History, histories
 from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.protocol import Candidates
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Extra, Recording, Source
@@ -95,7 +94,7 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
-    tested = Subject(record.device, tuple(runs), device, sets, Look(without).hidden(device))
+    tested = Subject(record.device, tuple(runs), device, sets, DiagnoseOptions(without).hidden(device))
     return Stored(tested, spread)
 
 

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from shj_bayes._util.one_thread import one_blas_thread
+from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes.mismatch.classes import DOUBT, MATTERS
 from shj_bayes.planning.foresight import OUTCOMES, Foreseen, ForeseenQuantity, entropy_of, foresee
 from shj_bayes.planning.known import Known

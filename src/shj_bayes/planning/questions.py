@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import PlanError
+from shj_bayes.errors import PlanError, did_you_mean
 from shj_bayes.margins.quantities import counted_from, of_readings
 from shj_bayes.margins.virtual_test import Readings, read_off
 from shj_bayes.model.device import DeviceModel, meaning_of

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from shj_bayes._util.frozen_arrays import freeze
+from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.quantities import FloatArray, quantity
 

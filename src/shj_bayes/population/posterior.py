@@ -6,9 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes._util.frozen_arrays import freeze
-from shj_bayes.errors import PopulationError
+from shj_bayes._util.arrays import freeze
+from shj_bayes.errors import PopulationError, did_you_mean
 from shj_bayes.population.device import Tags
 from shj_bayes.population.priors import PopulationPrior
 from shj_bayes.population.quantities import FloatArray

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import trapezoid
 
-from shj_bayes._util.frozen_arrays import frozen
+from shj_bayes._util.arrays import frozen
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
 from shj_bayes.population.correlation import correlation_draws

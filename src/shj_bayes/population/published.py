@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from shj_bayes._util.shipped import shipped
+from shj_bayes._util.files import shipped
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags
 from shj_bayes.population.measurement import Rounded

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shj_bayes._util.discover import constants
 from shj_bayes._util.files import file_digest, need_files
+from shj_bayes._util.imports import constants
 from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording import formats
 from shj_bayes.recording.checks import inspect, plausibility_findings, repair, with_exchange

@@ -8,7 +8,7 @@ from math import factorial
 
 import numpy as np
 
-from shj_bayes._util.frozen_arrays import freeze, frozen
+from shj_bayes._util.arrays import freeze, frozen
 from shj_bayes.recording.limits import (
     BIAS_RANGE,
     BIAS_SHARE,

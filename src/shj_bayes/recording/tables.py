@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, did_you_mean
 from shj_bayes.recording import limits
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.units import multiplier

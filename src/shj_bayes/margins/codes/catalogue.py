@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from shj_bayes._util.discover import discovered
+from shj_bayes._util.imports import discovered
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import codes
 from shj_bayes.margins.codes.code import Code

@@ -4,9 +4,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import FACTORS, Margin
 from shj_bayes.margins.spread import DesignBasis, Sample, Spread
+from shj_bayes.options import MarginOptions
 from shj_bayes.population.quantities import LOWEST
 
 
@@ -20,7 +20,7 @@ class Given:
     spreads: Mapping[str, tuple[Spread, ...]] = field(repr=False)  # ways to come by the spread of each quantity
     devices: Mapping[str, int]  # tested devices behind each quantity
     parts: DesignBasis  # nominal and delivered forces, ageing
-    request: Request  # choices of the user
+    request: MarginOptions  # choices of the user
 
     def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
         """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from shj_bayes._util.child_processes import PYTHON, bound_memory, end_with_input, tether
+from shj_bayes._util.processes import PYTHON, bound_memory, end_with_input, tether
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
 from shj_bayes.recording.recording import Finding

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import RecordingError, shown
+from shj_bayes.errors import RecordingError, did_you_mean, shown
 from shj_bayes.recording import limits
 from shj_bayes.recording.columns import candidates
 from shj_bayes.recording.formats.text import table_from_lines

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes._util.lock import alone_in
-from shj_bayes.commands.finished import Done
+from shj_bayes._util.files import alone_in
+from shj_bayes.app.resume import CommandResult
 from shj_bayes.errors import PlanError
 from shj_bayes.margins.asked import from_file
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.asked import PlanOptions
+from shj_bayes.options import PlanOptions
 from shj_bayes.planning.files import PlanRecord, force_record, plan_record, write_plan
 from shj_bayes.planning.known import (
     Known,
@@ -26,7 +26,7 @@ from shj_bayes.planning.known import (
     read_device,
 )
 from shj_bayes.planning.plan import FORCE, WHICH, Plan, Question, make_plan
-from shj_bayes.planning.protocol import Candidates, Protocol, Rig, proposals, table_1_protocol
+from shj_bayes.planning.protocol import LIMITS, Candidates, Protocol, Rig, proposals, stated_limits, table_1_protocol
 from shj_bayes.planning.questions import quantity_named
 from shj_bayes.report.plan_page import plan_text, render_plan
 from shj_bayes.results.diagnosis import DiagnosisRecord
@@ -39,13 +39,19 @@ DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 @alone_in("out")
 def plan_next(
-    folders: Sequence[Path], out: Path, asked: PlanOptions, *, tell: Callable[[str], None] = lambda _: None
-) -> Done:
+    folders: Sequence[Path],
+    out: Path,
+    asked: PlanOptions,
+    *,
+    rig: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> CommandResult:
     """Plan the next test and write ``plan.json``, ``next-1.csv`` to ``next-3.csv`` and ``plan.html``.
 
-    The devices are those of the `folders` that `shj_bayes.api.plan` takes. `tell` gets one line for each step.
-    `PlanError` if a folder, a limit or a question cannot be used.
+    The devices are those of the `folders` that `shj_bayes.api.plan` takes; `rig` is a file of limits. `tell` gets one
+    line for each step. `PlanError` if a folder, a limit or a question cannot be used.
     """
+    limits = stated_limits(rig, {name: getattr(asked, name) for name in LIMITS})
     stored = [_read(folder) for folder in folders]
     if asked.question == FORCE:
         further = further_devices([s.Fy[0] for s in stored], [s.Fy[1] for s in stored])
@@ -53,8 +59,9 @@ def plan_next(
         return _written(out, record, None)
     tested = [s.tested for s in stored]
     base = DeviceModel(1, read_priors(asked.priors))
-    rig = _rig(tested, base, asked.limits)
-    candidates = proposals(rig, asked.seed, tuple(_protocol(Path(path), tell) for path in asked.histories))
+    candidates = proposals(
+        _rig(tested, base, limits), asked.seed, tuple(_protocol(Path(path), tell) for path in asked.histories)
+    )
     known = _known(tested, base, candidates, asked.among, tell)
     undecided = any(len(k.keys) > 1 for k in known)
     word = asked.question or (WHICH if undecided else DEFAULT_QUESTION)
@@ -81,10 +88,10 @@ def _known(
     return [know(one, common_scales(one.runs, candidates), tell) for one in tested]
 
 
-def _written(out: Path, record: PlanRecord, plan: Plan | None) -> Done:
+def _written(out: Path, record: PlanRecord, plan: Plan | None) -> CommandResult:
     """Write the files and the page of a plan; what a question about further devices gives has no protocol."""
     write_plan(out, record, plan)
-    return Done(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
+    return CommandResult(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
 
 
 def _read(folder: Path) -> Stored:
