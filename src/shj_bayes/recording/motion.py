@@ -162,7 +162,7 @@ _GOOD = 1.1  # a fit whose residual is not more than this many times the noise i
 _MAX_POINTS = 400  # the fit thins out more samples than this: its noise is then far below the smoothing's
 _AT_REST = 5.0  # standard deviations of a sample from the level of a rest
 _STILL = 1e-5  # of the whole stroke: less is no motion, however exact the samples are
-_MOST = 0.5  # share of the samples near an extreme that stand still when it is a rest
+_WIDER, _MOST = 4.0, 0.65  # share of what is so many times as near: half of it in a parabola, a quarter at a corner
 _WELL_AWAY = 4.0  # of what is near a rest: a motion that begins is followed so far
 _MOMENTS = 400  # at which it may begin
 _POOR = 1.5  # a fit whose residual is this many times the noise is no smooth peak (a corner or a rest)
@@ -351,17 +351,22 @@ def _rest(
 ) -> tuple[float, float] | None:
     """End and level of a rest; None when the samples near the extreme are few.
 
-    The smoothed extreme of a long rest is that of its noise, several standard deviations beyond where the device stood.
+    The smoothed extreme of a long rest is that of its noise, several standard deviations beyond where the device stood,
+    and beside a slow motion a smoothing window is longer than the rest.
     """
     lo, index, hi = around
     level = float(smoothed[index])
     near = max(_AT_REST * noise, _STILL * float(np.ptp(raw)))
+    padded = np.pad(raw[lo : hi + 1], 1, mode="edge")
+    steady = np.median([padded[:-2], padded[1:-1], padded[2:]], axis=0)  # one sample beyond the noise is none
     for _ in range(3):
-        away = np.flatnonzero(np.abs(smoothed[lo : hi + 1] - level) > near) + lo
+        away = np.flatnonzero(np.abs(steady - level) > near) + lo
         first = int(away[away < index][-1]) + 1 if np.any(away < index) else lo
         last = int(away[away > index][0]) - 1 if np.any(away > index) else hi
         level = float(np.median(raw[first : last + 1]))
-    if last - first + 1 < _MIN_POINTS or last - first < _MOST * (hi - lo):
+    beyond = np.flatnonzero(np.abs(steady - level) > _WIDER * near) + lo
+    begins, ends = int(beyond[beyond < index].max(initial=lo)), int(beyond[beyond > index].min(initial=hi))
+    if last - first + 1 < _MIN_POINTS or last - first < _MOST * (ends - begins):
         return None
     return _departure(time_s, raw, (first, last, hi), level, near), level
 

@@ -104,6 +104,15 @@ def test_corners_and_rests_are_kept(rest, noise):
         assert np.allclose(t[motion.start[1:-1]], np.arange(1, 10) * 7.0, atol=0.05)
 
 
+@pytest.mark.parametrize(("stroke", "speed", "rest"), [(24.0, 1.0, 4.4), (48.0, 1.0, 2.0), (48.0, 5.0, 1.0)])
+def test_a_rest_is_one_however_slowly_the_device_comes_and_goes(stroke, speed, rest):
+    """The samples near the extreme are then most of them in motion: it turned 0.05 mm too far, and before the rest."""
+    t, x, _ = triangle(20.0, speed=speed, stroke=stroke, noise=0.013, rest=rest)
+    motion = motion_of(Recording(t, x, np.zeros(t.size)))
+    np.testing.assert_allclose(motion.turning_mm[1:], [stroke, 0.0] * 4 + [stroke], atol=0.013)
+    np.testing.assert_allclose(t[motion.start[1:-1]], np.arange(1, 10) * (stroke / speed + rest), atol=0.3)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.03])
 def test_a_long_rest_at_the_end_of_a_sine_belongs_to_the_stroke_before_it(noise):
     """However exact the samples are: the published rule jumps when the motion back begins, not before."""
