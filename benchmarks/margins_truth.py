@@ -47,7 +47,7 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.predict import NewDevice
-from shj_bayes.population.priors import other_priors, population_prior
+from shj_bayes.population.quantities import other_priors, population_prior
 from shj_validation.proof.cases import Concealed, Key, stated_key
 from shj_validation.proof.device import Device
 from shj_validation.proof.make import make

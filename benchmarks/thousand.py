@@ -34,7 +34,7 @@ from shj_bayes.margins.sheet import margins, pool
 from shj_bayes.margins.trial import Trial
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import Tags
-from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.margins_page import render_margins

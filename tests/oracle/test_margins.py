@@ -18,7 +18,7 @@ from shj_bayes.margins.virtual_test import drive, read_off
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
-from shj_bayes.population.published import published_rows
+from shj_bayes.population.device import published_rows
 from shj_validation.paper_claims import pair_spread
 
 # EN 1990 Annex D, as printed

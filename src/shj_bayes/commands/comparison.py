@@ -10,10 +10,9 @@ import pandas as pd
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.commands.design import MOST_DRAWN, read_devices
 from shj_bayes.margins.curves import CurveContrast, compare_curves
-from shj_bayes.population.compare import ROPE, Comparison, compare
-from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.compare import ROPE, Comparison, compare, members, strata_of
+from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.results import load_population
-from shj_bayes.population.selectors import members, strata_of
 from shj_bayes.report.sets import curve_words, pairs
 
 

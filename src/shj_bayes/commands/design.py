@@ -27,7 +27,7 @@ from shj_bayes.margins.specimen import (
     words_of,
 )
 from shj_bayes.margins.trial import try_all
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.results import load_population
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins

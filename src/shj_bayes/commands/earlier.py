@@ -14,7 +14,7 @@ from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import damage_told, file_digest
 from shj_bayes.errors import PriorError
 from shj_bayes.model.priors import Prior, Priors
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.quantities import band_of
 from shj_bayes.recording.recording import Finding, Recording
 from shj_bayes.results.campaign import CampaignRecord, read_campaign

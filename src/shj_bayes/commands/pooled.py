@@ -11,13 +11,10 @@ from shj_bayes.commands.campaign import Outcome
 from shj_bayes.commands.comparison import curve_records, curves_of_pairs
 from shj_bayes.commands.margin_sheet import POPULATION, design_margins
 from shj_bayes.commands.summary import WRITES
-from shj_bayes.population.fits import device_from_fit, tested_by_fit
-from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
-from shj_bayes.population.published import Claim, published_devices
 from shj_bayes.population.results import load_population, record_of, write_population
-from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.sets import SHOWN, name_of
 from shj_bayes.results.codec import to_json

@@ -12,7 +12,7 @@ from shj_bayes._util.shipped import shipped
 from shj_bayes.commands.campaign import FAILED, Outcome
 from shj_bayes.commands.finished import Done
 from shj_bayes.commands.margin_sheet import MARGINS, PAGE, POPULATION, campaign_inputs
-from shj_bayes.population.published import Claim
+from shj_bayes.population.device import Claim
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.results.campaign import read_campaign
 from shj_bayes.results.codec import to_json

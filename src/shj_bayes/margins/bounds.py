@@ -13,7 +13,7 @@ from shj_bayes.margins import row
 from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.parameters import base_of
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import NewDevice, new_device, sets_suffice
 from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, stream
 from shj_bayes.population.quantities import quantity as described

@@ -17,7 +17,7 @@ from shj_bayes.margins.quantities import TABLE
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Key, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.results import safe_cell
 
 SCHEMA = "shj-bayes/margins/1"

@@ -19,7 +19,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.margins.bounds import newcomers, own_devices, priors_that_count
 from shj_bayes.margins.export import NOTES, exponent_of_steel02, filled, plain
 from shj_bayes.model.law import BETA_RANGE
-from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.results import safe_cell
 

@@ -27,11 +27,10 @@ from shj_bayes.margins.spread import (
     samples,
 )
 from shj_bayes.margins.trial import Trial
-from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior
+from shj_bayes.population.device import RangeTested
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.quantities import LOWEST, MOST, THIRD_CYCLE, FloatArray
-from shj_bayes.population.tested import RangeTested
 
 UNEQUAL = 2.0
 """Sets spread unequally when the widest of them is surely (95 %) more than this many times the tightest."""

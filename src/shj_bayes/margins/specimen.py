@@ -15,7 +15,7 @@ from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.measured import Measured
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
-from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import exact_motion, table_1

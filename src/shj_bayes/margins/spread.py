@@ -9,7 +9,7 @@ import numpy as np
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.bounds import NONE, Bounds, Delivered, Newcomers, delivered, own_devices
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import ANY_SET, DeviceSet, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LEVELS, LOWEST, THIRD_CYCLE, FloatArray, quantity
 
 

@@ -20,8 +20,7 @@ from shj_bayes.margins.virtual_test import Readings, drive, read_off
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
-from shj_bayes.population.measurement import Likelihood, Measurement
-from shj_bayes.population.quantities import band_of
+from shj_bayes.population.quantities import Likelihood, Measurement, band_of
 
 LEAST_ERROR = 1e-3
 """Least standard deviation of the logarithm with which a value is taken to be known."""

@@ -11,13 +11,10 @@ import numpy as np
 import shj_bayes
 from shj_bayes._util.files import damage_told, file_digest, refuse_packed, replacing, write_text
 from shj_bayes.errors import PopulationError, ShjError
-from shj_bayes.population.correlation import correlation_table
-from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.predict import how_wide, new_device_table
-from shj_bayes.population.priors import PopulationPrior
-from shj_bayes.population.quantities import FloatArray
-from shj_bayes.population.tested import RangeTested
+from shj_bayes.population.device import NO_TAGS, RangeTested, Tags
+from shj_bayes.population.hierarchy import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.predict import correlation_table, how_wide, new_device_table
+from shj_bayes.population.quantities import FloatArray, PopulationPrior
 from shj_bayes.results.codec import IF_KNOWN
 from shj_bayes.results.store import read, write
 

@@ -6,8 +6,8 @@ from typing import Any
 from urllib.parse import quote
 
 from shj_bayes.margins.curves import CurveContrast
-from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.published import Claim, Holding
+from shj_bayes.population.device import Claim, Holding
+from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.results import PopulationRecord, load_population
 from shj_bayes.report import words
 from shj_bayes.report.campaign_physics import holders, statements, table

@@ -11,7 +11,7 @@ from shj_bayes.errors import ShjError
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.population.compare import Comparison, compare
-from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.predict import (
     RUN_FORCES,
     SECOND_RUN,

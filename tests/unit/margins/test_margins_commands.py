@@ -16,9 +16,9 @@ from shj_bayes.commands.design import margin_text
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sheet import margins
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.compare import is_bare
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.results import write_population
-from shj_bayes.population.selectors import is_bare
 from shj_bayes.report.margins_page import counted, set_table
 
 LABEL = "=cmd|'<b>"

@@ -21,8 +21,8 @@ from shj_bayes.margins.sheet import CAPACITY, DRIFT, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
 from shj_bayes.margins.spread import corroded_pairs
 from shj_bayes.margins.trial import try_all
-from shj_bayes.population.posterior import ANY_SET
-from shj_bayes.population.tested import PUBLISHED, RangeTested, common
+from shj_bayes.population.device import PUBLISHED, RangeTested, common
+from shj_bayes.population.hierarchy import ANY_SET
 
 LABEL = "=cmd|'<b>"
 

@@ -16,7 +16,7 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import SCALES, histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import Tags
-from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.recording.protocol import exact_motion, table_1
 
 LAW = {"K": 15.0, "Fy": 80.0, "beta": 15.0, "gamma": 0.0, "ratio": 0.95}

@@ -20,7 +20,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, TESTING, Margin
 from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, known, limit, remarks, sd_of_log
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.quantities import quantity as described
 
 CHARACTERISTIC = 0.05
