@@ -33,16 +33,22 @@ from shj_bayes.inference.squares import LawOnly, descend
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
 from shj_bayes.inference.start import find_start
-from shj_bayes.margins.bounds import DEFAULT, NONE, delivered, outer
-from shj_bayes.margins.codes.catalogue import catalogue
-from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.quantities import counted_from, of_readings, pooled
+from shj_bayes.margins.basis import DEFAULT, NONE, DesignBasis, Environment, delivered, outer
+from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.request import PLAIN
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
-from shj_bayes.margins.spread import DesignBasis, Environment, Sample, common_spread, of_set
-from shj_bayes.margins.trial import LEAST_ERROR, own_readings, try_all
-from shj_bayes.margins.virtual_test import Readings, read_off
+from shj_bayes.margins.spread import Sample, common_spread, of_set
+from shj_bayes.margins.virtual_test import (
+    LEAST_ERROR,
+    Readings,
+    counted_from,
+    of_readings,
+    own_readings,
+    pooled,
+    read_off,
+    try_all,
+)
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors

@@ -35,12 +35,11 @@ from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.foresight import quantity_of
-from shj_bayes.planning.known import Key as Set
-from shj_bayes.planning.known import Known, Subject, class_of, common_scales, know
+from shj_bayes.planning.information import quantity_named, quantity_of
 from shj_bayes.planning.plan import Question, make_plan
 from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Rig, Waveform, proposals, within
-from shj_bayes.planning.questions import quantity_named
+from shj_bayes.planning.rivals import Key as Set
+from shj_bayes.planning.rivals import Known, Subject, class_of, common_scales, know
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key, development_keys, stated_key
 from shj_validation.proof.make import make

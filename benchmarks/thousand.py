@@ -29,9 +29,8 @@ import numpy as np
 
 from shj_bayes.commands.campaign import read_manifest, run_campaign
 from shj_bayes.margins.files import write_margins
-from shj_bayes.margins.quantities import TABLE
 from shj_bayes.margins.sheet import margins, pool
-from shj_bayes.margins.trial import Trial
+from shj_bayes.margins.virtual_test import TABLE, Trial
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult

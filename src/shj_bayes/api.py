@@ -28,7 +28,7 @@ from shj_bayes.errors import OptionError, ReportError
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.mismatch.look import Look
 from shj_bayes.planning.asked import PlanOptions
-from shj_bayes.planning.files import PlanRecord
+from shj_bayes.planning.plan import PlanRecord
 from shj_bayes.planning.protocol import stated_limits
 from shj_bayes.population.results import PopulationRecord
 from shj_bayes.recording.frame import read_frame

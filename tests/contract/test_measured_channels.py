@@ -10,14 +10,14 @@ from scipy.ndimage import gaussian_filter1d
 import shj_bayes
 from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.margins.asked import following_of
+from shj_bayes.margins.history import following_of
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import Base, Contribution
 from shj_bayes.model.history import histories
-from shj_bayes.planning.known import common_scales, know, read_device
 from shj_bayes.planning.protocol import Candidates, Rig, table_1_protocol
+from shj_bayes.planning.rivals import common_scales, know, read_device
 from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording

@@ -23,7 +23,7 @@ from shj_bayes.commands.simulated import write_simulated
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
 from shj_bayes.planning import plan
-from shj_bayes.planning.rehearsal import rehearse
+from shj_bayes.planning.information import rehearse
 from shj_bayes.report.browse import find_browser
 
 TOP = Path(__file__).resolve().parents[2]

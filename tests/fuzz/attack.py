@@ -17,7 +17,7 @@ from shj_bayes.commands.campaign import read_manifest
 from shj_bayes.commands.earlier import earlier
 from shj_bayes.errors import ShjError
 from shj_bayes.inference import sampler as checkpoint
-from shj_bayes.margins.asked import from_file
+from shj_bayes.margins.history import from_file
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import device_from_fit
 from shj_bayes.population.results import load_population

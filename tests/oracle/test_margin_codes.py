@@ -8,14 +8,13 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.bounds import NONE, Bounds, Delivered, delivered
+from shj_bayes.margins.basis import NONE, Bounds, Delivered, DesignBasis, Environment, delivered
 from shj_bayes.margins.codes import asce7, en15129
-from shj_bayes.margins.codes.catalogue import catalogue
-from shj_bayes.margins.codes.code import Given
+from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.codes.iso16269_6 import one_sided
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.spread import DesignBasis, Environment, Sample, between_sets, of_set
+from shj_bayes.margins.spread import Sample, between_sets, of_set
 from shj_bayes.population.predict import NewDevice
 
 FORCE = Delivered(

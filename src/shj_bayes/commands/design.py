@@ -10,12 +10,20 @@ import numpy as np
 
 from shj_bayes._util.files import need_population, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import LEEWAY, asked_for, left_out_words
-from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
-from shj_bayes.margins.export import link_csv, loops, python_script, tcl_script, write_loops
+from shj_bayes.margins.export import (
+    bounds,
+    draw_devices,
+    draws_csv,
+    draws_script,
+    link_csv,
+    loops,
+    python_script,
+    tcl_script,
+    write_loops,
+)
 from shj_bayes.margins.files import CHOSEN, design_table, to_json, write_margins
-from shj_bayes.margins.monte_carlo import draw_devices, draws_csv, draws_script
+from shj_bayes.margins.history import LEEWAY, asked_for, left_out_words
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import (
@@ -26,7 +34,7 @@ from shj_bayes.margins.specimen import (
     specimens_of_table,
     words_of,
 )
-from shj_bayes.margins.trial import try_all
+from shj_bayes.margins.virtual_test import try_all
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.results import load_population
 from shj_bayes.report.campaign_physics import statements

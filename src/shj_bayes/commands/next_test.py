@@ -9,12 +9,14 @@ import numpy as np
 from shj_bayes._util.lock import alone_in
 from shj_bayes.commands.finished import Done
 from shj_bayes.errors import PlanError
-from shj_bayes.margins.asked import from_file
+from shj_bayes.margins.history import from_file
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.asked import PlanOptions
-from shj_bayes.planning.files import PlanRecord, force_record, plan_record, write_plan
-from shj_bayes.planning.known import (
+from shj_bayes.planning.information import FORCE, WHICH, quantity_named
+from shj_bayes.planning.plan import Plan, PlanRecord, Question, force_record, make_plan, plan_record, write_plan
+from shj_bayes.planning.protocol import Candidates, Protocol, Rig, proposals, table_1_protocol
+from shj_bayes.planning.rivals import (
     Known,
     Stored,
     Subject,
@@ -25,9 +27,6 @@ from shj_bayes.planning.known import (
     know,
     read_device,
 )
-from shj_bayes.planning.plan import FORCE, WHICH, Plan, Question, make_plan
-from shj_bayes.planning.protocol import Candidates, Protocol, Rig, proposals, table_1_protocol
-from shj_bayes.planning.questions import quantity_named
 from shj_bayes.report.plan_page import plan_text, render_plan
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.store import has, read

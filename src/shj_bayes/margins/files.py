@@ -13,10 +13,10 @@ from typing import Any
 import pandas as pd
 
 from shj_bayes._util.files import replacing, write_text
-from shj_bayes.margins.quantities import TABLE
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Key, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
+from shj_bayes.margins.virtual_test import TABLE
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.results import safe_cell
 

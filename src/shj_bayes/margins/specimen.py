@@ -139,6 +139,20 @@ class Specimen:
         return tuple(history.on_scales_of(self.histories[-1], motion.displacement_mm) for history in drawn)
 
 
+def drive(
+    model: DeviceModel, theta: FloatArray, histories: Sequence[History], start_force_kN: Sequence[float] = ()
+) -> tuple[FloatArray, ...]:
+    """Force of every draw of a device, shape (m, d), in consecutive runs, each of shape (m, n_samples), kN.
+
+    Each run starts with the force given, or unloaded.
+    """
+    starts = start_force_kN or (0.0,) * len(histories)
+    forces = tuple(model.force(theta, history, start) for history, start in zip(histories, starts, strict=True))
+    if not all(np.isfinite(force).all() for force in forces):
+        raise PopulationError("the model of a device gives no finite force for this history; check its posterior")
+    return forces
+
+
 def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = None) -> Specimen:
     """Read a tested device from the folder of its fit, and of the fit that its diagnosis ended in (`found`), if any."""
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.model.history import histories
-from shj_bayes.planning.files import PlanRecord
-from shj_bayes.planning.known import ASSURANCE, WITHIN, Known, RivalModel, mechanisms_of
-from shj_bayes.planning.plan import WHICH, Plan, Worth
+from shj_bayes.planning.information import WHICH
+from shj_bayes.planning.plan import Plan, PlanRecord, Worth
+from shj_bayes.planning.rivals import ASSURANCE, WITHIN, Known, RivalModel, mechanisms_of
 from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.page import write_page
 

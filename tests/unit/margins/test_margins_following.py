@@ -5,12 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from shj_bayes.margins.asked import courses, following_of, left_out_words, sine, values_to_try, words_of
-from shj_bayes.margins.bounds import Bound
-from shj_bayes.margins.export import python_script, tcl_script
-from shj_bayes.margins.specimen import Belief, Specimen
-from shj_bayes.margins.trial import try_all
-from shj_bayes.margins.virtual_test import drive
+from shj_bayes.margins.export import Bound, python_script, tcl_script
+from shj_bayes.margins.history import courses, following_of, left_out_words, sine, values_to_try, words_of
+from shj_bayes.margins.specimen import Belief, Specimen, drive
+from shj_bayes.margins.virtual_test import try_all
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories

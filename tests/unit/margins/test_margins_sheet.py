@@ -8,19 +8,16 @@ import openpyxl
 import pytest
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.agreement import agreement
-from shj_bayes.margins.asked import LAWS, published_factors, sine
-from shj_bayes.margins.bounds import bounds, newcomers
+from shj_bayes.margins.basis import corroded_pairs, newcomers
 from shj_bayes.margins.codes import en1990, iso16269_6
-from shj_bayes.margins.export import loops, write_loops
+from shj_bayes.margins.export import bounds, draw_devices, loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
-from shj_bayes.margins.monte_carlo import draw_devices
+from shj_bayes.margins.history import LAWS, published_factors, sine
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
-from shj_bayes.margins.sheet import CAPACITY, DRIFT, margins, pool
+from shj_bayes.margins.sheet import CAPACITY, DRIFT, agreement, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
-from shj_bayes.margins.spread import corroded_pairs
-from shj_bayes.margins.trial import try_all
+from shj_bayes.margins.virtual_test import try_all
 from shj_bayes.population.device import PUBLISHED, RangeTested, common
 from shj_bayes.population.hierarchy import ANY_SET
 

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import depends, sine
-from shj_bayes.margins.quantities import counted_from, of_readings
+from shj_bayes.margins.history import depends, sine
 from shj_bayes.margins.sheet import pool
-from shj_bayes.margins.specimen import Belief, Specimen
-from shj_bayes.margins.trial import try_all
-from shj_bayes.margins.virtual_test import drive, read_off
+from shj_bayes.margins.specimen import Belief, Specimen, drive
+from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off, try_all
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import SCALES, histories
 from shj_bayes.model.priors import read_priors

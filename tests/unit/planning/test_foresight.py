@@ -11,9 +11,10 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.scene import N_OF_RUN, Metric
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.files import plan_record
-from shj_bayes.planning.foresight import _apart, as_read, foresee
-from shj_bayes.planning.known import (
+from shj_bayes.planning.information import _apart, as_read, foresee, quantity_named, rehearse
+from shj_bayes.planning.plan import Worth, make_plan, plan_record
+from shj_bayes.planning.protocol import Candidates, Protocol, ProtocolBlock, Rig, Waveform, proposals
+from shj_bayes.planning.rivals import (
     Known,
     Subject,
     before_any_test,
@@ -24,10 +25,6 @@ from shj_bayes.planning.known import (
     know,
     mechanisms_of,
 )
-from shj_bayes.planning.plan import Worth, make_plan
-from shj_bayes.planning.protocol import Candidates, Protocol, ProtocolBlock, Rig, Waveform, proposals
-from shj_bayes.planning.questions import quantity_named
-from shj_bayes.planning.rehearsal import rehearse
 from shj_bayes.report.plan_page import render_plan
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.make import make

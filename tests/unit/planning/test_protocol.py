@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import PlanError
-from shj_bayes.margins.asked import from_file
-from shj_bayes.planning.files import history_csv
+from shj_bayes.margins.history import from_file
+from shj_bayes.planning.plan import history_csv
 from shj_bayes.planning.protocol import (
     LIMITS,
     Protocol,

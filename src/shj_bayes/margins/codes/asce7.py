@@ -13,7 +13,7 @@ lambda_test x lambda_spec reaches the force that 95 % of new devices deliver eve
 
 from collections.abc import Iterator, Sequence
 
-from shj_bayes.margins.bounds import Bounds, Delivered
+from shj_bayes.margins.basis import Bounds, Delivered
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 

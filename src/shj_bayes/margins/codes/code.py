@@ -1,12 +1,17 @@
-"""What a design code is: a name, and a function from what is known of a set to margins."""
+"""What a design code is, and all of them: every module of this package that holds a ``CODE``; a file more is enough."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
+from shj_bayes._util.discover import discovered
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins import codes
+from shj_bayes.margins.basis import DesignBasis
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import FACTORS, Margin
-from shj_bayes.margins.spread import DesignBasis, Sample, Spread
+from shj_bayes.margins.spread import Sample, Spread
 from shj_bayes.population.quantities import LOWEST
 
 
@@ -35,3 +40,9 @@ class Code:
     id: str  # name of its file
     rows: Callable[[Given], Iterator[Margin]]  # from what is given of a set to its margins
     place: int  # order on the sheet
+
+
+@cache
+def catalogue() -> tuple[Code, ...]:
+    """Every design code, in the order of its ``place`` on the sheet, then by id."""
+    return tuple(sorted(discovered(codes, "CODE", PopulationError), key=lambda code: (code.place, code.id)))

@@ -1,4 +1,4 @@
-"""What is known of devices before the next test."""
+"""What is known of devices before the next test: what each may be, and how many more are needed."""
 
 from __future__ import annotations
 

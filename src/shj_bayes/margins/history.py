@@ -10,8 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import PopulationError, plain_text
 from shj_bayes.margins.request import Request
-from shj_bayes.margins.specimen import Belief, Specimen, largest_ranges
-from shj_bayes.margins.virtual_test import drive
+from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.history import History

@@ -1,68 +1,18 @@
-"""Bounds of the sliding force: what a new device delivers, and the band of the tested ones."""
+"""Basis of design: bounds of the sliding force of a new device, and what ageing did to it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins import row
-from shj_bayes.margins.row import BANDS, HIGH, LOW, MIDDLE, Margin
-from shj_bayes.model.law import BETA_RANGE
+from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
-from shj_bayes.population.predict import NewDevice, new_device, sets_suffice
-from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, stream
-from shj_bayes.population.quantities import quantity as described
-
-SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
-PURPOSE = {
-    LOW: "lower bound: displacement and drift demand, slip at service loads",
-    MIDDLE: "best estimate: first analysis",
-    HIGH: "upper bound: forces on beam, column, welds and bolts",
-}
-DEGRADATION = "degradation"
-LOSS = {
-    LOW: "least loss of sliding force to count on",
-    MIDDLE: "best estimate of the loss of sliding force after a first earthquake",
-    HIGH: "greatest loss of sliding force to allow for in a second earthquake",
-}
-
-
-def of_set(
-    result: PopulationResult, set_name: str, devices: Newcomers, n_devices: Mapping[str, int]
-) -> Iterator[Margin]:
-    """Bands of a new device of a set: the default prior of the spread, with few devices the outermost of all.
-
-    `n_devices` are those behind each quantity.
-    """
-    for quantity in (*devices[DEFAULT].draws, DEGRADATION):
-        of_ratio = quantity == DEGRADATION
-        source = "ratio" if of_ratio else quantity
-        if source not in devices[DEFAULT].draws:
-            continue
-        own = own_devices(result, set_name, (source,))
-        count = priors_that_count(tuple(devices), own)
-        for side, level in SIDES.items():
-            by_prior = {
-                label: float(np.quantile(1.0 - device.draws[source] if of_ratio else device.draws[source], level))
-                for label, device in devices.items()
-            }
-            listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in by_prior.items())
-            note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"
-            head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side)
-            number = (outer(by_prior, side, own), described(source).unit, n_devices.get(source, 0), math.nan)
-            origin = (
-                "predictive distribution, decision 0004",
-                f"{100 * level:.0f} % quantile over draws of set level and spread",
-                f"{devices[DEFAULT].draws[source].size} draws; {listed}",
-                (LOSS if of_ratio else PURPOSE)[side],
-            )
-            yield Margin(*head, *number, *origin, note if len(count) > 1 and side != MIDDLE else "")
-
+from shj_bayes.population.predict import NewDevice, new_device
+from shj_bayes.population.quantities import HIGHEST, LEAST, LEVELS, LOWEST, MOST, THIRD_CYCLE, FloatArray, stream
 
 FEW = 3
 DEFAULT = "default"
@@ -108,64 +58,6 @@ def outer(by_prior: Mapping[str, float], side: str, own: int) -> float:
     """Least favourable value of the priors that count; the default's for the middle."""
     values = [by_prior[label] for label in priors_that_count(tuple(by_prior), own)]
     return {LOW: min(values), HIGH: max(values)}.get(side, by_prior[DEFAULT])
-
-
-LOWER, MIDDLE, UPPER = "lower", "middle", "upper"
-
-
-@dataclass(frozen=True)
-class Bound:
-    """One rate-free definition of a connection."""
-
-    set_name: str  # the set, or "(any set)"
-    bound: str  # "lower", "middle", "upper": which of the three analyses it is for
-    # K_kN_mm to beta: stiffness, sliding force, sharpness of the knee of Eq. (1).
-    K_kN_mm: float
-    force_kN: float
-    beta: float
-    # stiffness_kN_mm, damping: effective stiffness and damping of the amplitude stated
-    stiffness_kN_mm: float
-    damping: float
-    n_devices: int  # tested devices
-
-    def __post_init__(self) -> None:
-        """Refuse what no analysis can take."""
-        numbers = (self.K_kN_mm, self.force_kN, self.beta)
-        if not (np.isfinite(numbers).all() and min(numbers) > 0):
-            raise PopulationError(
-                f"{self.set_name}, {self.bound}: stiffness {self.K_kN_mm:g} kN/mm, force {self.force_kN:g} kN and "
-                f"sharpness {self.beta:g} must be above zero; test more devices of this set, or leave it out"
-            )
-
-
-def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm: float) -> tuple[Bound, ...]:
-    """Draw up three bounds of every set, from its pooled design quantities and parameters (for the sharpness).
-
-    Lower: 5 % of the smallest plateau of all runs. Middle: 50 % of the mean plateau of the first run. Upper: 95 % of
-    the largest force of all runs. Stiffness 5, 50 and 95 %; sharpness its middle. Effective stiffness and damping are
-    those of an elastic-plastic loop of the amplitude: F / A and (2/pi)(1 - F / (K A)).
-    """
-    out = []
-    # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.
-    untested = (ANY_SET,) if sets_suffice(len(design.sets)) else ()
-    for name in (*design.set_names, *untested):
-        devices = newcomers(design, name)
-        own = own_devices(design, name, (LOWEST, HIGHEST, "K"))
-        force = delivered(devices, own)
-        middle = float(np.median(devices[DEFAULT].draws["plateau"]))
-        bands = {label: device.band("K") for label, device in devices.items()}
-        fit = parameters.fit("beta")
-        level = fit.hyper[:, 0] if name == ANY_SET else fit.mu[:, parameters.index(name)]
-        beta = float(np.clip(np.exp(np.median(level)), *BETA_RANGE))
-        for i, (bound, side, value) in enumerate(
-            ((LOWER, row.LOW, force.low), (MIDDLE, row.MIDDLE, middle), (UPPER, row.HIGH, force.high))
-        ):
-            stiffness = outer({label: band[i] for label, band in bands.items()}, side, own)
-            slip = min(value / (stiffness * amplitude_mm), 1.0)
-            damping = (2.0 / math.pi) * (1.0 - slip)
-            n = devices[DEFAULT].n_devices
-            out.append(Bound(name, bound, stiffness, value, beta, value / amplitude_mm, damping, n))
-    return tuple(out)
 
 
 FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
@@ -248,3 +140,66 @@ def delivered(devices: Newcomers, own: int) -> Delivered:
         typical=Bounds.around(*moved),
         ratio=float(np.median(main["ratio"])) if "ratio" in main else None,
     )
+
+
+@dataclass(frozen=True)
+class Environment:
+    """What corrosion did to the sliding force."""
+
+    measured: Bounds  # factor on the force, middle of the posterior; 1 and 1 where it was not tested
+    extreme: Bounds  # 5 and 95 % of the posterior
+    words: str  # where it comes from
+
+
+def environment(result: PopulationResult, set_name: str) -> Environment:
+    """Corroded over uncorroded sliding force of the same shim and coating, from its posterior."""
+    untested = "no corroded partner of this set was tested: 1 says that nothing is known, not that nothing happens"
+    fit = result.fit(THIRD_CYCLE)
+    if set_name == ANY_SET:
+        shifts = [fit.mu[:, j] - fit.mu[:, i] for i, j in corroded_pairs(result)]
+        if not shifts:
+            return Environment(NONE, NONE, untested)
+        shift = np.mean(shifts, axis=0)
+        return _environment(shift, f"mean of {len(shifts)} corroded sets over their uncorroded partners")
+    index = result.index(set_name)
+    if result.sets[index].tags.corroded:
+        return Environment(NONE, NONE, "this set was tested corroded: its own numbers hold the ageing")
+    partner = [j for i, j in corroded_pairs(result) if i == index]
+    if not partner:
+        return Environment(NONE, NONE, untested)
+    return _environment(fit.mu[:, partner[0]] - fit.mu[:, index], f"{result.sets[partner[0]].name} over {set_name}")
+
+
+def _environment(shift: FloatArray, origin: str) -> Environment:
+    low, middle, high = (float(x) for x in np.exp(np.quantile(shift, LEVELS)))
+    said = f"{origin}: {middle:.2f} (90 % interval {low:.2f} to {high:.2f})"
+    return Environment(Bounds.around(middle), Bounds.around(low, high), said)
+
+
+def corroded_pairs(result: PopulationResult) -> list[tuple[int, int]]:
+    """Positions of (uncorroded, corroded) sets that are alike in all else."""
+    sets = list(enumerate(result.sets))
+    return [
+        (i, j)
+        for i, a in sets
+        for j, b in sets
+        if b.tags.corroded and not a.tags.corroded and replace(a.tags, corroded=True) == b.tags
+    ]
+
+
+@dataclass(frozen=True)
+class DesignBasis:
+    """What the factors of one set are made of."""
+
+    # nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user
+    nominal_kN: float
+    nominal_words: str  # which of the two
+    force: Delivered  # what new devices deliver
+    age: Environment  # corrosion
+
+
+def parts_of(result: PopulationResult, set_name: str, devices: Newcomers, nominal_kN: float | None) -> DesignBasis:
+    """Split what is known of a set into the parts that the codes multiply."""
+    force = delivered(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
+    nominal = (force.third, "typical device") if nominal_kN is None else (nominal_kN, "stated by the user")
+    return DesignBasis(*nominal, force, environment(result, set_name))
