@@ -13,8 +13,6 @@ from functools import partial
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from shj_bayes._util.did_you_mean import did_you_mean
@@ -31,35 +29,35 @@ from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.planning.protocol import Protocol
-from shj_bayes.planning.rivals import PLANNED, Key, Known, RivalModel
+from shj_bayes.planning.rivals import PLANNED, Key, PretestPosterior, RivalModel, entropy_of
 from shj_bayes.recording.kinematics import motion_of
 from shj_bayes.recording.recording import Recording
 
-BoolArray = NDArray[np.bool_]
-
 OUTCOMES = 24  # drawn from each rival
 SURE = 2.0  # standard deviations by which the force may be more than predicted
-STEP = 1e-4
+STEP = 1e-3
+WHICH, FORCE = "which", "force"
+MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
 
 
 @dataclass(frozen=True, eq=False)
-class ForeseenQuantity:
+class LinearQuantity:
     """A design quantity as a linear function of each rival's parameters."""
 
     unit: str
-    values: FloatArray  # shape (n_beliefs,): at the mean of each rival
+    values: FloatArray  # shape (n_rivals,): at the mean of each rival
     slopes: tuple[FloatArray, ...]  # shape (n_law + p,) each: derivatives there
     # ``value(model, z)`` gives it for unbounded law parameters of a model, shape (n_law,)
     value: Callable[[DeviceModel, FloatArray], float]
 
-    def now(self, known: Known) -> tuple[float, float]:
+    def now(self, known: PretestPosterior) -> tuple[float, float]:
         """Mean and standard deviation before the planned test, over all rivals."""
-        own = [float(g @ np.linalg.solve(b.precision, g)) for g, b in zip(self.slopes, known.beliefs, strict=True)]
+        own = [float(g @ b.gaussian.solve(g)) for g, b in zip(self.slopes, known.rivals, strict=True)]
         return float(known.shares @ self.values), math.sqrt(spread_of(known.shares, self.values, np.array(own)))
 
 
 @dataclass(frozen=True)
-class Foreseen:
+class ExpectedInformation:
     """What a protocol is expected to give."""
 
     entropy: float  # expected entropy of the probabilities of the sets after it, nats
@@ -69,15 +67,9 @@ class Foreseen:
     force_kN: float  # largest force, two standard deviations above what is predicted
     # log evidence by which a true contender leads another, nats: median over the outcomes of a form, smallest over
     # forms and pairs. A probability stops growing near 1; this does not, and leaves room for what the forms miss
-    apart: float
+    separation: float
     # error of the force of the base law for what readers get wrong of the motion: 99th percentile, as sizes are
     misread_kN: float
-
-
-def entropy_of(probabilities: FloatArray) -> FloatArray:
-    """Entropy of each row of probabilities, nats."""
-    p = np.asarray(probabilities)
-    return np.asarray(-np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1))
 
 
 def spread_of(shares: FloatArray, means: FloatArray, variances: FloatArray) -> FloatArray:
@@ -86,70 +78,65 @@ def spread_of(shares: FloatArray, means: FloatArray, variances: FloatArray) -> F
     return np.asarray(np.sum(shares * (variances + away**2), axis=-1))
 
 
-def foresee(
-    known: Known,
+def expected_information(
+    known: PretestPosterior,
     protocol: Protocol,
     rate_Hz: float,
     seed: int,
-    quantity: ForeseenQuantity | None = None,
+    quantity: LinearQuantity | None = None,
     n: int = OUTCOMES,
-) -> Foreseen:
+) -> ExpectedInformation:
     """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed.
 
     With a `quantity`, what it is expected to be known to as well.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
-    beliefs = known.beliefs
+    rivals = known.rivals
     scene, misread = as_read(known, protocol, rate_Hz, rng)
-    misread_kN = float(np.percentile(np.abs(misread[scene.used > 0]), 99))
     lines, wrong, force_kN = _lines(known, scene, misread)
-    outcomes = np.concatenate([_outcomes(b, *line, n, rng) for b, line in zip(beliefs, lines, strict=True)], axis=1)
-    outcomes += wrong
+    outcomes = [_outcomes(b, *line, n, rng) for b, line in zip(rivals, lines, strict=True)]
+    drawn = np.concatenate(outcomes, axis=1) + wrong
     logs, values, variances = [], [], []
-    for i, (b, (m, a)) in enumerate(zip(beliefs, lines, strict=True)):
-        after = cho_factor(b.precision + a.T @ a, lower=True)
-        away = outcomes - m[:, None]
-        along = a.T @ away
-        moved = cho_solve(after, along)
-        grown = float(np.log(np.diag(after[0])).sum()) - 0.5 * float(np.linalg.slogdet(b.precision)[1])
+    for i, (b, (mean, design)) in enumerate(zip(rivals, lines, strict=True)):
+        after = b.gaussian.informed(design)
+        away = drawn - mean[:, None]
+        along = design.T @ away
+        moved = after.solve(along)
+        grown = after.half_log_det - b.gaussian.half_log_det
         logs.append(-0.5 * (np.sum(away**2, axis=0) - np.sum(along * moved, axis=0)) - grown)
         if quantity is not None:
             values.append(quantity.values[i] + quantity.slopes[i] @ moved)
-            variances.append(float(quantity.slopes[i] @ cho_solve(after, quantity.slopes[i])))
+            variances.append(float(quantity.slopes[i] @ after.solve(quantity.slopes[i])))
     evidence = np.array(logs).T
     weights = evidence + np.log(known.shares)
-    p = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))  # (n_outcomes, n_beliefs)
-    chance = np.repeat(known.shares / n, n)
-    keys = known.keys
-    of_key = np.array([keys.index(b.key) for b in beliefs])
+    p = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))  # (n_outcomes, n_rivals)
+    chance, keys = np.repeat(known.shares / n, n), known.keys
+    of_key = np.array([keys.index(b.key) for b in rivals])
     by_key = np.stack([p[:, of_key == k].sum(axis=1) for k in range(len(keys))], axis=1)
     truth = np.repeat(of_key, n)
-    own = by_key[np.arange(truth.size), truth]
-    sd = None
-    if quantity is not None:
-        sd = math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
-    return Foreseen(
+    sd = None if quantity is None else math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
+    return ExpectedInformation(
         float(chance @ entropy_of(by_key)),
-        float(chance @ own),
+        float(chance @ by_key[np.arange(truth.size), truth]),
         float(chance @ (by_key.argmax(axis=1) == truth)),
         sd,
         force_kN,
-        _apart(known, evidence.reshape(len(beliefs), n, len(beliefs))),
-        misread_kN,
+        _separation(known, evidence.reshape(len(rivals), n, len(rivals))),
+        float(np.percentile(np.abs(misread[scene.used > 0]), 99)),
     )
 
 
-def _apart(known: Known, logs: FloatArray) -> float:
+def _separation(known: PretestPosterior, logs: FloatArray) -> float:
     """Give the smallest log evidence by which a true contender leads another, nats.
 
     This is the maximin of the Kullback-Leibler optimum (Lopez-Fidalgo, Tommasi and Trandafir 2007, J. R. Stat. Soc. B
     69, 231). Where one contender is another with a further effect, often no test tells them apart: such pairs count
-    only if there are no other pairs. `logs`, shape (n_beliefs, n, n_beliefs), is the log evidence of every belief for
-    the outcomes of each.
+    only if there are no other pairs. `logs`, shape (n_rivals, n, n_rivals), is the log evidence of every rival for the
+    outcomes of each.
     """
     of_set = {}
     for key in known.contenders:
-        own = [i for i, b in enumerate(known.beliefs) if b.key == key]
+        own = [i for i, b in enumerate(known.rivals) if b.key == key]
         within = known.shares[own] / known.probabilities[key]
         of_set[key] = logsumexp(logs[:, :, own] + np.log(within), axis=2)
     pairs = list(permutations(of_set, 2))
@@ -157,39 +144,40 @@ def _apart(known: Known, logs: FloatArray) -> float:
     least = [
         float(np.median(of_set[a][i] - of_set[b][i]))
         for a, b in pairs
-        for i, one in enumerate(known.beliefs)
+        for i, one in enumerate(known.rivals)
         if one.key == a
     ]
     return min(least, default=0.0)
 
 
 def _lines(
-    known: Known, scene: Scene, misread: FloatArray
+    known: PretestPosterior, scene: Scene, misread: FloatArray
 ) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, float]:
     """Linearise a planned run: mean and design of each rival, what all get wrong, and the largest force, kN.
 
     In units of the noise, in coordinates of the space that they span.
     """
-    first = known.beliefs[0]
+    first = known.rivals[0]
     metric = Metric(scene, known.setting, scene.residual_and_slope(first.model, first.z[None])[1][0])
     columns, forces = [metric.whitened(misread[:, None]), metric.other], []
-    for b in known.beliefs:
+    for b in known.rivals:
         residual = scene.residual(b.model, b.z[None])[0]
         force, jacobian = (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
-        told = jacobian * _drawn(b)
-        own = np.linalg.inv(b.precision)[: b.z.size, : b.z.size]
+        told, own = jacobian * b.drawn, b.gaussian.covariance[: b.z.size, : b.z.size]
         forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
         columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian])))
     wrong, other, *own_columns = _reduced(columns)
     lines = []
-    for b, white in zip(known.beliefs, own_columns, strict=True):
+    for b, white in zip(known.rivals, own_columns, strict=True):
         of_old_runs = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
         design = np.concatenate([white[:, 1:], other, of_old_runs], axis=1)
         lines.append((white[:, 0] + design @ b.mean, design))
     return lines, wrong, max(forces)
 
 
-def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> tuple[Scene, FloatArray]:
+def as_read(
+    known: PretestPosterior, protocol: Protocol, rate_Hz: float, rng: np.random.Generator
+) -> tuple[Scene, FloatArray]:
     """Give a planned run as the readers will see it, and what they will get wrong of it, kN, shape (n_blocks,).
 
     Every rival is held against the motion that is found in the samples. Where this is not the motion that was run, as
@@ -203,17 +191,18 @@ def as_read(known: Known, protocol: Protocol, rate_Hz: float, rng: np.random.Gen
     return scene, scene.blocks([(run - read)[:, None]])[:, 0]
 
 
-def quantity_of(known: Known, unit: str, value: Callable[[DeviceModel, FloatArray], float]) -> ForeseenQuantity:
-    """Linearise a design quantity about every rival; `value` as in `ForeseenQuantity`."""
+def quantity_of(
+    known: PretestPosterior, unit: str, value: Callable[[DeviceModel, FloatArray], float]
+) -> LinearQuantity:
+    """Linearise a design quantity about every rival; `value` as in `LinearQuantity`."""
     values, slopes = [], []
-    for b in known.beliefs:
+    for b in known.rivals:
         z, n = b.mean[: b.z.size], b.z.size
         slope = np.zeros(b.mean.size)
-        steps = 10 * STEP * np.eye(n)
-        slope[:n] = [(value(b.model, z + s) - value(b.model, z - s)) / (20 * STEP) for s in steps]
+        slope[:n] = [(value(b.model, z + s) - value(b.model, z - s)) / (2 * STEP) for s in STEP * np.eye(n)]
         values.append(value(b.model, z))
         slopes.append(slope)
-    return ForeseenQuantity(unit, np.array(values), tuple(slopes), value)
+    return LinearQuantity(unit, np.array(values), tuple(slopes), value)
 
 
 def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
@@ -224,26 +213,15 @@ def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
     return np.split(reduced, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 
-def _drawn(b: RivalModel) -> BoolArray:
-    """Tell which parameters differ from what is expected: not those of the law that no test tells of yet.
-
-    Their prior is wide, and where rivals differ a straight line does not reach so far: the sliding force of a new run
-    would tell them apart by itself.
-    """
-    told = np.count_nonzero(b.precision, axis=1)[: b.z.size] > 1
-    return np.asarray(told | np.array(["." in name for name in b.model.law_names[: b.z.size]]))
-
-
 def _outcomes(b: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
     """Draw outcomes of a rival in units of the noise, shape (n_evidence, n)."""
-    root = np.linalg.cholesky(b.precision)
-    u = np.linalg.solve(root.T, rng.standard_normal((b.mean.size, n)))
-    u[: b.z.size][~_drawn(b)] = 0.0
+    u = b.gaussian.draw(n, rng)
+    u[: b.z.size][~b.drawn] = 0.0
     return np.asarray(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class SimulatedOutcomes:
     """What simulated tests ended in."""
 
     n: int  # tests simulated
@@ -253,9 +231,14 @@ class Rehearsal:
     sd: float | None  # of the quantity that was asked for (root of the mean variance)
 
 
-def rehearse(
-    known: Known, protocol: Protocol, rate_Hz: float, n: int, seed: int, quantity: ForeseenQuantity | None = None
-) -> Rehearsal:
+def simulate_outcomes(
+    known: PretestPosterior,
+    protocol: Protocol,
+    rate_Hz: float,
+    n: int,
+    seed: int,
+    quantity: LinearQuantity | None = None,
+) -> SimulatedOutcomes:
     """Simulate a planned test `n` times and weigh the rivals on it and the old tests together.
 
     The tests are spread evenly over the sets, within a set over the ways to write it in their shares.
@@ -264,22 +247,23 @@ def rehearse(
     rows = []
     for k, stream in enumerate(np.random.SeedSequence(seed, spawn_key=(5,)).spawn(n)):
         key, turn, turns = keys[k % len(keys)], k // len(keys), -(-(n - k % len(keys)) // len(keys))
-        within = np.cumsum(np.where([b.key == key for b in known.beliefs], shares, 0.0))
+        within = np.cumsum(np.where([b.key == key for b in known.rivals], shares, 0.0))
         i = int(np.searchsorted(within, (turn + 0.5) / turns * within[-1]))
-        recording = recorded(known, known.beliefs[i], protocol, rate_Hz, np.random.default_rng(stream))
+        recording = recorded(known, known.rivals[i], protocol, rate_Hz, np.random.default_rng(stream))
         after, variance = weighed(known, recording, quantity)
         right = max(after, key=lambda key: after[key]) == key
         rows.append((within[-1] / turns, after[key], right, entropy_of(np.array(list(after.values()))), variance))
     weight, of_truth, right_of, entropy, variances = np.array(rows, dtype=np.float64).T
     mean = partial(np.average, weights=weight)
     sd = None if quantity is None else float(np.sqrt(mean(variances)))
-    return Rehearsal(n, float(mean(of_truth)), int(right_of.sum()), float(mean(entropy)), sd)
+    return SimulatedOutcomes(n, float(mean(of_truth)), int(right_of.sum()), float(mean(entropy)), sd)
 
 
-def recorded(known: Known, true: RivalModel, protocol: Protocol, rate_Hz: float, rng: np.random.Generator) -> Recording:
+def recorded(
+    known: PretestPosterior, true: RivalModel, protocol: Protocol, rate_Hz: float, rng: np.random.Generator
+) -> Recording:
     """Simulate the recording of a planned test on a device drawn from a rival, with noise and an error of the zero."""
-    root = np.linalg.cholesky(true.precision)
-    z = (true.mean + np.linalg.solve(root.T, rng.standard_normal(true.mean.size)))[: true.z.size]
+    z = (true.mean + true.gaussian.draw(1, rng)[:, 0])[: true.z.size]
     time, motion = protocol.sampled(rate_Hz)
     theta = true.model.natural(np.append(z, known.setting.z)[None])
     force = true.model.force(theta, known.placed(histories([time], [motion])[0]), 0.0)[0]
@@ -291,7 +275,7 @@ def recorded(known: Known, true: RivalModel, protocol: Protocol, rate_Hz: float,
 
 @one_blas_thread
 def weighed(
-    known: Known, recording: Recording, quantity: ForeseenQuantity | None = None
+    known: PretestPosterior, recording: Recording, quantity: LinearQuantity | None = None
 ) -> tuple[dict[Key, float], float]:
     """Weigh the rivals on one further recording, each fitted to old and new together under the noise of the old.
 
@@ -301,17 +285,17 @@ def weighed(
     alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
     if not known.runs:  # the first test of a device says where its law is
         z = law_starts(alone.posterior)[0]
-        at = [replace(b, z=np.concatenate([z, b.z[z.size :]])) for b in known.beliefs]
-        known = replace(known, z=z, beliefs=tuple(at))
+        at = [replace(b, z=np.concatenate([z, b.z[z.size :]])) for b in known.rivals]
+        known = replace(known, z=z, rivals=tuple(at))
         alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
     parts = (*known.old, *alone.posterior.averages)
     runs = (*known.runs, Run(recording, motion))
     scene = Scene(replace(alone.posterior, runs=runs, averages=parts), known.z, known.peak_mm_s)
-    first = known.beliefs[0]
+    first = known.rivals[0]
     slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
     metric = Metric(scene, known.setting, slope)
     logs, values, variances = [], [], []
-    for i, b in enumerate(known.beliefs):
+    for i, b in enumerate(known.rivals):
         state = settle(scene, metric, b.model, b.z)
         logs.append(state.evidence - b.evidence)
         if quantity is not None:
@@ -323,30 +307,22 @@ def weighed(
     return known.by_set(p), 0.0 if quantity is None else float(spread_of(p, np.array(values), np.array(variances)))
 
 
-WHICH, FORCE = "which", "force"
-MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
-
-
-def questions_of(known: Known) -> tuple[str, ...]:
-    """Everything that may be asked of a device."""
-    planned = run_name("ratio", known.device.n_runs)
-    base = (n for n in known.device.law_names if "." not in n and n != planned)
-    return (WHICH, FORCE, *base, *((MARGIN,) if known.runs else ()))
-
-
-def quantity_named(known: Known, name: str) -> ForeseenQuantity:
+def quantity_named(known: PretestPosterior, name: str) -> LinearQuantity:
     """Quantity of a name, for one device; `PlanError` where it has none of that name."""
-    able = questions_of(known)
-    if name not in able or name in (WHICH, FORCE):
+    planned = run_name("ratio", known.device.n_runs)
+    own = [n for n in known.device.law_names if "." not in n and n != planned]
+    own += [MARGIN] if known.runs else []
+    if name not in own:
+        able = (WHICH, FORCE, *own)
         raise PlanError(f"{known.name}: '{name}' is no question; known are {', '.join(able)}{did_you_mean(name, able)}")
     if name == MARGIN:
         return quantity_of(known, "kN", _smallest_plateau(known))
     return quantity_of(known, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
 
 
-def _smallest_plateau(known: Known) -> Callable[[DeviceModel, FloatArray], float]:
+def _smallest_plateau(known: PretestPosterior) -> Callable[[DeviceModel, FloatArray], float]:
     """Smallest plateau force of a device in its last test, as a model gives it."""
-    history, first = known.old[-1].history, known.beliefs[0]
+    history, first = known.old[-1].history, known.rivals[0]
 
     def read(model: DeviceModel, z: FloatArray) -> Readings:
         force = model.force(model.natural_of_law(z[None]), history, 0.0)
