@@ -124,7 +124,7 @@ def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) 
     paths, out = fitted
     record = store.read(FitRecord, out)
     assert list(record.channels) == ["measured_tension"]
-    specimen = read_specimen(out, "", "s", out)
+    specimen = read_specimen(out, record.device, "s", out)
     (one,) = following_of(specimen)
     said = record.channels["measured_tension"]
     assert (one.unit, one.low, one.reference, one.high) == ("kN", said.low, said.reference, said.high)
@@ -137,7 +137,7 @@ def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) 
 
 
 def test_a_plan_goes_on_from_such_a_fit(fitted: tuple[list[Path], Path]) -> None:
-    device = read_device(fitted[1], None).tested
+    device = read_device(fitted[1], None)
     assert [e.name for e in device.runs[0].recording.extras] == ["tension"]
     key = frozenset({"capacity over measured_tension"})
     rig = Rig(max_stroke_mm=100.0, max_speed_mm_s=20.0, max_force_kN=200.0, max_minutes=10.0, rate_Hz=5.0)

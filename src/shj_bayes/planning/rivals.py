@@ -21,7 +21,6 @@ from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
-from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
@@ -38,10 +37,10 @@ from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
 from shj_bayes.planning.protocol import Protocol, Rig
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import BoolArray, Extra, Recording, Source
-from shj_bayes.results.device import model_of, read_group
+from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import has, read
+from shj_bayes.results.store import has
 
 ODDS_IN_FILES = 1e-6  # probabilities below it are left out
 
@@ -56,26 +55,23 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> DeviceUnderT
             f"{folder.name} holds a first look, which keeps no recordings; run shj-bayes diagnose without --quick"
         )
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PlanError):
-        record = read(FitRecord, folder)
-        specimen = read_specimen(folder, record.device, "")
-        data, draws = read_group(folder, "constant_data"), read_group(folder, "posterior")
+        fit = DeviceResult.read(folder)
+        channels = {name: fit.by_run(fit.samples[name]) for name in ("time_s", "used", *fit.record.channels)}
         runs = []
-        for i, history in enumerate(specimen.histories):
-            entry, own = record.inputs[i], data["run"] == i + 1
+        for i, (entry, history) in enumerate(zip(fit.record.inputs, fit.histories, strict=True)):
             motion = replace(history.motion, noise_mm=entry.displacement_noise_mm)
-            source = Source(entry.name, str(entry.sha256), entry.format)
             named = {coordinate_of(name): name for name in entry.extras}
+            extras = (Extra(named.get(k, k), said.unit, channels[k][i]) for k, said in fit.record.channels.items())
             recording = Recording(
-                data["time_s"][own],
+                channels["time_s"][i],
                 motion.displacement_mm,
-                specimen.measured_kN[i],
-                data["used"][own] > 0,
-                source,
-                extras=tuple(Extra(named.get(k, k), one.unit, data[k][own]) for k, one in history.measured.items()),
+                fit.measured_kN[i],
+                channels["used"][i] > 0,
+                Source(entry.name, str(entry.sha256), entry.format),
+                extras=tuple(extras),
             )
             runs.append(Run(recording, motion))
-        logs = np.log(draws["Fy"].ravel())
-    model = model_of(record)
+        logs, model = np.log(fit.draws["Fy"]), fit.model
     said = diagnosis.model if diagnosis else None
     effects = model.effects if diagnosis is None else effects_named(said.given if said else ())
     without = said.without if said else ()
@@ -88,7 +84,7 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> DeviceUnderT
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     Fy = float(np.exp(logs.mean())), float(logs.std(ddof=1))
-    return DeviceUnderTest(record.device, tuple(runs), device, sets, Look(without).hidden(device), Fy=Fy)
+    return DeviceUnderTest(fit.record.device, tuple(runs), device, sets, Look(without).hidden(device), Fy=Fy)
 
 
 FRACTILE = 0.05

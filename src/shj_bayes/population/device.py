@@ -6,6 +6,7 @@ import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,7 @@ from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.priors import Prior
 from shj_bayes.population.quantities import QUANTITIES, FloatArray, Measurement, Rounded, of_draws, ratio_of
-from shj_bayes.results.device import read_group
-from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import read
+from shj_bayes.results.device import DeviceResult
 
 
 @dataclass(frozen=True)
@@ -190,12 +189,10 @@ def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS
     Draws of K, Fy, beta, gamma and ratio, as far as the fit has them, with the density of the prior they were sampled
     under, so that the population does not count that prior once for each device.
     """
-    record = read(FitRecord, folder)
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
-        laws = {law.name: Prior(**vars(law)) for law in record.prior_laws}
-        posterior = read_group(folder, "posterior")
-        draws = {q: posterior[q].ravel() for q in QUANTITIES if q in posterior}
-        log_prior = {q: _pooled_log_density(laws[q], values) for q, values in draws.items()}
+        fit = DeviceResult.read(folder)
+        draws = {q: fit.draws[q] for q in QUANTITIES if q in fit.draws}
+        log_prior = {q: _pooled_log_density(fit.laws[q], values) for q, values in draws.items()}
         return DeviceEstimate.from_posterior(name, set_name, draws, log_prior, tags)
 
 
@@ -212,18 +209,16 @@ def tested_by_fit(folder: Path) -> RangeTested | None:
     From the complete half-cycles: the first and last of each run may be cut short.
     """
     try:
-        variant = variant_named(read(FitRecord, folder).model.variant)
-        data = read_group(folder, "constant_data")
-        x, speed = data["displacement_mm"], data["speed_mm_s"]
-        half, run = data["half_cycle_of_sample"], data["run"]
-    except (ShjError, KeyError, TypeError):
+        fit = DeviceResult.read(folder)
+        variant = variant_named(fit.record.model.variant)
+        motions = [history.motion for history in fit.histories]
+    except (ShjError, KeyError, TypeError, ValueError):
         return None
     amplitudes, peaks = [], []
-    for r in np.unique(run):
-        for h in np.unique(half[run == r])[1:-1]:
-            of_it = (run == r) & (half == h)
-            amplitudes.append(0.5 * float(np.ptp(x[of_it])))
-            peaks.append(float(np.quantile(speed[of_it], 0.98)))
+    for motion in motions:
+        for a, b in pairwise(motion.start[1:-1]):
+            amplitudes.append(0.5 * float(np.ptp(motion.displacement_mm[a:b])))
+            peaks.append(float(np.quantile(motion.speed_mm_s[a:b], 0.98)))
     if not amplitudes or min(amplitudes) <= 0 or min(peaks) <= 0:
         return None
     # A recording on noisy displacement has half-cycles of different size; 2 % at either end is not a range.

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.errors import ShjError
-from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.curve import curve_named
 from shj_bayes.report.campaign_physics import certain, class_words, holders, set_words, statement
 from shj_bayes.report.diagnosis_words import along_words
@@ -14,9 +13,8 @@ from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
 from shj_bayes.results.campaign import WITH_SET, ClassOfSet, SetTogether
-from shj_bayes.results.device import read_group
+from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
-from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import DIAGNOSIS, read
 
 PLACES = 61  # of a curve
@@ -65,13 +63,11 @@ def _curve(place: Path, row: ClassOfSet, i: int, with_set: bool) -> DeviceCurve 
 
 def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
     """Curve of a device's fit with what its set has, from its posterior; None where that does not hold it."""
-    curve, fit = curve_named(effect), place / WITH_SET
-    held = read(FitRecord, fit).model.effects
-    if curve is None or curve.sides or effect not in held:
+    curve, fit = curve_named(effect), DeviceResult.read(place / WITH_SET)
+    if curve is None or curve.sides or effect not in fit.record.model.effects:
         return None
-    history = read_specimen(place, "", "").histories[0]
-    draws = read_group(fit, "posterior")
-    coefficients = np.stack([draws[f"{effect}.c{k}"].ravel() for k in range(1, curve.n + 1)])
+    history = DeviceResult.read(place).histories[0]
+    coefficients = np.stack([fit.draws[f"{effect}.c{k}"] for k in range(1, curve.n + 1)])
     share = np.linspace(0.0, 1.0, PLACES)
     values = 100.0 * curve.rows(share, np.ones(PLACES)) @ coefficients
     low, high = np.quantile(values, [0.05, 0.95], axis=1)
