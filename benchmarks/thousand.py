@@ -30,7 +30,7 @@ import numpy as np
 from shj_bayes.commands.campaign import read_manifest, run_campaign
 from shj_bayes.margins.files import write_margins
 from shj_bayes.margins.sheet import margins, pool
-from shj_bayes.margins.virtual_test import TABLE, Trial
+from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
@@ -208,7 +208,7 @@ def time_margins(n: int, n_sets: int = 20, seed: int = 1) -> None:
         scatter = np.exp(0.08 * rng.standard_normal() + 0.02 * rng.standard_normal(len(names)))
         values = {q: (0.85 if q == "ratio" else 80.0) * float(x) for q, x in zip(names, scatter, strict=True)}
         errors = dict.fromkeys(names, 0.01)
-        trials.append(Trial(f"d{i}", f"set {i % n_sets}", table, values, errors, errors, np.full(20, 0.01)))
+        trials.append(VirtualTestResult(f"d{i}", f"set {i % n_sets}", table, values, errors, errors, np.full(20, 0.01)))
     sets = {
         name: tuple(t.name for t in trials if t.set_name == name) for name in dict.fromkeys(t.set_name for t in trials)
     }

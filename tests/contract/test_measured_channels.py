@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 import shj_bayes
 from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.margins.history import following_of
+from shj_bayes.margins.history import measured_channels
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve
@@ -125,7 +125,7 @@ def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) 
     record = store.read(FitRecord, out)
     assert list(record.channels) == ["measured_tension"]
     specimen = read_specimen(out, record.device, "s", out)
-    (one,) = following_of(specimen)
+    (one,) = measured_channels(specimen)
     said = record.channels["measured_tension"]
     assert (one.unit, one.low, one.reference, one.high) == ("kN", said.low, said.reference, said.high)
     assert len(specimen.beliefs) == 2

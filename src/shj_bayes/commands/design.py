@@ -23,7 +23,7 @@ from shj_bayes.margins.export import (
     write_loops,
 )
 from shj_bayes.margins.files import CHOSEN, design_table, to_json, write_margins
-from shj_bayes.margins.history import LEEWAY, asked_for, left_out_words
+from shj_bayes.margins.history import LEEWAY, left_out_words, loading_history
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import (
@@ -34,7 +34,7 @@ from shj_bayes.margins.specimen import (
     specimens_of_table,
     words_of,
 )
-from shj_bayes.margins.virtual_test import try_all
+from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.results import load_population
 from shj_bayes.report.campaign_physics import statements
@@ -58,11 +58,11 @@ def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[
     named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
     request = replace(request, sets=tuple(named))
     campaign, specimens, words = read_devices(folder, result, request.sets)
-    asked = asked_for(request, specimens) if specimens else None
-    trials = try_all(specimens, asked, extrapolate=request.extrapolate)
-    sheet = margins(pool(trials, result, progress=progress), trials, request, asked=asked, words=words)
+    asked = loading_history(request, specimens) if specimens else None
+    tests = virtual_tests(specimens, asked, extrapolate=request.extrapolate)
+    sheet = margins(pool(tests, result, progress=progress), tests, request, asked=asked, words=words)
     speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
-    loop_bands = loops(sheet.trials, speed) if len(sheet.trials) <= MOST_DRAWN else ()
+    loop_bands = loops(sheet.tests, speed) if len(sheet.tests) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
     write_loops(loop_bands, folder)
     name = campaign.name if campaign else TABLES_NAME
@@ -96,8 +96,8 @@ def export_analysis(
     amplitude = tested if amplitude_mm is None else amplitude_mm
     if not 0 < amplitude <= LEEWAY * tested:
         raise PopulationError(f"an amplitude of {amplitude:g} mm was not tested; tested was up to {tested:.4g} mm")
-    trials = try_all(specimens, None)
-    design = pool(trials, result, progress=progress)
+    tests = virtual_tests(specimens, None)
+    design = pool(tests, result, progress=progress)
     drawn = bounds(design, result, amplitude)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME
@@ -105,7 +105,7 @@ def export_analysis(
     place = folder / "opensees" if out is None else out
     place.mkdir(parents=True, exist_ok=True)
     cycle = f"{amplitude:.3g} mm"
-    left_out = left_out_words([trial.following for trial in trials])
+    left_out = left_out_words([test.channels for test in tests])
     files = {
         "connection_materials.py": python_script(drawn, amplitude, source, left_out),
         "connection_materials.tcl": tcl_script(drawn, source, left_out),
@@ -116,7 +116,7 @@ def export_analysis(
         files["connection_draws.csv"] = draws_csv(devices, speed)
     for name, text in files.items():
         write_text(place / name, text)
-    drawn_loops = write_loops(loops(trials, speed) if len(trials) <= MOST_DRAWN else (), place)
+    drawn_loops = write_loops(loops(tests, speed) if len(tests) <= MOST_DRAWN else (), place)
     return (*(place / name for name in files), *((drawn_loops,) if drawn_loops else ()))
 
 

@@ -16,11 +16,11 @@ from shj_bayes.population.quantities import HIGHEST, LEAST, LEVELS, LOWEST, MOST
 
 FEW = 3
 DEFAULT = "default"
-Newcomers = Mapping[str, NewDevice]
+PredictiveDevices = Mapping[str, NewDevice]
 """New devices of one set by prior of the spread, the default first."""
 
 
-def newcomers(result: PopulationResult, set_name: str) -> dict[str, NewDevice]:
+def predictive_devices(result: PopulationResult, set_name: str) -> dict[str, NewDevice]:
     """Draw new devices of a set under every prior of the spread that was tried, each read as the tested ones were."""
     return {label: _as_read(new_device(result, set_name, label), result) for label in (DEFAULT, *result.other_priors)}
 
@@ -54,7 +54,7 @@ def priors_that_count(labels: Sequence[str], own: int) -> tuple[str, ...]:
     return tuple(labels) if own <= FEW else (DEFAULT,)
 
 
-def outer(by_prior: Mapping[str, float], side: str, own: int) -> float:
+def least_favourable(by_prior: Mapping[str, float], side: str, own: int) -> float:
     """Least favourable value of the priors that count; the default's for the middle."""
     values = [by_prior[label] for label in priors_that_count(tuple(by_prior), own)]
     return {LOW: min(values), HIGH: max(values)}.get(side, by_prior[DEFAULT])
@@ -88,7 +88,7 @@ NONE = Bounds(1.0, 1.0)
 
 
 @dataclass(frozen=True)
-class Delivered:
+class SlidingForceBounds:
     """Force of a new device of one set, kN."""
 
     # third_low to third_high: 5, 50 and 95 % of the third cycle of the first run
@@ -113,13 +113,15 @@ class Delivered:
         return said + ("; no second run" if self.ratio is None else f"; second run / first {self.ratio:.3f}")
 
 
-def delivered(devices: Newcomers, own: int) -> Delivered:
+def sliding_force_bounds(devices: PredictiveDevices, own: int) -> SlidingForceBounds:
     """Bound the force of a new device; with few devices of its own (`own`) by the outermost prior of the spread."""
 
     def bound(side: str, *names: str) -> float:
         level, pick = (0.05, min) if side == LOW else (0.95, max)
         return pick(
-            outer({label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}, side, own)
+            least_favourable(
+                {label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}, side, own
+            )
             for name in names
         )
 
@@ -129,7 +131,7 @@ def delivered(devices: Newcomers, own: int) -> Delivered:
     forces = tuple(n for n in main if base_of(n) in FORCES)
     third = main[THIRD_CYCLE]
     moved = [float(np.median(main[name]) / np.median(third)) for name in (LOWEST, HIGHEST)]
-    return Delivered(
+    return SlidingForceBounds(
         third_low=bound(LOW, THIRD_CYCLE),
         third=float(np.median(third)),
         third_high=bound(HIGH, THIRD_CYCLE),
@@ -194,12 +196,14 @@ class DesignBasis:
     # nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user
     nominal_kN: float
     nominal_words: str  # which of the two
-    force: Delivered  # what new devices deliver
+    force: SlidingForceBounds  # what new devices deliver
     age: Environment  # corrosion
 
 
-def parts_of(result: PopulationResult, set_name: str, devices: Newcomers, nominal_kN: float | None) -> DesignBasis:
+def design_basis(
+    result: PopulationResult, set_name: str, devices: PredictiveDevices, nominal_kN: float | None
+) -> DesignBasis:
     """Split what is known of a set into the parts that the codes multiply."""
-    force = delivered(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
+    force = sliding_force_bounds(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
     nominal = (force.third, "typical device") if nominal_kN is None else (nominal_kN, "stated by the user")
     return DesignBasis(*nominal, force, environment(result, set_name))

@@ -24,9 +24,16 @@ from scipy.special import hyp2f1
 
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.basis import DEFAULT, delivered, newcomers, outer, own_devices, priors_that_count
+from shj_bayes.margins.basis import (
+    DEFAULT,
+    least_favourable,
+    own_devices,
+    predictive_devices,
+    priors_that_count,
+    sliding_force_bounds,
+)
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE
-from shj_bayes.margins.virtual_test import Trial
+from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import N_POINTS, LoopBand, new_device, sets_suffice
@@ -72,9 +79,9 @@ def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm:
     # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.
     untested = (ANY_SET,) if sets_suffice(len(design.sets)) else ()
     for name in (*design.set_names, *untested):
-        devices = newcomers(design, name)
+        devices = predictive_devices(design, name)
         own = own_devices(design, name, (LOWEST, HIGHEST, "K"))
-        force = delivered(devices, own)
+        force = sliding_force_bounds(devices, own)
         middle = float(np.median(devices[DEFAULT].draws["plateau"]))
         bands = {label: device.band("K") for label, device in devices.items()}
         fit = parameters.fit("beta")
@@ -83,7 +90,7 @@ def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm:
         for i, (bound, side, value) in enumerate(
             ((LOWER, LOW, force.low), (MIDDLE, MIDDLE, middle), (UPPER, HIGH, force.high))
         ):
-            stiffness = outer({label: band[i] for label, band in bands.items()}, side, own)
+            stiffness = least_favourable({label: band[i] for label, band in bands.items()}, side, own)
             slip = min(value / (stiffness * amplitude_mm), 1.0)
             damping = (2.0 / math.pi) * (1.0 - slip)
             n = devices[DEFAULT].n_devices
@@ -228,13 +235,13 @@ def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = (
 LOOPS_CSV = "loops.csv"
 
 
-def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
+def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
     """Draw the loop bands of every set, run by run; its widest cycle is cut to what all its devices went through."""
     out = []
-    for name in dict.fromkeys(trial.set_name for trial in trials):
-        own = [trial for trial in trials if trial.set_name == name]
-        for run in range(min(len(trial.loops) for trial in own)):
-            cycles = [trial.loops[run] for trial in own]
+    for name in dict.fromkeys(test.set_name for test in tests):
+        own = [test for test in tests if test.set_name == name]
+        for run in range(min(len(test.loops) for test in own)):
+            cycles = [test.loops[run] for test in own]
             low = max(float(x.min()) for cycle in cycles for x, _ in cycle)
             high = min(float(x.max()) for cycle in cycles for x, _ in cycle)
             grid = np.linspace(low, high, N_POINTS)
@@ -312,7 +319,7 @@ def draw_devices(
         raise PopulationError(f"{n} devices were asked for; allowed are 1 to {min(MOST, available)} of each set")
     out = []
     for name in design.set_names:
-        by_prior = newcomers(design, name)
+        by_prior = predictive_devices(design, name)
         own = own_devices(design, name, ("plateau", "K"))
         width = {
             p: float(np.diff(np.log(by_prior[p].band("plateau")[::2]))[0])

@@ -71,9 +71,9 @@ def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
 def device_table(sheet: Sheet) -> pd.DataFrame:
     """All design quantities of every tested device and run: predicted by its best model, and measured."""
     rows = [
-        (trial.set_name, trial.name, run, name, TABLE[name][0], *values, TABLE[name][1])
-        for trial in sheet.trials
-        for run, table in enumerate(trial.table, start=1)
+        (test.set_name, test.name, run, name, TABLE[name][0], *values, TABLE[name][1])
+        for test in sheet.tests
+        for run, table in enumerate(test.table, start=1)
         for name, values in table.items()
     ]
     heads = ["set", "device", "run", "quantity", "unit", "q05", "q50", "q95", "measured", "meaning"]

@@ -8,20 +8,19 @@ from itertools import pairwise
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins import history as following
 from shj_bayes.margins.basis import (
     DEFAULT,
     FORCES,
     DesignBasis,
-    Newcomers,
-    newcomers,
-    outer,
+    PredictiveDevices,
+    design_basis,
+    least_favourable,
     own_devices,
-    parts_of,
+    predictive_devices,
     priors_that_count,
 )
 from shj_bayes.margins.codes.code import Given, catalogue
-from shj_bayes.margins.history import LoadingHistory, published_factors
+from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
 from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import BANDS, DESIGN, FACTORS, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.spread import (
@@ -32,7 +31,7 @@ from shj_bayes.margins.spread import (
     of_set,
     samples,
 )
-from shj_bayes.margins.virtual_test import Trial
+from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
@@ -75,7 +74,7 @@ class Sheet:
     n_sets: int  # sets that were tested
     warnings: tuple[str, ...]  # what to mind, one sentence each
     diagnoses: tuple[str, ...] = ()  # what the diagnoses found, device by device
-    trials: tuple[Trial, ...] = field(repr=False, default=())  # the devices of the sets that it holds
+    tests: tuple[VirtualTestResult, ...] = field(repr=False, default=())  # the devices of the sets that it holds
 
     @property
     def untested(self) -> str:
@@ -89,17 +88,17 @@ class Sheet:
         return {row.key: row for row in self.rows}
 
 
-def pool(trials: Sequence[Trial], result: PopulationResult, *, progress: bool = False) -> PopulationResult:
+def pool(tests: Sequence[VirtualTestResult], result: PopulationResult, *, progress: bool = False) -> PopulationResult:
     """Pool the design quantities of devices after their virtual test, with tags and seed of `result`."""
-    if not trials:
+    if not tests:
         raise PopulationError("no device gives all of K, Fy, beta and gamma; there are no margins without them")
     tags = {group.name: group.tags for group in result.sets}
-    devices = [trial.estimate(tags[trial.set_name]) for trial in trials]
+    devices = [test.estimate(tags[test.set_name]) for test in tests]
     design = replace(fit_population(devices, seed=result.seed, progress=progress, brief=True), tested=result.tested)
-    return _carried(design, trials) if any(trial.carried for trial in trials) else design
+    return _carried(design, tests) if any(test.carried for test in tests) else design
 
 
-def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationResult:
+def _carried(design: PopulationResult, tests: Sequence[VirtualTestResult]) -> PopulationResult:
     """Add the error that a model had in its own test to the level of each set.
 
     It is common to all devices of a rig: as one more error of each device it would average out.
@@ -109,7 +108,7 @@ def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationRes
         rng = np.random.default_rng([design.seed, *label.encode(), *fit.name.encode()])
         mu = fit.mu.copy()
         for i, name in enumerate(design.set_names):
-            gaps = [t.model_errors[fit.name] for t in trials if t.set_name == name and fit.name in t.model_errors]
+            gaps = [t.model_errors[fit.name] for t in tests if t.set_name == name and fit.name in t.model_errors]
             if gaps:
                 mu[:, i] += float(np.sqrt(np.mean(np.square(gaps)))) * rng.standard_normal(mu.shape[0])
         return replace(fit, mu=mu)
@@ -125,7 +124,7 @@ def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationRes
 
 def margins(
     design: PopulationResult,
-    trials: Sequence[Trial],
+    tests: Sequence[VirtualTestResult],
     request: Request = PLAIN,
     *,
     asked: LoadingHistory | None = None,
@@ -138,11 +137,11 @@ def margins(
     n_sets = len(design.sets)
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
     spoken = request.sets or ((*design.set_names, ANY_SET) if sets_suffice(n_sets) else design.set_names)
-    own = tuple(trial for trial in trials if ANY_SET in spoken or trial.set_name in spoken)
+    own = tuple(test for test in tests if ANY_SET in spoken or test.set_name in spoken)
     rows = tuple(_rows(design, own, request))
     compared = agreement([row for row in rows if row.set_name in spoken])
-    laws = next((trial.laws for trial in own if len(trial.laws) > 1), ())
-    followed = following.words_of([trial.following for trial in own], own_test=asked is None)
+    laws = next((test.laws for test in own if len(test.laws) > 1), ())
+    followed = channel_words([test.channels for test in own], own_test=asked is None)
     read = () if asked is None else asked.found
     warnings = (
         *read,
@@ -155,24 +154,24 @@ def margins(
     return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
 
 
-def _rows(result: PopulationResult, trials: Sequence[Trial], request: Request) -> Iterator[Margin]:
+def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request: Request) -> Iterator[Margin]:
     by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
     for name in request.sets or (*result.set_names, ANY_SET):
-        devices = newcomers(result, name)
-        parts = parts_of(result, name, devices, request.nominal_kN)
-        given = _given(name, by_set, common, parts, request)
+        devices = predictive_devices(result, name)
+        basis = design_basis(result, name, devices, request.nominal_kN)
+        given = _given(name, by_set, common, basis, request)
         yield from _first(given)
         found = list(bands_of_set(result, name, devices, given.devices))
         found += [row for code in catalogue() for row in code.rows(given)]
         yield from found
         yield from (_degradation(row) for row in found if row.quantity == "ratio" and row.method != BANDS)
         if name != ANY_SET:
-            yield from _spreads(result, name, [t for t in trials if t.set_name == name])
+            yield from _spreads(result, name, [t for t in tests if t.set_name == name])
 
 
 def bands_of_set(
-    result: PopulationResult, set_name: str, devices: Newcomers, n_devices: Mapping[str, int]
+    result: PopulationResult, set_name: str, devices: PredictiveDevices, n_devices: Mapping[str, int]
 ) -> Iterator[Margin]:
     """Bands of a new device of a set: the default prior of the spread, with few devices the outermost of all.
 
@@ -193,7 +192,7 @@ def bands_of_set(
             listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in by_prior.items())
             note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"
             head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side)
-            number = (outer(by_prior, side, own), described(source).unit, n_devices.get(source, 0), math.nan)
+            number = (least_favourable(by_prior, side, own), described(source).unit, n_devices.get(source, 0), math.nan)
             origin = (
                 "predictive distribution, decision 0004",
                 f"{100 * level:.0f} % quantile over draws of set level and spread",
@@ -205,7 +204,7 @@ def bands_of_set(
 
 def _first(given: Given) -> Iterator[Margin]:
     """Give the one number for drift and the one for capacity design."""
-    force = given.parts.force
+    force = given.basis.force
     n = given.devices.get(LOWEST, 0)
     for kind, side, value, what in (
         (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs"),
@@ -216,13 +215,13 @@ def _first(given: Given) -> Iterator[Margin]:
         yield Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin)
 
 
-def _spreads(result: PopulationResult, name: str, trials: Sequence[Trial]) -> Iterator[Margin]:
+def _spreads(result: PopulationResult, name: str, tests: Sequence[VirtualTestResult]) -> Iterator[Margin]:
     """Where the width of a band comes from: device to device, within a device, model."""
     index = result.index(name)
     for q, fit in result.posteriors.items():
-        within = [trial.errors[q] for trial in trials if q in trial.errors]
-        gaps = np.array([trial.model_errors[q] for trial in trials if q in trial.model_errors])
-        cycles = np.concatenate([np.empty(0), *(trial.cycle_errors for trial in trials)])
+        within = [test.errors[q] for test in tests if q in test.errors]
+        gaps = np.array([test.model_errors[q] for test in tests if q in test.model_errors])
+        cycles = np.concatenate([np.empty(0), *(test.cycle_errors for test in tests)])
         between, least = float(np.median(fit.tau[:, index])), math.nan
         if within:
             least = float(np.sqrt(np.mean(np.square(within))))
@@ -255,19 +254,19 @@ def _given(
     name: str,
     by_set: Mapping[str, dict[str, Sample]],
     common: Mapping[str, tuple[float, int]],
-    parts: DesignBasis,
+    basis: DesignBasis,
     request: Request,
 ) -> Given:
     """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
     if name != ANY_SET:
         own = by_set[name]
         spreads = {q: of_set(sample, common[q]) for q, sample in own.items()}
-        return Given(name, own, spreads, {q: s.n for q, s in own.items()}, parts, request)
+        return Given(name, own, spreads, {q: s.n for q, s in own.items()}, basis, request)
     together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
     clustered = {q: between_sets(of_sets) for q, of_sets in together.items() if of_sets}
     own = {q: sample for q, (sample, _) in clustered.items()}
     spreads = {q: ways for q, (_, ways) in clustered.items()}
-    return Given(name, own, spreads, {q: sum(s.n for s in together[q]) for q in clustered}, parts, request)
+    return Given(name, own, spreads, {q: sum(s.n for s in together[q]) for q in clustered}, basis, request)
 
 
 def _degradation(row: Margin) -> Margin:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.history import Following, LoadCase, LoadingHistory, courses, following_of
+from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, load_cases, measured_channels
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.model.history import History
@@ -199,7 +199,7 @@ Loop = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class VirtualTestResult:
     """A device after its virtual test."""
 
     name: str
@@ -219,7 +219,7 @@ class Trial:
     laws: tuple[str, ...] = ("tested",)  # laws of what was not tested; "tested" alone where all was
     # whether the history is another one than that of its own test, so that the error of the model is carried over
     carried: bool = False
-    following: tuple[Following, ...] = ()  # further channels that its force follows
+    channels: tuple[MeasuredChannel, ...] = ()  # further channels that its force follows
 
     def __post_init__(self) -> None:
         """Refuse a value without a logarithm."""
@@ -242,14 +242,14 @@ class Trial:
         return DeviceEstimate(self.name, self.set_name, known, tags)
 
 
-def try_all(
+def virtual_tests(
     specimens: Sequence[Specimen], asked: LoadingHistory | None, *, extrapolate: bool = False
-) -> tuple[Trial, ...]:
+) -> tuple[VirtualTestResult, ...]:
     """Put every device through the virtual test: the history asked for, None for the test that each went through.
 
     `PopulationError` if the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
     """
-    driven = [_driven(s, courses(asked, s, extrapolate=extrapolate)) for s in specimens]
+    driven = [_driven(s, load_cases(asked, s, extrapolate=extrapolate)) for s in specimens]
     first = [next(iter(found.values()))[0] for found, _ in driven]
     common = max((a for a in map(counted_from, first) if np.isfinite(a)), default=np.inf)
     least = [_from(readings, common) for readings in first]
@@ -258,7 +258,7 @@ def try_all(
         own = [own_readings(s) for s in specimens]
         own_least = [max(map(counted_from, own))] * len(own)
     each = zip(specimens, driven, least, own, own_least, strict=True)
-    return tuple(_trial(*of_one, carried=asked is not None) for of_one in each)
+    return tuple(_result(*of_one, carried=asked is not None) for of_one in each)
 
 
 def _driven(
@@ -304,7 +304,7 @@ def _from(first: Runs, common: float) -> float:
     return common if widest >= 0.99 * common else counted_from(first)
 
 
-def _trial(
+def _result(
     specimen: Specimen,
     driven: tuple[Mapping[LoadCase, list[Runs]], tuple[Loop, ...]],
     least: float,
@@ -312,7 +312,7 @@ def _trial(
     own_least: float,
     *,
     carried: bool,
-) -> Trial:
+) -> VirtualTestResult:
     """Hold a driven device against what was measured in its own test, of which its best model gives `own`."""
     found, loops = driven
     by_course = {one: [dict(pooled(_quantities(runs, least))) for runs in models] for one, models in found.items()}
@@ -352,7 +352,7 @@ def _trial(
     table = tuple(map(_summary, tables, seen))
     laws = tuple(dict.fromkeys(course.law for course in found))
     told = (specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
-    return Trial(*told, following_of(specimen))
+    return VirtualTestResult(*told, measured_channels(specimen))
 
 
 def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:

@@ -125,7 +125,7 @@ def test_a_sheet_of_one_set_speaks_of_that_set_alone_in_the_numbers_of_the_sheet
 def test_what_to_mind_is_counted_over_the_sets_that_are_asked_for(design, trials):
     two = margins(design, trials, Request(sets=("Zinc 70", "Zinc 70 corroded")))
     assert two.spoken == ("Zinc 70", "Zinc 70 corroded")
-    assert {trial.set_name for trial in two.trials} == set(two.spoken)
+    assert {trial.set_name for trial in two.tests} == set(two.spoken)
     assert any("2 of 2 sets rest on one or two" in line for line in two.warnings)
 
 

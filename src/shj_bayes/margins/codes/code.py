@@ -24,7 +24,7 @@ class Given:
     samples: Mapping[str, Sample] = field(repr=False)
     spreads: Mapping[str, tuple[Spread, ...]] = field(repr=False)  # ways to come by the spread of each quantity
     devices: Mapping[str, int]  # tested devices behind each quantity
-    parts: DesignBasis  # nominal and delivered forces, ageing
+    basis: DesignBasis  # nominal force, bounds of the sliding force, ageing
     request: Request  # choices of the user
 
     def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
