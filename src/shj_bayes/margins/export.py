@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy import optimize
-from scipy.integrate import trapezoid
 from scipy.special import hyp2f1
 
 from shj_bayes._util.files import write_text
@@ -34,7 +33,7 @@ from shj_bayes.margins.basis import (
 )
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE
 from shj_bayes.margins.virtual_test import VirtualTestResult
-from shj_bayes.model.law import BETA_RANGE
+from shj_bayes.model.law import BETA_RANGE, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import N_POINTS, LoopBand, new_device, sets_suffice
 from shj_bayes.population.quantities import HIGHEST, LEVELS, LOWEST, FloatArray, band_of
@@ -246,7 +245,7 @@ def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[L
             high = min(float(x.max()) for cycle in cycles for x, _ in cycle)
             grid = np.linspace(low, high, N_POINTS)
             push, pull = (np.concatenate([_at(grid, *cycle[i]) for cycle in cycles]) for i in (0, 1))
-            energy = trapezoid(push - pull, grid, axis=1)
+            energy = work_between(push - pull, grid, (0, grid.size - 1))[:, 0]
             bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0))
             head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
             out.append(LoopBand(*head, *bands, band_of(energy), len(own)))

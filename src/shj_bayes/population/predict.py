@@ -13,11 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 import pandas as pd
-from scipy.integrate import trapezoid
 
 from shj_bayes._util.frozen_arrays import frozen
 from shj_bayes.errors import PopulationError
-from shj_bayes.model.law import BETA_RANGE, force_of_laws
+from shj_bayes.model.law import BETA_RANGE, force_of_laws, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import (
     ASSUMED,
@@ -278,8 +277,7 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
     up, down = slice(start[_PUSH], start[_PUSH + 1]), slice(start[_PULL], start[_PULL + 1])
     push = np.array([np.interp(grid, x[up], f[up]) for f in force])
     pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])
-    cycle = slice(start[_PUSH], start[_PULL + 1] + 1)
-    energy = trapezoid(force[:, cycle], x[cycle], axis=1)
+    energy = work_between(force, x, start[[_PUSH, _PULL + 1]])[:, 0]
     bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0), band_of(energy))
     head = (device.set_name, run, amplitude_mm, peak_speed_mm_s, grid)
     return LoopBand(*head, *bands, device.n_devices)
