@@ -11,8 +11,9 @@ from shj_bayes.margins import codes
 from shj_bayes.margins.basis import DesignBasis
 from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import FACTORS, Margin
-from shj_bayes.margins.spread import Sample, Spread
+from shj_bayes.margins.spread import Sample, Spread, limit, remarks
 from shj_bayes.population.quantities import LOWEST
+from shj_bayes.population.quantities import quantity as described
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,20 @@ class Given:
         """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""
         n = self.devices.get(LOWEST, 0)
         return Margin(self.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
+
+    def limit(
+        self, head: tuple[str, str, str], way: Spread, factor: float, law: str, side: str, origin: tuple[str, str, str]
+    ) -> Margin:
+        """Margin of a quantity by a factor on a spread, under a law.
+
+        `head` is quantity, method and kind; `origin` clause, purpose, and why there is no value, empty where there is.
+        """
+        quantity, method, kind = head
+        clause, purpose, missing = origin
+        value, formula, inputs = limit(self.samples[quantity], way, factor, law, side)
+        number = (math.nan if missing else value, described(quantity).unit, self.devices[quantity], way.degrees)
+        told = (clause, formula, f"{inputs}; spread: {way.origin}", purpose, missing or remarks(way, value))
+        return Margin(self.set_name, quantity, method, kind, side, *number, *told)
 
 
 @dataclass(frozen=True)
