@@ -93,7 +93,7 @@ def _kind(result: PopulationResult, words: str) -> Kind | None:
 LEVEL, POWER = 0.05, 0.8
 MOST = 10_000
 N_SPREADS = 200
-"""Quantiles of the posterior of the spread that stand for it."""
+"""Equally probable values that stand for the posterior of the spread."""
 _SHARE, _WEIGHT = np.polynomial.legendre.leggauss(200)
 _SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
 
@@ -137,14 +137,8 @@ def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) ->
     return high
 
 
-def representative(draws: FloatArray) -> FloatArray:
-    """Equally probable values that stand for many draws."""
-    return np.asarray(np.quantile(draws, (np.arange(N_SPREADS) + 0.5) / N_SPREADS))
-
-
 MOST_ARRANGEMENTS = 500_000
 N_RANDOM = 20_000
-LEVEL = 0.05
 _NODES = (np.arange(4000) + 0.5) / 4000
 _SAME = 1e-9
 Pair = tuple[FloatArray, FloatArray]
@@ -461,7 +455,7 @@ def _contrast(
     # Planned with the spread of the sets if all spread nearly alike: two devices that happen to agree promise a spread
     # that the next two will not keep.
     planned = result.fit(name, "alike" if "alike" in result.other_priors else "default").tau[:, [*first, *second]]
-    spreads = representative(np.sqrt(np.mean(planned**2, axis=1)))
+    spreads = np.quantile(np.sqrt(np.mean(planned**2, axis=1)), (np.arange(N_SPREADS) + 0.5) / N_SPREADS)
     edge = math.log1p(rope) if q.logarithmic else region[1]
     apart = [q.natural(fit.mu[:, a].mean(axis=1)) - q.natural(fit.mu[:, b].mean(axis=1)) for a, b in strata]
     away = [

@@ -250,22 +250,6 @@ def fit_quantity(
     )
 
 
-def _until_met(
-    name: str,
-    sets: Sequence[Sequence[Likelihood]],
-    prior: PopulationPrior,
-    labels: tuple[int, str, str],
-    sweeps: Sweeps,
-    workers: int,
-) -> QuantityPosterior:
-    """Fit a quantity; once more, with longer chains, where they have not met."""
-    fitted = fit_quantity(name, sets, prior, stream(*labels), sweeps, workers=workers)
-    if fitted.converged:
-        return fitted
-    longer = Sweeps(LONGER * sweeps.n_warm, sweeps.n_keep, LONGER * sweeps.thin)
-    return fit_quantity(name, sets, prior, stream(*labels), longer, workers=workers)
-
-
 def fit_population(
     devices: Sequence[DeviceEstimate],
     *,
@@ -295,7 +279,11 @@ def fit_population(
             chosen[q] = population_prior(q)
             for label, prior in {MAIN_PRIOR: chosen[q], **other_priors(chosen[q])}.items():
                 sweeps = _brief(len(grouped)) if brief else _FULL if label == MAIN_PRIOR else _SHORT
-                fits.setdefault(label, {})[q] = _until_met(q, sets, prior, (seed, q, label), sweeps, threads)
+                fitted = fit_quantity(q, sets, prior, stream(seed, q, label), sweeps, workers=threads)
+                if not fitted.converged:  # once more, with longer chains
+                    longer = Sweeps(LONGER * sweeps.n_warm, sweeps.n_keep, LONGER * sweeps.thin)
+                    fitted = fit_quantity(q, sets, prior, stream(seed, q, label), longer, workers=threads)
+                fits.setdefault(label, {})[q] = fitted
                 bar.update()
     return PopulationResult(
         sets=tuple(

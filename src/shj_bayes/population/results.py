@@ -104,31 +104,27 @@ def _finite(value: Any) -> Any:
 
 def record_of(result: PopulationResult) -> PopulationRecord:
     """Everything but the draws."""
-    sets: list[SetRecord] = []
     by_set = dict(list(new_device_table(result).groupby("set", sort=False)))
-    for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {})):
-        bands = {
-            str(row["quantity"]): {str(k): v for k, v in row.items() if k not in {"set", "n_devices", "quantity"}}
-            for row in by_set[group.name].to_dict("records")
-        }
-        sets.append(
-            SetRecord(
-                name=group.name,
-                n_devices=len(group.devices),
-                devices=tuple(group.devices),
-                tags=None if group.name == ANY_SET else group.tags,
-                points=_finite(group.points),
-                errors=_finite(group.errors),
-                new_device=_finite(bands),
-                how_wide=how_wide(result, group.name) if "Fy" in result.posteriors else None,
-            )
-        )
     return PopulationRecord(
         version=shj_bayes.__version__,
         seed=result.seed,
         tested=result.tested,
         converged=result.converged,
-        sets=tuple(sets),
+        sets=tuple(
+            SetRecord(
+                name=group.name,
+                n_devices=len(group.devices),
+                devices=group.devices,
+                tags=None if group.name == ANY_SET else group.tags,
+                points=_finite(group.points),
+                errors=_finite(group.errors),
+                new_device=_finite(
+                    by_set[group.name].set_index("quantity").drop(columns=["set", "n_devices"]).to_dict("index")
+                ),
+                how_wide=how_wide(result, group.name) if "Fy" in result.posteriors else None,
+            )
+            for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {}))
+        ),
         quantities=tuple(
             QuantityRecord(
                 quantity=name,
