@@ -16,10 +16,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.protocol import exact_motion, table_1
 from shj_bayes.recording.recording import Extra, Recording
 from shj_validation.trials import RATE_HZ, ar1, simulate
@@ -57,7 +57,7 @@ def main() -> None:
     kind, first, n = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     for seed in range(first, first + n):
         runs = runs_of(device(seed, kind))
-        record = diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True)).content
+        record = diagnose(runs, DeviceModel(len(runs), read_priors("afc")), DiagnoseOptions(quick=True)).content
         likely = [f"{c['action']} over {c['coordinate']}" for c in record["coordinates"] if c["probability"] > 0.5]
         print(seed, record["verdict"], "; ".join(likely), flush=True)
 

@@ -26,9 +26,9 @@ import numpy as np
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_validation.proof.cases import KINDS, Key, canonical, development_keys
 from shj_validation.proof.make import make
 from shj_validation.proof.noise import NOISES, TRIAL_NOISES
@@ -101,7 +101,7 @@ def trial(key: Key) -> dict[str, Any]:
     try:
         runs = runs_of([one.recording for one in made])
         device = DeviceModel(len(runs), read_priors("afc"), variant=key.reversal)
-        record = diagnose(runs, device, Look(quick=True)).content
+        record = diagnose(runs, device, DiagnoseOptions(quick=True)).content
     except (ShjError, ArithmeticError, ValueError) as error:
         row |= {"outcome": "failed", "right": False, "verdict": "failed", "reason": f"{type(error).__name__}: {error}"}
         return row | {"seconds": time.process_time() - begin}

@@ -20,9 +20,9 @@ from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.reader import read
 from shj_validation.proof.answers import CASES
 from shj_validation.proof.cases import development_keys
@@ -101,7 +101,7 @@ def said(given: list[Any], rule: str, priors: str, without: tuple[str, ...] = ()
     try:
         runs = runs_of(given)
         model = DeviceModel(len(runs), read_priors(priors), variant=rule)
-        record = diagnose(runs, model, Look(without, quick=True)).content
+        record = diagnose(runs, model, DiagnoseOptions(without, quick=True)).content
     except (ShjError, ArithmeticError, ValueError) as error:
         return {"verdict": f"failed: {type(error).__name__}: {error}"}
     kept = {"verdict": record["verdict"], "heldout": record["heldout"]}

@@ -35,7 +35,6 @@ from shj_bayes.inference.start import _covariance as curvature
 from shj_bayes.inference.start import find_start
 from shj_bayes.margins.basis import DEFAULT, NONE, DesignBasis, Environment, least_favourable, sliding_force_bounds
 from shj_bayes.margins.codes.code import Given, catalogue
-from shj_bayes.margins.request import PLAIN
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.spread import Sample, common_spread, of_set
@@ -52,6 +51,7 @@ from shj_bayes.margins.virtual_test import (
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import PLAIN
 from shj_bayes.population.predict import NewDevice
 from shj_bayes.population.quantities import other_priors, population_prior
 from shj_validation.proof.cases import Concealed, Key, stated_key

@@ -18,9 +18,9 @@ from multiprocessing import get_context
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.recording import Recording
 from shj_validation.trials import EFFECTS, NOISES, OUTSIDE, PAIRS, simulate
 
@@ -83,7 +83,7 @@ def outside_trial(name: str, seed: int) -> str:
 def look(recordings: list[Recording], without: tuple[str, ...] = ()) -> DiagnosisResult:
     """Take a first look at a device."""
     runs = runs_of(recordings)
-    return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(tuple(without), quick=True))
+    return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), DiagnoseOptions(tuple(without), quick=True))
 
 
 def _verdict(recordings: list[Recording], truth: tuple[str, ...]) -> str:

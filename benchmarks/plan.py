@@ -32,13 +32,19 @@ from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import DOUBT
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.information import quantity_named, quantity_of
 from shj_bayes.planning.plan import make_plan
 from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Rig, Waveform, proposals, within
-from shj_bayes.planning.rivals import DeviceUnderTest, PretestPosterior, class_of, common_scales, linearise
+from shj_bayes.planning.rivals import (
+    DeviceUnderTest,
+    PretestPosterior,
+    class_of,
+    common_scales,
+    linearise,
+)
 from shj_bayes.planning.rivals import Key as Set
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key, development_keys, stated_key
@@ -157,7 +163,7 @@ def _trial(key: Key, seed: int, number: int, question: str) -> dict[str, Any]:
     proposed = proposals(rig, seed)
     runs = runs_of([first])
     scales = common_scales(runs, rig, (*proposed, expert))
-    tested = DeviceUnderTest("device", runs, device, found.sets, Look(quick=True).hidden(device))
+    tested = DeviceUnderTest("device", runs, device, found.sets, DiagnoseOptions(quick=True).hidden(device))
     known = linearise(tested, scales)
     quantity = None if question == "which" else quantity_named(known, question)
     quantities = () if quantity is None else (quantity,)
@@ -215,7 +221,9 @@ class Diagnosed:
 
 
 def _diagnosed(recordings: Sequence[Recording], device: DeviceModel, truth: set[str]) -> Diagnosed:
-    record = diagnose(runs_of(list(recordings)), replace(device, n_runs=len(recordings)), Look(quick=True)).content
+    record = diagnose(
+        runs_of(list(recordings)), replace(device, n_runs=len(recordings)), DiagnoseOptions(quick=True)
+    ).content
     sets = tuple((frozenset(s["classes"]), float(s["probability"])) for s in record["sets"])
     return Diagnosed(str(record["verdict"]), sets or ((frozenset(), 1.0),), frozenset(truth))
 

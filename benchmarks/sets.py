@@ -21,10 +21,10 @@ import numpy as np
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.sets import DeviceEvidence, common_to
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.results.codec import from_json
 from shj_bayes.results.diagnosis import EvidenceRecord
 from shj_validation.proof.cases import Key, stated_key
@@ -95,7 +95,7 @@ def looked_at(key: Key) -> dict[str, Any]:
     runs = runs_of([one.recording for one in make(key)])
     device = DeviceModel(len(runs), read_priors("afc"), variant=key.reversal)
     begin = time.process_time()
-    record = diagnose(runs, device, Look(quick=True)).content
+    record = diagnose(runs, device, DiagnoseOptions(quick=True)).content
     seconds = time.process_time() - begin
     kept = {name: record[name] for name in ("verdict", "evidence")}
     return {"key": key.to_dict(), "seconds": seconds, **kept}

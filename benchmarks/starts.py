@@ -19,9 +19,9 @@ from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.protocol import Block, table_1
 from shj_bayes.recording.recording import Recording
 
@@ -106,7 +106,7 @@ def main() -> None:
             low, high = np.quantile(draws[name].to_numpy(), [0.05, 0.95])
             inside.setdefault(name, []).append(bool(low <= value <= high))
             outside += [] if inside[name][-1] else [name]
-        record = diagnose(runs, model, Look(quick=True)).content
+        record = diagnose(runs, model, DiagnoseOptions(quick=True)).content
         said = [e["id"] for e in record["effects"]] + [f"{m['id']}?" for m in record["family"]]
         constant += any("load_offset" in word for word in said)
         alarms += record["verdict"] != "adequate"

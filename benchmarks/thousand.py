@@ -27,7 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.commands.campaign import read_manifest, run_campaign
+from shj_bayes.app.campaign import run_campaign
+from shj_bayes.app.manifest import read_manifest
 from shj_bayes.margins.files import write_margins
 from shj_bayes.margins.sheet import margins, pool
 from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult

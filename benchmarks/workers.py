@@ -23,7 +23,8 @@ from pathlib import Path
 
 import thousand
 
-from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
+from shj_bayes.app.campaign import run_campaign
+from shj_bayes.app.manifest import Manifest, read_manifest
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from shj_bayes.commands import campaign
+from shj_bayes.app import campaign
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -145,5 +145,5 @@ def short_populations() -> Iterator[None]:
 def no_workers() -> Iterator[None]:
     """Fit the devices of campaigns in this process, where pictures can be left empty."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "_in_processes", lambda devices, out, _: (campaign._fit_one(d, out) for d in devices))
+        patch.setattr(campaign, "results_here", lambda _, fit_one, devices: ((d, fit_one(d), "") for d in devices))
         yield

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes.commands.simulated import write_simulated
+from shj_bayes.app.device import write_simulated
 
 FOLDER = Path(__file__).parent
 SEED = 2026

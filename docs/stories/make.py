@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.reader import read
 from shj_bayes.report.figures.canvas import BLUE, GREY, INK, RED, label, tidy
 from shj_validation.proof.cases import Key, stated_key
@@ -122,7 +122,9 @@ def damper(folder: Path) -> str:
     """Diagnose the measured band-brake damper, with the free travel in the catalogue and without it."""
     recording = read(folder / DAMPER)
     device = DeviceModel(1, read_priors("general"))
-    full, blind = (diagnose(runs_of([recording]), device, Look(hidden, quick=True)) for hidden in ((), ("slack",)))
+    full, blind = (
+        diagnose(runs_of([recording]), device, DiagnoseOptions(hidden, quick=True)) for hidden in ((), ("slack",))
+    )
     draw(full, HERE / "damper.png", "slip_mm", "slip since the last reversal (mm)", recorded=False)
     found, hidden = full.record, blind.record
     size = next((e["parameters"]["size"] for e in found["effects"] if e["id"] == "slack"), None)
@@ -145,7 +147,7 @@ def diagnosed(key: Key, without: tuple[str, ...] = ()) -> DiagnosisResult:
     with tempfile.TemporaryDirectory() as folder:
         recordings = [read(path) for path in write_recordings(key, Path(folder))]
     device = DeviceModel(len(recordings), read_priors("afc"), variant="continuous")
-    return diagnose(runs_of(recordings), device, Look(tuple(without), quick=True))
+    return diagnose(runs_of(recordings), device, DiagnoseOptions(tuple(without), quick=True))
 
 
 def column(key: Key, record: dict[str, Any]) -> dict[str, str]:

@@ -10,7 +10,7 @@ what was finished.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from shj_bayes._util.import_safety import import_elsewhere
+from shj_bayes._util.imports import import_elsewhere
 
 if TYPE_CHECKING:
     from shj_bayes.api import (

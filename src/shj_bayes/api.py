@@ -16,20 +16,15 @@ from typing import Any, ClassVar, Self
 
 import pandas as pd
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.commands.campaign import Manifest, read_manifest, run_campaign
-from shj_bayes.commands.comparison import compare_sets
-from shj_bayes.commands.next_test import plan_next
-from shj_bayes.commands.options import Options
-from shj_bayes.commands.pipeline import Work, diagnose_device, fit_device, step_told
-from shj_bayes.commands.summary import summarise_campaign, summarise_tables
-from shj_bayes.commands.validation import paper_claims
-from shj_bayes.errors import OptionError, ReportError
+from shj_bayes.app.campaign import run_campaign, summarise_campaign, summarise_tables
+from shj_bayes.app.design import compare_sets
+from shj_bayes.app.device import Work, diagnose_device, fit_device, step_told
+from shj_bayes.app.manifest import Manifest, read_manifest
+from shj_bayes.app.plan import plan_next
+from shj_bayes.errors import OptionError, ReportError, did_you_mean
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.mismatch.look import Look
-from shj_bayes.planning.asked import PlanOptions
+from shj_bayes.options import DiagnoseOptions, FitOptions, PlanOptions
 from shj_bayes.planning.plan import PlanRecord
-from shj_bayes.planning.protocol import stated_limits
 from shj_bayes.population.results import PopulationRecord
 from shj_bayes.recording.frame import read_frame
 from shj_bayes.recording.recording import Recording
@@ -37,10 +32,11 @@ from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import from_json, to_json
-from shj_bayes.results.device import whole
+from shj_bayes.results.device import read_whole
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import has, read
+from shj_validation.paper_claims import paper_claims
 
 
 class _Held:
@@ -54,7 +50,6 @@ class _Held:
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
 
 
-ASKED = [one.name for one in fields(PlanOptions) if one.name != "limits"]
 OneRecording = str | Path | Recording | pd.DataFrame
 Recordings = OneRecording | Sequence[OneRecording]
 
@@ -98,12 +93,7 @@ class FitResult(_Result):
 
         An ``arviz.InferenceData`` up to ArviZ 0.23, an ``xarray.DataTree`` from version 1 on.
         """
-        from_netcdf: Any = az.from_netcdf  # carries no types
-        with whole(self.folder) as path:
-            data = from_netcdf(str(path), engine="h5netcdf")
-            data.load()  # and close: an open file cannot be replaced on Windows
-            data.close()
-        return data
+        return read_whole(self.folder, az)
 
     @property
     def draws(self) -> pd.DataFrame:
@@ -297,9 +287,7 @@ def fit(
     name : str, optional
         Name of the device; that of the first file by default.
     **options
-        Fields of `shj_bayes.commands.options.Options` (columns, units, rate_Hz, sheet, priors, priors_from, model,
-        noise, effects, free, seed, max_steps, runs) and of `shj_bayes.commands.pipeline.Work` (progress, threads,
-        force).
+        Fields of `shj_bayes.options.FitOptions`, and of `shj_bayes.app.device.Work` (progress, threads, force).
 
     Returns
     -------
@@ -311,7 +299,7 @@ def fit(
         If a recording cannot be used or an option is not known.
     """
     folder, held = _place(out)
-    shared, work = _sorted(options, Options, Work)
+    shared, work = _sorted(options, FitOptions, Work)
     if work.progress:
         work = replace(work, tell=step_told)
     result = fit_device(_listed(recordings, shared), folder, shared, name=name, work=work)
@@ -330,7 +318,7 @@ def diagnose(
     Parameters
     ----------
     recordings, out, name, **options
-        As for `fit`; further options are the fields of `shj_bayes.mismatch.look.Look` (without, quick).
+        As for `fit`; further options are the fields of `shj_bayes.options.DiagnoseOptions` (without, quick).
 
     Returns
     -------
@@ -342,7 +330,7 @@ def diagnose(
         If a recording cannot be used or an effect is not known.
     """
     folder, held = _place(out)
-    shared, work, look = _sorted(options, Options, Work, Look)
+    shared, work, look = _sorted(options, FitOptions, Work, DiagnoseOptions)
     result = diagnose_device(_listed(recordings, shared), folder, shared, look, name=name, work=work)
     return Diagnosis(folder, to_json(result.record), held)
 
@@ -365,8 +353,7 @@ def plan(
     rig : str or Path, optional
         ``rig.toml``.
     **options
-        Fields of `shj_bayes.planning.asked.PlanOptions` (question, among, priors, histories, seed), and limits, which
-        go before those of `rig`: max_stroke_mm, max_speed_mm_s, max_force_kN, max_minutes, rate_Hz.
+        Fields of `shj_bayes.options.PlanOptions`.
 
     Returns
     -------
@@ -377,11 +364,11 @@ def plan(
     ShjError
         If a folder, a limit or a question cannot be used.
     """
-    asked = {name: options.pop(name) for name in ASKED if name in options}
-    limits = stated_limits(Path(rig) if rig is not None else None, options)
+    (asked,) = _sorted(options, PlanOptions)
     folder, held = _place(out)
     folders = [Path(devices)] if isinstance(devices, str | Path) else [Path(one) for one in devices]
-    return NextTest(folder, to_json(plan_next(folders, folder, PlanOptions(**asked, limits=limits)).record), held)
+    planned = plan_next(folders, folder, asked, rig=None if rig is None else Path(rig))
+    return NextTest(folder, to_json(planned.record), held)
 
 
 def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:
@@ -426,7 +413,7 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTes
     raise ReportError(f"{place} holds no finished result; name the folder that was given to -o")
 
 
-def _listed(recordings: Recordings, options: Options) -> list[Path | Recording]:
+def _listed(recordings: Recordings, options: FitOptions) -> list[Path | Recording]:
     """One recording or several, as a list; data frames are read with the options on columns and units."""
     given = [recordings] if isinstance(recordings, str | Path | Recording | pd.DataFrame) else recordings
     how = partial(read_frame, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)

@@ -4,29 +4,30 @@ The rooms are imported inside the commands, so that ``shj-bayes --help`` answers
 """
 
 import json
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import Field, dataclass, fields
 from functools import reduce, wraps
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
 import click
 
 import shj_bayes
-from shj_bayes._util.child_processes import quiet_libraries
 from shj_bayes._util.files import make_writable, need_files, need_population
-from shj_bayes._util.interrupts import no_interrupt_lost
-from shj_bayes.commands.examples import EXAMPLES
+from shj_bayes._util.processes import no_interrupt_lost, quiet_libraries
 from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, plain_lines, system_words
+from shj_bayes.options import DIAGNOSES, DiagnoseOptions, FitOptions, MarginOptions, PlanOptions
 from shj_bayes.results.codec import to_json
 
 Command = Callable[..., Any]
 PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 RESULTS = click.argument("folder", type=PATH, metavar="DIR")
-NAME = click.option("--name", help="Name of the device; by default that of the first file.")
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
 RESUMING = {"fit", "campaign", "demo"}  # go on where they were stopped
+UNIT = re.compile("_(mm|mm_s|kN|Hz)$")  # at the end of a name, that the flag has not
 NAMED = 5  # failed devices that one line names
 
 
@@ -99,6 +100,53 @@ def _out(default: str | None = None) -> Command:
     return click.option("-o", "--out", type=FOLDER, help="Folder for the results.", **presence)
 
 
+class _Choice(click.Choice[str]):
+    """Words; the old name of the published model is still taken."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        old = value == "seed" and "published" in self.choices
+        return super().convert("published" if old else value, param, ctx)
+
+
+def _words(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, ...]:
+    """Words between commas."""
+    return tuple(part.strip() for part in value.split(",") if part.strip())
+
+
+def _declared(kind: type, *names: str) -> Command:
+    """Options of a command as a class declares them: of these names, in this order, or all."""
+    known = {one.name: one for one in fields(kind)}
+    hints = get_type_hints(kind)
+    return _options(*(_click_option(known[name], hints[name]) for name in names or known))
+
+
+def _click_option(one: Field[Any], hint: Any) -> Command:
+    """Option as a field of a class declares it."""
+    says, flag = one.metadata, UNIT.sub("", one.name).replace("_", "-")
+    how: dict[str, Any] = {"help": says["words"], "metavar": says["metavar"]}
+    if says["commas"]:
+        how |= {"default": "", "callback": _words}
+    elif one.default is False:
+        how["is_flag"] = True
+    elif one.default == ():
+        how["multiple"] = True
+    elif one.default and says["shown"]:
+        how |= {"default": one.default, "show_default": True}
+    if one.default is not False:
+        kinds = [kind for kind in get_args(hint) or (hint,) if kind not in (NoneType, Ellipsis)]
+        how["type"] = FILE if Path in kinds else kinds[0]
+        if says["choices"]:
+            how["type"] = _Choice(says["choices"])
+        elif says["typed"]:
+            how["type"] = click.IntRange(*says["typed"])
+    return click.option(says["flag"] or f"--{flag}", one.name, **how)
+
+
+def _stated(options: dict[str, Any]) -> dict[str, Any]:
+    """Options that were given, or have a default of their own in the command."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
 JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable result on standard output, nothing else.")
 QUIET = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 
@@ -115,85 +163,19 @@ def _with_output(function: Command) -> Command:
     return command
 
 
-SEED = click.option(
-    "--seed",
-    type=click.IntRange(0, 2**32 - 1),
-    default=1,
-    show_default=True,
-    help="Same seed and inputs, same numbers.",
-)
 WORKERS = click.option(
     "--workers", type=click.IntRange(1, 256), help="Processors to use; the numbers do not depend on it."
 )
 FORCE = click.option("--force", is_flag=True, help="Replace the result of another device in the folder.")
 READING = _options(
-    click.option("--columns", metavar="ROLE=COLUMN,...", help="time=, displacement=, force=, and others to show."),
-    click.option("--units", metavar="mm,kN,s", help="Units, where the header does not say."),
-    click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Sampling rate of files without time, Hz."),
-    click.option("--sheet", metavar="NAME", help="Sheet of a workbook, or group of a TDMS, HDF5 or MAT file."),
+    _declared(FitOptions, "columns", "units", "rate_Hz", "sheet"),
     click.option("--runs", "n_runs", type=click.IntRange(1), metavar="N", help="Runs that the files hold together."),
     click.option("--split", is_flag=True, help="Split files where several runs are found."),
     click.option("--one-run", is_flag=True, help="Each file is one run, whatever it looks like."),
 )
+MODELLING = _declared(FitOptions, "priors", "priors_from", "model", "noise", "effects", "free", "max_steps")
+SEED, NAME = _declared(FitOptions, "seed"), _declared(DiagnoseOptions, "name")
 RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=PATH, metavar="REC...")
-
-
-class _Variant(click.Choice[str]):
-    """Reversal rules; the old name of the published one is still taken."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return super().convert("published" if value == "seed" else value, param, ctx)
-
-
-MODEL = click.option(
-    "--model",
-    type=_Variant(["published", "continuous"]),
-    default="published",
-    show_default=True,
-    help="Eq. 1 as published, or without its jump at reversals.",
-)
-
-
-def _words(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, ...]:
-    """Words between commas."""
-    return tuple(part.strip() for part in value.split(",") if part.strip())
-
-
-MODELLING = _options(
-    click.option("--priors", default="afc", show_default=True, help="Family that ships (afc, general) or TOML file."),
-    click.option(
-        "--priors-from", metavar="DIR[#SET]", help="Posterior of an earlier fit, or of a campaign's set, as prior."
-    ),
-    MODEL,
-    click.option(
-        "--noise",
-        type=click.Choice(["slow", "ar1", "independent", "student"]),
-        default="slow",
-        show_default=True,
-        help="White and slow noise; for comparison ar1 (at the recorded rate), independent; student has heavy tails.",
-    ),
-    click.option(
-        "--effects",
-        default="",
-        callback=_words,
-        metavar="slack,wear",
-        help="Physical effects that are known to be there.",
-    ),
-    click.option(
-        "--free",
-        default="",
-        callback=_words,
-        metavar="K,beta,gamma",
-        help="Parameters that each run has for itself.",
-    ),
-    click.option(
-        "--max-steps",
-        type=click.IntRange(200, 1_000_000),
-        default=10_000,
-        show_default=True,
-        help="Steps after which sampling stops even if it has not converged.",
-    ),
-)
 
 
 def _reading(n_runs: int | None, split: bool, one_run: bool, **options: Any) -> dict[str, Any]:
@@ -220,7 +202,7 @@ def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
 
     They ship with the project.
     """
-    from shj_bayes._util.shipped import shipped
+    from shj_bayes._util.files import shipped
 
     manifest = shipped("data", "examples", "campaign.toml")
     _run_campaign(manifest, out, seed=seed, workers=workers or 0, output=Output(quiet=quiet))
@@ -270,18 +252,17 @@ def fit(
     Several recordings are its consecutive runs.
     """
     need_files(recordings, RecordingError)
-    from shj_bayes.commands.finished import kept_result
+    from shj_bayes.app.resume import kept_result
     from shj_bayes.results.fit import Trust
 
     options = _reading(**options)
     result = kept_result(recordings, out, options, name)
     if result is None:
-        from shj_bayes.commands.options import Options
-        from shj_bayes.commands.pipeline import Work, fit_device, step_told
+        from shj_bayes.app.device import Work, fit_device, step_told
 
         speak = output.speaks
         work = Work(speak, workers or 0, force, step_told if speak else Work.tell)
-        result = fit_device(recordings, out, Options(**options), name=name, work=work)
+        result = fit_device(recordings, out, FitOptions(**options), name=name, work=work)
     output.show(result.record, result.text)
     if result.record.verdict == Trust.UNUSABLE:
         raise ShjError(f"{result.record.device}: the posterior is unusable: {result.record.reasons[0]}")
@@ -292,8 +273,7 @@ def fit(
 @_out()
 @READING
 @MODELLING
-@click.option("--without", multiple=True, metavar="EFFECT", help="velocity: base law without it; others: not tried.")
-@click.option("--quick", is_flag=True, help="A first look: approximate intervals, no sampling.")
+@_declared(DiagnoseOptions, "without", "quick")
 @SEED
 @NAME
 @FORCE
@@ -307,13 +287,11 @@ def diagnose(
     Fits the device first, and shows the fit before and after.
     """
     need_files(recordings, RecordingError)
-    from shj_bayes.commands.options import Options
-    from shj_bayes.commands.pipeline import Work, diagnose_device
-    from shj_bayes.mismatch.look import Look
+    from shj_bayes.app.device import Work, diagnose_device
 
-    look, name = Look(options.pop("without"), options.pop("quick")), options.pop("name")
+    wanted, name = DiagnoseOptions(options.pop("without"), options.pop("quick")), options.pop("name")
     work = Work(output.speaks, workers or 0, force, output.tell)
-    result = diagnose_device(recordings, out, Options(**_reading(**options)), look, name=name, work=work)
+    result = diagnose_device(recordings, out, FitOptions(**_reading(**options)), wanted, name=name, work=work)
     output.show(result.record, result.text)
 
 
@@ -325,7 +303,7 @@ def diagnose(
 @click.option("--dask", "cluster", metavar="ADDRESS", help="Of a dask scheduler whose workers fit the devices.")
 @click.option(
     "--diagnose",
-    type=click.Choice(["quick", "full", "off"]),
+    type=click.Choice(DIAGNOSES),
     help="Look for what the law leaves out; by default as the manifest says, quick where it says nothing.",
 )
 @_with_output
@@ -346,8 +324,8 @@ def campaign(manifest: Path, out: Path, workers: int | None, cluster: str | None
 def _run_campaign(manifest: Path, out: Path, *, seed: int, output: Output, **how: Any) -> None:
     need_files([manifest], CampaignError)
     make_writable(out)
-    from shj_bayes.commands.campaign import read_manifest, run_campaign
-    from shj_bayes.commands.summary import summarise_campaign
+    from shj_bayes.app.campaign import run_campaign, summarise_campaign
+    from shj_bayes.app.manifest import read_manifest
 
     plan, speak = read_manifest(manifest), output.speaks
     outcomes = run_campaign(plan, out, progress=speak, **how)
@@ -372,8 +350,8 @@ def tables(out: Path, seed: int, output: Output) -> None:
     They give parameters alone, rounded.
     """
     make_writable(out)
-    from shj_bayes.commands.summary import summarise_tables
-    from shj_bayes.commands.validation import paper_claims
+    from shj_bayes.app.campaign import summarise_tables
+    from shj_validation.paper_claims import paper_claims
 
     result = summarise_tables(out, paper_claims(), seed=seed, progress=output.speaks)
     output.show(result.record, result.text)
@@ -381,50 +359,17 @@ def tables(out: Path, seed: int, output: Output) -> None:
 
 @main.command()
 @RESULTS
-@click.option(
-    "--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of a sine, in place of the tests themselves."
-)
-@click.option("--speed", "speed_mm_s", type=float, metavar="MM/S", help="Its peak speed; largest tested by default.")
-@click.option("--cycles", type=int, metavar="N", help="Its cycles; 3 by default.")
-@click.option(
-    "--history",
-    type=FILE,
-    metavar="FILE",
-    help="Displacement (mm) over time (s), two columns, in place of the tests themselves.",
-)
-@click.option("--extrapolate", is_flag=True, help="Allow speed, travel and time beyond the tests: bounded laws.")
-@click.option(
-    "--nominal", "nominal_kN", type=float, metavar="KN", help="Nominal sliding force; typical device by default."
-)
-@click.option(
-    "--importance",
-    type=click.Choice(["I", "II", "III"]),
-    default="II",
-    show_default=True,
-    help="Importance class of the structure (EN 15129).",
-)
-@click.option(
-    "--v-known", type=float, metavar="V", help="Known coefficient of variation of the sliding force (EN 1990)."
-)
-@click.option("--v-reason", default="", metavar="WORDS", help="Where V is known from; printed beside the values.")
-@click.option(
-    "--set",
-    "sets",
-    multiple=True,
-    metavar="NAME",
-    help="Draw up this set alone; may be given again.",
-)
+@_declared(MarginOptions)
 @_with_output
-def margins(folder: Path, sets: tuple[str, ...], output: Output, **request: Any) -> None:
+def margins(folder: Path, output: Output, **options: Any) -> None:
     """Draw up design margins.
 
     Of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json.
     """
     need_population(folder)
-    from shj_bayes.commands.margin_sheet import design_margins
-    from shj_bayes.margins.request import Request
+    from shj_bayes.app.resume import design_margins
 
-    design = design_margins(folder, Request(sets=sets, **request), progress=output.speaks)
+    design = design_margins(folder, MarginOptions(**_stated(options)), progress=output.speaks)
     output.show(design.record, f"{design.text}\n\nmargins: {folder / 'margins.html'}")
 
 
@@ -443,7 +388,7 @@ def export(
     Lower, middle and upper bounds of a campaign or of the tables in DIR.
     """
     need_population(folder)
-    from shj_bayes.commands.design import export_analysis
+    from shj_bayes.app.design import export_analysis
 
     paths = [str(path) for path in export_analysis(folder, out, amplitude_mm, draws, progress=output.speaks)]
     output.show({"schema": "shj-bayes/export/1", "to": target, "files": paths}, "\n".join(paths))
@@ -469,7 +414,7 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -
     uncoated, "70 %" and "100 %".
     """
     need_population(folder)
-    from shj_bayes.commands.comparison import compare_sets
+    from shj_bayes.app.design import compare_sets
 
     record, text = compare_sets(folder, set_a, set_b, rope)
     output.show(record, text)
@@ -496,15 +441,14 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -
 )
 @click.option("--rate", "rate_Hz", type=float, default=20.0, show_default=True, help="Sampling rate, Hz.")
 @click.option("--last-cycles", type=int, default=5, show_default=True, help="Cycles in the last block of Table 1.")
-@MODEL
-@SEED
+@_declared(FitOptions, "model", "seed")
 @QUIET
 def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None:
     """Make recordings from stated parameters.
 
     Two runs of Table 1, with the truth beside them.
     """
-    from shj_bayes.commands.simulated import gamma_of, write_simulated
+    from shj_bayes.app.device import gamma_of, write_simulated
     from shj_bayes.model.simulate import Truth
 
     how = {key: options.pop(key) for key in ("seed", "rate_Hz", "last_cycles", "model")}
@@ -516,29 +460,11 @@ def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None
 @main.command()
 @click.argument("folders", nargs=-1, type=PATH, metavar="[DIR]...")
 @click.option("-o", "--out", type=FOLDER, help="Folder for the plan.")
-@click.option("--question", metavar="Q", help="which, gamma, ratio, K, Fy, beta, least or force; which by default.")
-@click.option(
-    "--among",
-    default="",
-    callback=_words,
-    metavar="velocity,prying",
-    help="Mechanisms to tell apart; velocity: base law.",
-)
+@_declared(PlanOptions, "question", "among")
 @click.option("--rig", type=PATH, metavar="FILE", help="Limits of the rig, TOML.")
-@click.option("--max-stroke", "max_stroke_mm", type=float, metavar="MM", help="Largest displacement to either side.")
-@click.option("--max-speed", "max_speed_mm_s", type=float, metavar="MM/S", help="Largest speed.")
-@click.option("--max-force", "max_force_kN", type=float, metavar="KN", help="Largest force.")
-@click.option("--max-minutes", "max_minutes", type=float, metavar="MIN", help="Longest test.")
-@click.option("--rate", "rate_Hz", type=float, metavar="HZ", help="Rate of the displacement history.")
-@click.option(
-    "--history",
-    "histories",
-    multiple=True,
-    type=FILE,
-    metavar="FILE",
-    help="A further candidate: displacement (mm) over time (s).",
+@_declared(
+    PlanOptions, "max_stroke_mm", "max_speed_mm_s", "max_force_kN", "max_minutes", "rate_Hz", "histories", "priors"
 )
-@click.option("--priors", help="Family that ships (afc, general) or TOML file: a plan before any test.")
 @click.option("--example-rig", type=PATH, metavar="FILE", help="Write an example of rig.toml.")
 @SEED
 @_with_output
@@ -548,30 +474,25 @@ def plan(
     rig: Path | None,
     output: Output,
     example_rig: Path | None,
-    **asked: Any,
+    **options: Any,
 ) -> None:
     """Plan the next test of devices, or of a new one.
 
     Of the devices whose results are in DIR, or from --priors.
     """
     if example_rig is not None:
-        from shj_bayes._util.files import write_text
-        from shj_bayes._util.shipped import shipped
+        from shj_bayes._util.files import shipped, write_text
 
         write_text(example_rig, shipped("data", "examples", "rig.toml").read_text(encoding="utf-8"))
         return
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
-    if bool(folders) == (asked["priors"] is not None):
+    if bool(folders) == (options["priors"] is not None):
         raise click.UsageError("Give the folder of a diagnosed device, or --priors for a plan before any test.")
     need_files([*folders, *([rig] if rig else [])], PlanError)
-    from shj_bayes.commands.next_test import plan_next
-    from shj_bayes.planning.asked import PlanOptions
-    from shj_bayes.planning.protocol import LIMITS, stated_limits
+    from shj_bayes.app.plan import plan_next
 
-    limits = stated_limits(rig, {name: asked.pop(name) for name in LIMITS})
-    given = {name: value for name, value in asked.items() if value is not None}
-    planned = plan_next(folders, out, PlanOptions(**given, limits=limits), tell=output.tell)
+    planned = plan_next(folders, out, PlanOptions(**_stated(options)), rig=rig, tell=output.tell)
     output.show(planned.record, planned.text)
 
 
@@ -637,20 +558,24 @@ def prove(
 
     Trials are sealed, diagnosed behind a fence, opened and scored; or --check of a finished proof.
     """
-    from shj_bayes.commands import validation
-
     how: dict[str, Any] = {"workers": workers or 2, "progress": output.speaks}
     if checked is not None:
-        lines = validation.check(checked, **how)
+        from shj_validation.proof.check import check as check_proof
+
+        lines = check_proof(checked, **how)
         output.show({"checked": lines}, "\n".join([*lines, "the transcript holds"]))
         return
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
     if recordings is not None:
-        real = validation.prove_recordings(recordings, out, **how)
+        from shj_validation.proof.real import prove_recordings
+
+        real = prove_recordings(recordings, out, **how)
         output.show(real.record, real.text)
         return
-    proof = validation.prove(out, quick=not full, **trials, **how)
+    from shj_validation.proof.run import prove as prove_effects
+
+    proof = prove_effects(out, quick=not full, **trials, **how)
     output.show(proof.score, proof.text)
 
 
@@ -661,9 +586,55 @@ def doctor(as_json: bool) -> None:
 
     Also how fast this machine is.
     """
-    from shj_bayes.commands.doctor import examine
+    from shj_bayes.app.device import examine
 
     record, text = examine()
     Output(as_json).show(record, text)
     if not record["works"]:
         raise ShjError("something does not work; the lines above say what")
+
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "demo": ("shj-bayes demo", "shj-bayes demo -o first-look"),
+    "check": (
+        "shj-bayes check run1.csv run2.csv",
+        "shj-bayes check test.txt --columns time=1,displacement=5,force=7 --units ms,mm,N",
+    ),
+    "fit": (
+        "shj-bayes fit run1.csv run2.csv -o results",
+        "shj-bayes fit test.txt -o other --columns time=1,displacement=5,force=7 --units ms,mm,N",
+        "shj-bayes fit run1.csv run2.csv -o freed --free K,gamma --priors general",
+    ),
+    "diagnose": (
+        "shj-bayes diagnose run1.csv run2.csv -o results",
+        "shj-bayes diagnose run1.csv run2.csv -o look --quick",
+        "shj-bayes diagnose run1.csv -o results --without velocity",
+    ),
+    "campaign": (
+        "shj-bayes campaign campaign.toml -o spring",
+        "shj-bayes campaign campaign.toml -o spring --workers 4",
+        "shj-bayes campaign campaign.toml -o spring --dask tcp://10.0.0.5:8786",
+    ),
+    "tables": ("shj-bayes tables -o tables",),
+    "margins": ("shj-bayes margins spring", "shj-bayes margins tables"),
+    "compare": (
+        'shj-bayes compare tables "Zinc 70" "Zinc 70 corroded"',
+        'shj-bayes compare spring bare "zinc 70 %" --json',
+    ),
+    "simulate": (
+        "shj-bayes simulate -o made/a --K 18 --Fy 80 --dep 60",
+        "shj-bayes simulate -o made/b --beta 100 --dep -60 --ratio 0.7 --rate 10 --seed 7",
+    ),
+    "prove": ("shj-bayes prove -n 4 -o proof", "shj-bayes prove -n 40 --seed 7 -o proof"),
+    "export": ("shj-bayes export spring --to opensees",),
+    "plan": (
+        "shj-bayes plan results -o next",
+        "shj-bayes plan results -o next --max-speed 40 --max-minutes 20",
+        "shj-bayes plan results -o next --among velocity,prying",
+        "shj-bayes plan -o first --priors afc --rig rig.toml",
+        "shj-bayes plan --example-rig rig.toml",
+    ),
+    "open": ("shj-bayes open results", "shj-bayes open results --page diagnosis", "shj-bayes open spring --pdf"),
+    "completion": ("shj-bayes completion bash", "shj-bayes completion zsh"),
+    "doctor": ("shj-bayes doctor", "shj-bayes doctor --json"),
+}

@@ -16,7 +16,9 @@
     `-- ProofError        a proof folder that cannot be gone on with, or does not check
 """
 
+import difflib
 import unicodedata
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import PurePath
 
@@ -45,6 +47,13 @@ def shown(value: object, length: int = 80) -> str:
     except ValueError:
         return "a number of thousands of digits"
     return text if len(text) <= length else f"{text[:length]}..."
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """End of a sentence that names the nearest known word, ``"; did you mean 'prying'?"``; empty when none is near."""
+    folded = {name.casefold(): name for name in known}
+    near = difflib.get_close_matches(word.casefold(), folded, n=1, cutoff=0.6)
+    return f"; did you mean '{folded[near[0]]}'?" if near else ""
 
 
 class StrangeFileError(OSError):

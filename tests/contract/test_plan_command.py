@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 import shj_bayes
+from shj_bayes.app.device import write_simulated
 from shj_bayes.cli import main
-from shj_bayes.commands.simulated import write_simulated
-from shj_bayes.errors import PlanError
+from shj_bayes.errors import OptionError
 from shj_bayes.model.simulate import Truth
 from shj_bayes.planning.protocol import Rig, read_rig
 from shj_bayes.recording.reader import read
@@ -70,7 +70,7 @@ def test_what_cannot_be_planned_is_said_in_one_line(fitted: Path, tmp_path: Path
     code, text = said(str(tmp_path / "gone"), "-o", str(tmp_path / "a"))
     assert code == 1
     assert "no such file" in text
-    with pytest.raises(PlanError, match="did you mean 'max_minutes'"):
+    with pytest.raises(OptionError, match="did you mean 'max_minutes'"):
         shj_bayes.plan(fitted, tmp_path / "a", max_minute=3.0)
 
 

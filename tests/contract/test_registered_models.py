@@ -11,7 +11,6 @@ from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.start import find_start
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
 from shj_bayes.model.noise.catalogue import noise_model, noise_models
@@ -19,6 +18,7 @@ from shj_bayes.model.noise.filter import Timing, log_density, simulate
 from shj_bayes.model.noise.noise import Noise, gaussian
 from shj_bayes.model.parameters import BASE, LAW_PARAMETERS, NOISE_PARAMETERS, SHAREABLE, Parameter
 from shj_bayes.model.priors import Prior, read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.protocol import exact_motion, table_1
 
 UNITS = {"kN/mm", "kN", "1", "s/mm", "mm", "mm/s", "s"}
@@ -209,7 +209,7 @@ def test_a_noise_parameter_that_no_search_names_begins_at_its_prior(
     posterior, start = find_start(make_posterior(small_device.runs, device))
     values = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
     assert values["sigma"] == pytest.approx(1.0, rel=0.3)  # the root of 0.8^2 + 0.6^2
-    assert diagnose(small_device.runs, device, Look(quick=True)).content["verdict"] == "adequate"
+    assert diagnose(small_device.runs, device, DiagnoseOptions(quick=True)).content["verdict"] == "adequate"
 
 
 def test_values_survive_pickling(small_device: Posterior, as_vector: Callable[..., np.ndarray]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import shj_bayes
-from shj_bayes.commands.simulated import write_simulated
+from shj_bayes.app.device import write_simulated
 from shj_bayes.model.simulate import Truth
 from shj_bayes.results.diagnosis import LeftOver
 from shj_bayes.results.store import find

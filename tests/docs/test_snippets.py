@@ -17,9 +17,8 @@ import pytest
 from click.testing import CliRunner
 from scipy.io import savemat
 
-from shj_bayes.cli import main
-from shj_bayes.commands.examples import EXAMPLES
-from shj_bayes.commands.simulated import write_simulated
+from shj_bayes.app.device import write_simulated
+from shj_bayes.cli import EXAMPLES, main
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
 from shj_bayes.planning import plan

@@ -13,8 +13,8 @@ from pathlib import Path
 import h5py
 from corpus import Case
 
-from shj_bayes.commands.campaign import read_manifest
-from shj_bayes.commands.earlier import earlier
+from shj_bayes.app.manifest import read_manifest
+from shj_bayes.app.resume import earlier
 from shj_bayes.errors import ShjError
 from shj_bayes.inference import sampler as checkpoint
 from shj_bayes.margins.history import from_file

@@ -13,7 +13,7 @@ import openpyxl
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
-from shj_bayes._util.shipped import shipped
+from shj_bayes._util.files import shipped
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan

@@ -23,9 +23,9 @@ import numpy as np
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.reader import read
 from shj_validation.proof.answers import CASES
 from shj_validation.proof.cases import development_keys
@@ -162,7 +162,7 @@ def look(recorded: list[Any], variant: str, priors: str = "afc", without: tuple[
     """Give the record of a first look."""
     runs = runs_of(recorded)
     device = DeviceModel(len(runs), read_priors(priors), variant=variant)
-    return diagnose(runs, device, Look(without, quick=True)).content
+    return diagnose(runs, device, DiagnoseOptions(without, quick=True)).content
 
 
 PARTS: dict[str, Callable[[Path], dict[str, Any]]] = {f.__name__: f for f in (demo, tables, trials, recordings)}

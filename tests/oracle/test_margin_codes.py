@@ -12,9 +12,9 @@ from shj_bayes.margins.basis import NONE, Bounds, DesignBasis, Environment, Slid
 from shj_bayes.margins.codes import asce7, en15129
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.codes.iso16269_6 import one_sided
-from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.spread import Sample, between_sets, of_set
+from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.predict import NewDevice
 
 FORCE = SlidingForceBounds(
@@ -59,7 +59,7 @@ def test_en1990_with_v_unknown_is_raised_to_a_tenth():
 
 def test_en1990_upper_values():
     """80, 84, 90 kN: V unknown exp(4.43755 + 0.33633) = 118.38 kN, V of 0.06 known exp(4.43755 + 0.11386) = 94.77."""
-    found = rows("en1990", Request(v_known=0.06, v_reason="factory control of 300 devices"))
+    found = rows("en1990", MarginOptions(v_known=0.06, v_reason="factory control of 300 devices"))
     assert found["EN 1990 characteristic, lognormal, V unknown", HIGH].value == pytest.approx(118.38, abs=0.02)
     assert found["EN 1990 characteristic, lognormal, V known", HIGH].value == pytest.approx(94.77, abs=0.01)
 
@@ -93,7 +93,7 @@ def test_en1990_with_v_known_is_what_the_user_states():
 
     k_d,3 = 3.0902 sqrt(4/3) = 3.5683: exp(4.43755 - 0.21391) = 68.28 kN.
     """
-    request = Request(v_known=0.06, v_reason="factory control of 300 devices")
+    request = MarginOptions(v_known=0.06, v_reason="factory control of 300 devices")
     found = rows("en1990", request)
     row = found["EN 1990 characteristic, lognormal, V known", LOW]
     assert row.value == pytest.approx(75.47, abs=0.01)
@@ -104,9 +104,9 @@ def test_en1990_with_v_known_is_what_the_user_states():
     assert "spread more than the V stated" in wide["EN 1990 characteristic, lognormal, V known", LOW].note
     for half in ({"v_known": 0.06}, {"v_reason": "because"}):
         with pytest.raises(PopulationError, match="--v-known"):
-            Request(**half)
+            MarginOptions(**half)
     with pytest.raises(PopulationError, match="between 0 and 1"):
-        Request(v_known=6.0, v_reason="per cent")
+        MarginOptions(v_known=6.0, v_reason="per cent")
 
 
 def test_tolerance_limits_keep_the_spread_as_measured():
@@ -194,9 +194,9 @@ def test_en15129_does_not_shrink_what_was_measured():
     found = rows("en15129")
     assert found["EN 15129 LBDP, importance class II", LOW].value == pytest.approx(42.33)
     assert found["EN 15129 UBDP, importance class II", HIGH].value == pytest.approx(100.395)
-    third = rows("en15129", Request(importance="III"))
+    third = rows("en15129", MarginOptions(importance="III"))
     assert third["EN 15129 LBDP, importance class III", LOW].value == pytest.approx(41.31)
-    first = rows("en15129", Request(importance="I"))
+    first = rows("en15129", MarginOptions(importance="I"))
     assert first["EN 15129 LBDP, importance class I", LOW].value == pytest.approx(42.84)
     assert first["EN 15129 UBDP, importance class I", HIGH].value == pytest.approx(99.91)
     full = en15129.ageing(Environment(Bounds(0.5, 1.0), Bounds(0.5, 1.0), "exactly known"), "I")

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes.cli import main
-from shj_bayes.errors import ReportError
+from shj_bayes.errors import ReportError, did_you_mean
 from shj_bayes.report import browse, page
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.page import is_ours

@@ -10,7 +10,7 @@ import pytest
 from made_campaign import make_campaign, population
 from made_diagnosis import write
 
-from shj_bayes.commands.margin_sheet import design_margins
+from shj_bayes.app.resume import design_margins
 from shj_bayes.population.device import PUBLISHED
 from shj_bayes.population.results import write_population
 from shj_bayes.report.campaign import render_campaign, render_tables

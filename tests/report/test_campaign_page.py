@@ -7,7 +7,7 @@ import pytest
 from made_campaign import make_campaign, population
 from page_tools import Page, check_safe, folded
 
-from shj_bayes.commands.pooled import band_text
+from shj_bayes.app.design import band_text
 from shj_bayes.errors import ShjError
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import new_device_table

@@ -12,7 +12,7 @@ from matplotlib import pyplot
 from matplotlib.figure import Figure
 from page_tools import Page, check_safe, folded, read_old
 
-from shj_bayes.commands.finished import device_text
+from shj_bayes.app.resume import device_text
 from shj_bayes.errors import ShjError
 from shj_bayes.report.device import badges, content, render_device
 from shj_bayes.report.device_pictures import draw as draw_page

@@ -12,7 +12,7 @@ from made_diagnosis import made, record, write
 from markupsafe import Markup
 from page_tools import Page, check_safe, folded
 
-from shj_bayes.commands.pipeline import diagnosis_text
+from shj_bayes.app.device import diagnosis_text
 from shj_bayes.errors import ReportError
 from shj_bayes.report.diagnosis_data import read_diagnosis
 from shj_bayes.report.diagnosis_numbers import profile

@@ -10,7 +10,7 @@ from made_diagnosis import made
 from page_tools import read_old
 from scipy.signal import lfilter
 
-from shj_bayes.commands.finished import device_text
+from shj_bayes.app.resume import device_text
 from shj_bayes.report import words
 from shj_bayes.report.binned import N_STROKE, stroke_profiles
 from shj_bayes.report.numbers import left_over

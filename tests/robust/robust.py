@@ -23,7 +23,7 @@ from typing import Any
 from changed_recordings import case
 
 from shj_bayes import api
-from shj_bayes.commands.margin_sheet import design_margins
+from shj_bayes.app.resume import design_margins
 from shj_bayes.errors import ShjError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -24,8 +24,8 @@ import scipy.io
 from click.testing import CliRunner
 
 from shj_bayes._util.files import file_digest, plain_name, read_bytes
+from shj_bayes.app.manifest import read_manifest
 from shj_bayes.cli import main
-from shj_bayes.commands.campaign import read_manifest
 from shj_bayes.errors import (
     CampaignError,
     PlanError,

@@ -16,16 +16,16 @@ import xarray as xr
 from made_diagnosis import made
 
 import shj_bayes
-from shj_bayes._util import vetting
+from shj_bayes._util import processes
 from shj_bayes._util.files import check_seal, file_digest, folder_name, plain_name, read_json, sealed
+from shj_bayes.app.manifest import Device, read_manifest
+from shj_bayes.app.resume import design_margins
 from shj_bayes.cli import Output
-from shj_bayes.commands.campaign import Device, read_manifest
-from shj_bayes.commands.margin_sheet import design_margins
-from shj_bayes.commands.options import Options
 from shj_bayes.errors import InferenceError, PopulationError, ReportError, ShjError
 from shj_bayes.inference import store
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.diagnosis import DiagnosisResult
+from shj_bayes.options import FitOptions
 from shj_bayes.population.device import published_devices
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.results import load_population, safe_cell, write_population
@@ -104,7 +104,7 @@ def test_folders_of_devices_stay_below_the_campaign(tmp_path, name):
     slug = folder_name(name)
     assert re.fullmatch(r"[a-z0-9][a-z0-9.-]*", slug)
     assert len(slug) < 80
-    folder = (tmp_path / Device(name, name, (), Options()).folder).resolve()
+    folder = (tmp_path / Device(name, name, (), FitOptions()).folder).resolve()
     assert folder.is_relative_to(tmp_path / "devices")
     assert folder != tmp_path / "devices"
     shown = plain_name(name)
@@ -342,15 +342,15 @@ def test_a_posterior_that_is_none_is_refused_before_it_is_read_here(copy, kind):
 
 @pytest.mark.parametrize("body", ["import os; os.abort()", "import sys, os; sys.stdin.readline(); os.abort()"])
 def test_a_posterior_that_ends_the_library_is_one_line_and_the_next_one_is_read(fitted, monkeypatch, body):
-    vetting._end()
+    processes._end()
     with monkeypatch.context() as changed:
-        changed.setattr(vetting, "_CHILD", body)
+        changed.setattr(processes, "_CHILD", body)
         with pytest.raises(InferenceError, match=r"posterior\.nc in .* cannot be read \(.* gave up\)"):
             device_file.read_group(fitted, "posterior")
     assert "Fy" in device_file.read_group(fitted, "posterior")
-    one = vetting._child().pid
+    one = processes._child().pid
     assert "Fy" in device_file.read_group(fitted, "posterior")
-    assert vetting._child().pid == one  # one process for all files
+    assert processes._child().pid == one  # one process for all files
 
 
 def test_the_fit_of_another_device_is_not_taken_for_this_one(fitted):
@@ -370,7 +370,7 @@ def test_a_diagnosis_is_not_written_through_a_link_and_its_old_page_goes(tmp_pat
 
 
 def test_what_a_fit_writes_is_no_window(fitted):
-    vetting.vet(fitted / "posterior.nc")
+    processes.vet(fitted / "posterior.nc")
 
 
 @pytest.mark.parametrize("name", ["posterior.nc", "summary.csv", "summary.json"])

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import shj_bayes
-from shj_bayes._util import child_processes, import_safety
-from shj_bayes._util.child_processes import PYTHON, Workers
+from shj_bayes._util import imports, processes
+from shj_bayes._util.processes import PYTHON, Workers
 
 # As pip writes it for the entry point of pyproject.toml.
 INSTALLED = "import sys\nfrom shj_bayes.cli import main\nif __name__ == '__main__':\n    sys.exit(main())\n"
@@ -67,7 +67,7 @@ def test_no_process_is_started_without_leaving_out_the_current_folder():
     source = Path(shj_bayes.__file__).parent
     texts = {path.name: path.read_text(encoding="utf-8") for path in source.rglob("*.py")}
     starts = [name for name, text in texts.items() if "sys.executable" in text and '"-I"' not in text]
-    assert starts == [name for name, text in texts.items() if "get_context" in text] == ["child_processes.py"]
+    assert starts == [name for name, text in texts.items() if "get_context" in text] == ["processes.py"]
 
 
 def test_only_our_own_processes_leave_the_current_folder_out(monkeypatch):
@@ -101,7 +101,7 @@ def test_a_folder_that_is_gone_stops_no_import(tmp_path, monkeypatch):
         raise FileNotFoundError
 
     monkeypatch.setattr(os, "getcwd", gone)
-    with import_safety._moved():
+    with imports._moved():
         pass
 
 
@@ -112,16 +112,16 @@ def test_programs_are_not_taken_from_the_current_folder(tmp_path, monkeypatch):
     git.chmod(0o755)
     monkeypatch.setenv("PATH", os.pathsep.join(["", ".", str(tmp_path / "none")]))
     assert shutil.which("git") is not None  # as on Windows with any path
-    assert child_processes.program("git") is None
+    assert processes.program("git") is None
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert child_processes.program("git") == str(git)
+    assert processes.program("git") == str(git)
 
 
 # ---- the end of a parent ----
 
 POOL = """
 import os, sys, time
-from shj_bayes._util.child_processes import Workers
+from shj_bayes._util.processes import Workers
 if __name__ == "__main__":
     with Workers(2) as pool:
         begun = set()
@@ -132,14 +132,14 @@ if __name__ == "__main__":
 """
 CHILD = """
 import os, time
-from shj_bayes._util.child_processes import end_with_input
+from shj_bayes._util.processes import end_with_input
 end_with_input()
 print(os.getpid(), flush=True)
 time.sleep(60)
 """
 TETHER = f"""
 import subprocess
-from shj_bayes._util.child_processes import PYTHON, tether
+from shj_bayes._util.processes import PYTHON, tether
 with tether() as end:
     subprocess.run([*PYTHON, "-c", {CHILD!r}], stdin=end)
 """

@@ -8,10 +8,10 @@ import time
 
 import pytest
 
-from shj_bayes._util import import_safety
-from shj_bayes.commands.options import Options
-from shj_bayes.commands.pipeline import fit_device
+from shj_bayes._util import imports
+from shj_bayes.app.device import fit_device
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.options import FitOptions
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 
@@ -69,7 +69,7 @@ def test_numba_has_a_cache_of_its_own_where_it_finds_none(monkeypatch):
             raise RuntimeError("no locator available")
 
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    import_safety._cache_somewhere(Numba)
+    imports._cache_somewhere(Numba)
     folder = os.environ["NUMBA_CACHE_DIR"]
     assert os.stat(folder).st_mode & 0o077 == 0
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
@@ -77,17 +77,17 @@ def test_numba_has_a_cache_of_its_own_where_it_finds_none(monkeypatch):
 
 def test_a_clock_that_was_set_back_loses_nothing(run, tmp_path):
     out = tmp_path / "out"
-    first = fit_device([run], out, Options(max_steps=200))
+    first = fit_device([run], out, FitOptions(max_steps=200))
     later = time.time() + 86_400
     for path in (run, *out.iterdir()):
         os.utime(path, (later, later))
-    kept = fit_device([run], out, Options(max_steps=200))
+    kept = fit_device([run], out, FitOptions(max_steps=200))
     assert not kept.fresh
     assert kept.record == first.record
-    other = fit_device([run], out, Options(max_steps=200, seed=2))
+    other = fit_device([run], out, FitOptions(max_steps=200, seed=2))
     assert other.fresh
     assert other.record.key != first.record.key
     for path in out.iterdir():
         os.utime(path, (later, later))
-    fit_device([run], out, Options(max_steps=200), page=False)  # as one that is killed before it draws
+    fit_device([run], out, FitOptions(max_steps=200), page=False)  # as one that is killed before it draws
     assert not (out / "report.html").exists()  # else the page of the other one would be kept: it seems newer

@@ -9,8 +9,7 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from shj_bayes._util.files import write_text
-from shj_bayes._util.lock import LOCK, alone
+from shj_bayes._util.files import LOCK, alone, write_text
 from shj_bayes.cli import main
 from shj_bayes.errors import ShjError
 from shj_bayes.model.simulate import Truth, simulate_device
@@ -19,7 +18,7 @@ from shj_bayes.recording.writer import write_csv
 
 HOLDER = """
 import pathlib, sys, time
-from shj_bayes._util.lock import alone
+from shj_bayes._util.files import alone
 with alone(pathlib.Path(sys.argv[1])):
     print(flush=True)
     time.sleep(60)

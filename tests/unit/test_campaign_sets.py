@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from shj_bayes.commands.campaign import read_manifest, run_campaign
-from shj_bayes.commands.summary import summarise_campaign
+from shj_bayes.app.campaign import run_campaign, summarise_campaign
+from shj_bayes.app.manifest import read_manifest
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
@@ -86,14 +86,13 @@ def test_a_second_call_keeps_fits_and_diagnoses(campaign):
 
 
 @pytest.mark.slow
-def test_a_diagnosis_that_is_gone_is_made_again_and_a_damaged_one_stops_nobody(campaign):
+def test_a_diagnosis_that_is_gone_is_made_again_and_one_without_evidence_stops_nobody(campaign):
     manifest, out, _ = campaign
     one, other, _ = sorted(out.glob("devices/bare*/diagnosis/diagnosis.json"))
     record = json.loads(one.read_text(encoding="utf-8"))
     one.unlink()
-    damaged = json.loads(other.read_text(encoding="utf-8"))
-    damaged["evidence"]["nats"] = "none"
-    other.write_text(json.dumps(damaged), encoding="utf-8")
+    without = json.loads(other.read_text(encoding="utf-8")) | {"evidence": None}
+    other.write_text(json.dumps(without), encoding="utf-8")
     outcomes = run_campaign(manifest, out, workers=1)
     assert [o.status for o in outcomes] == ["done", "kept", "kept", "kept"]
     assert outcomes[1].diagnosis == "failed"

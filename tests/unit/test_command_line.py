@@ -5,16 +5,18 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from shj_bayes.app import device
+from shj_bayes.app.resume import name_of_device
 from shj_bayes.cli import main
-from shj_bayes.commands import pipeline
-from shj_bayes.commands.finished import name_of_device
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.options import DiagnoseOptions, FitOptions, MarginOptions, PlanOptions
 from shj_bayes.recording.protocol import Block
 from shj_bayes.recording.writer import write_csv
 
@@ -56,6 +58,17 @@ def test_help_answers_at_once_and_names_the_commands():
 def test_a_device_is_named_by_its_first_file_without_the_ending_of_its_format(ending):
     assert name_of_device(None, f"rig 2.5{ending}") == "rig 2.5"
     assert name_of_device("mine", f"rig{ending}") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [("fit", FitOptions), ("diagnose", DiagnoseOptions), ("plan", PlanOptions), ("margins", MarginOptions)],
+)
+def test_every_option_that_is_declared_is_one_of_its_command_and_is_explained(command, kind):
+    flags = {parameter.name for parameter in main.commands[command].params}
+    names = {one.name for one in fields(kind)}
+    assert names - {"runs"} <= flags  # it is given by three
+    assert all(f"\n{name} : " in kind.__doc__ for name in names)
 
 
 def test_the_command_runs_as_a_module():
@@ -102,7 +115,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, monke
     def denied(*_, **__):
         raise PermissionError(13, "Permission denied", "tmpabc")
 
-    monkeypatch.setattr("shj_bayes.commands.pooled.fit_population", never)
+    monkeypatch.setattr("shj_bayes.app.design.fit_population", never)
     (tmp_path / "file").write_text("x", encoding="utf-8")
     done = run("tables", "-o", tmp_path / "file" / "below")
     assert (done.exit_code, "rights" in done.output) == (1, True)
@@ -270,12 +283,12 @@ def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_pat
 
 def test_long_steps_are_told_before_they_begin_and_to_a_terminal_alone(recordings, capsys, monkeypatch):
     told = []
-    pipeline._usable(recordings, pipeline.Options(), told.append)
+    device._usable(recordings, FitOptions(), told.append)
     assert told == [f"reading {path.name}" for path in recordings]
-    pipeline.step_told("drawing the page")
+    device.step_told("drawing the page")
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    pipeline.step_told("drawing the page")
+    device.step_told("drawing the page")
     assert capsys.readouterr().err == "  drawing the page\n"
 
 
@@ -317,7 +330,7 @@ def test_an_interrupt_that_python_drops_stops_the_command_all_the_same(monkeypat
         for _ in range(1000):
             time.sleep(0.01)
 
-    monkeypatch.setattr("shj_bayes.commands.doctor.examine", examine)
+    monkeypatch.setattr("shj_bayes.app.device.examine", examine)
     begin = time.monotonic()
     result = run("doctor")
     assert result.exit_code == 1
@@ -363,13 +376,12 @@ def test_interrupted_fit_says_how_to_go_on(recordings, tmp_path):
 @pytest.mark.parametrize(
     ("module", "unneeded"),
     [
-        ("margin_sheet", {"scipy", "numba", "pandas", "xarray", "matplotlib"}),
-        ("summary", {"scipy.stats", "matplotlib", "openpyxl"}),
-        ("comparison", {"scipy.stats", "matplotlib", "openpyxl", "xarray"}),
+        ("resume", {"scipy", "numba", "pandas", "xarray", "matplotlib"}),
+        ("campaign", {"scipy.stats", "matplotlib", "openpyxl"}),
         ("design", {"scipy.stats", "matplotlib", "openpyxl", "xarray"}),
     ],
 )
 def test_commands_do_not_wait_for_libraries_that_they_may_not_need(module, unneeded):
-    code = f"import sys, shj_bayes.commands.{module}; print(*sys.modules)"
+    code = f"import sys, shj_bayes.app.{module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not unneeded & set(done.stdout.split())

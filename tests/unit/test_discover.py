@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from shj_bayes._util.discover import discovered
+from shj_bayes._util.imports import discovered
 from shj_bayes.errors import ModelError
 
 

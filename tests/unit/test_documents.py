@@ -18,8 +18,8 @@ import click
 import pytest
 
 from shj_bayes import __version__
+from shj_bayes.app.manifest import SCHEMA, read_manifest
 from shj_bayes.cli import main
-from shj_bayes.commands.campaign import SCHEMA, read_manifest
 from shj_bayes.inference.convergence import RHAT_LIMIT
 from shj_bayes.inference.store import SUMMARY_COLUMNS
 from shj_bayes.model.priors import read_priors, shipped_families
@@ -177,7 +177,7 @@ def test_toml_snippets_parse_and_are_accepted(page: Path, tmp_path: Path) -> Non
 
 
 def test_manifest_page_lists_every_option() -> None:
-    from shj_bayes.commands.campaign import OPTION_KINDS  # noqa: PLC0415
+    from shj_bayes.app.manifest import OPTION_KINDS  # noqa: PLC0415
 
     rows = set(re.findall(r"^\| `(\w+)` \|", text(TOP / "docs/manifest.md"), re.MULTILINE))
     assert rows == set(OPTION_KINDS)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shj_bayes._util.files import sealed
-from shj_bayes.commands.earlier import Earlier, earlier
+from shj_bayes.app.resume import Earlier, earlier
 from shj_bayes.errors import PopulationError, PriorError
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

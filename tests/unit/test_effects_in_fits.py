@@ -8,13 +8,13 @@ from click.testing import CliRunner
 
 import shj_bayes
 from shj_bayes.cli import main
-from shj_bayes.commands.options import Options
 from shj_bayes.errors import CheckpointError, InferenceError, ModelError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.catalogue import noise_models
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.options import FitOptions
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.writer import write_csv
@@ -59,7 +59,7 @@ def fitted(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> 
 @pytest.mark.parametrize("words", [("slack", "slack"), ("slack", "wear", "slack")])
 def test_an_effect_that_stands_twice_is_refused(words: tuple[str, ...]) -> None:
     with pytest.raises(ModelError, match="the effect 'slack' stands twice"):
-        Options(effects=words)
+        FitOptions(effects=words)
 
 
 def test_the_slack_is_named(found: shj_bayes.Diagnosis) -> None:
@@ -163,7 +163,7 @@ def test_the_command_takes_the_effects_too(recordings: list[Path], tmp_path: Pat
 
 def test_speed_is_in_the_law_already() -> None:
     with pytest.raises(ModelError, match=r"the base law depends on speed already; take 'velocity' out"):
-        Options(effects=("velocity",))
+        FitOptions(effects=("velocity",))
 
 
 @pytest.mark.parametrize("command", ["fit", "diagnose"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import shj_bayes
-from shj_bayes.commands.simulated import write_simulated
+from shj_bayes.app.device import write_simulated
 from shj_bayes.errors import ModelError, RecordingError, ReportError
 from shj_bayes.model.simulate import Truth
 

@@ -1,33 +1,45 @@
-"""Files that are written whole or not at all, files that are read with bounds, and names that are safe everywhere."""
+"""Files written whole or not at all, files read with bounds, safe names, and one process at a time in a results folder.
+
+The lock of a folder is the operating system's, on a file that says who holds it; it goes when its process ends, however
+that ends. A file that a killed process left is taken over. Where a file system knows no locks, nothing is held.
+"""
 
 import errno
+import functools
 import glob
 import hashlib
+import inspect
 import json
 import math
 import os
 import re
+import socket
 import stat
+import sys
 import tomllib
 import unicodedata
 import zipfile
-from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from io import BufferedReader
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
-from shj_bayes.errors import PopulationError, ShjError, StrangeFileError, plain_lines, plain_text
+from shj_bayes.errors import PopulationError, ShjError, StrangeFileError, plain_lines, plain_text, shown
 
 MAX_POINTS = 400  # in a line of TOML; a key of a hundred thousand parts, a.a.a, keeps Python's parser busy for hours
 MAX_JSON = 64 * 1024**2  # the largest files of results are some megabytes
 _MAY_STEER = re.compile(rb"\\[bfru]|[\x7f-\xff]")  # in JSON; without these, no text in it holds what steers a terminal
 FOLDER_DIGITS = 12  # of a digest: a hundred thousand names of one slug share one with a chance of 2e-5
 MAX_ARRAYS = 2 * 1024**3  # draws of a hundred thousand sets
-MAX_SEARCHED = 100_000  # characters of TOML in which the line of a value is looked for
-MAX_SEARCHES = 60  # a file that a text of many lines makes hard to search is left; each costs some 50 ms at most
+MAX_SEARCHED = 5_000_000  # characters of TOML in which the line of a value is looked for: about a second
+_TOML = re.compile(  # texts of several lines, texts, remarks, signs, and anything between them
+    r'"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|"(?:\\.|[^"\\])*"|\'[^\']*\'|#[^\n]*|[\[\]{}=,.\n]|[^\s\[\]{}=,.#"\']+',
+    re.DOTALL,
+)
+_DEPTH = {"[": 1, "{": 1, "]": -1, "}": -1}
 
 
 @contextmanager
@@ -231,35 +243,46 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
 
 
 def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
-    """Line, from 1, of a valid TOML file on which a value ends; `keys` is the way to it: tables, places in lists.
+    """Line, from 1, of a valid TOML file on which a value begins; `keys` is the way to it: tables, places in lists.
 
-    None where there is no such key, or looking for it would take long.
+    None where there is no such key, or the file is long. What stands within braces or brackets begins where these do.
     """
-    lines = path.read_text(encoding="utf-8-sig").split("\n")
-    if sum(map(len, lines)) > MAX_SEARCHED:
-        return None
+    text = path.read_text(encoding="utf-8-sig")
+    lines = _toml_lines(text) if len(text) <= MAX_SEARCHED else {}
+    found = (lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
+    return next((line for line in found if line), None)
 
-    searches = iter(range(MAX_SEARCHES))
 
-    def holds(n: int) -> bool:
-        for end in range(n, len(lines) + 1):  # what ends in the midst of a list or a text is no TOML yet
-            next(searches)
-            try:
-                node: Any = tomllib.loads("\n".join(lines[:end]) + "\n")
-            except ValueError:
-                continue
-            try:
-                for key in keys:
-                    node = node[key]
-            except (KeyError, IndexError, TypeError):
-                return False
-            return True
-        return False
-
-    try:
-        return bisect_left(range(len(lines) + 1), True, key=holds) if holds(len(lines)) else None
-    except StopIteration:
-        return None
+def _toml_lines(text: str) -> dict[tuple[str | int, ...], int]:
+    """Line on which each ``key = value`` of a valid TOML text begins, by the way to it."""
+    lines: dict[tuple[str | int, ...], int] = {}
+    last: dict[tuple[str | int, ...], int] = {}  # place of the last table of each list of tables
+    here: tuple[str | int, ...] = ()
+    words: list[str] = []  # of a header, or of a key and its =
+    line, begin, depth = 1, 1, 0  # depth of brackets and braces of a value
+    for match in _TOML.finditer(f"{text}\n"):
+        token = match[0]
+        line += token.count("\n")
+        if "=" in words:
+            depth += _DEPTH.get(token, 0)
+        elif token != "\n" and token[0] != "#":
+            begin = begin if words else line
+            words.append(token)
+        if token != "\n" or depth or not words:
+            continue
+        names = [word.strip("\"'") for word in words if word not in "[]=."]
+        if words[0] != "[":
+            for n in range(1, len(names) + 1):
+                lines.setdefault((*here, *names[:n]), begin)
+        else:
+            here = ()
+            for n, name in enumerate(names, start=1):
+                here += (name,)
+                if n == len(names) and words[1] == "[":
+                    last[here] = last.get(here, -1) + 1
+                here += (last[here],) if here in last else ()
+        words = []
+    return lines
 
 
 def file_digest(path: Path) -> str:
@@ -281,3 +304,138 @@ def folder_name(*names: str) -> str:
     slug = re.sub(r"[^A-Za-z0-9.-]+", "-", " ".join(names)).strip("-.").lower()[:60]
     digest = hashlib.sha256("\0".join(names).encode("utf-8", "replace")).hexdigest()
     return f"{slug}-{digest[:FOLDER_DIGITS]}".strip("-")
+
+
+def shipped(*parts: str) -> Path:
+    """Path of a shipped file or folder such as ``"priors", "afc.toml"``; `FileNotFoundError` where there is none."""
+    package = Path(__file__).resolve().parents[1]
+    for root in (package / "_shipped", package.parents[1]):
+        candidate = root.joinpath(*parts)
+        if candidate.exists():
+            return candidate
+    raise FileNotFoundError(f"{'/'.join(parts)} does not ship with this installation; reinstall shj-bayes")
+
+
+LOCK = "shj-bayes.lock"
+_WRITTEN = 4096  # the file is shorter; Windows locks the byte behind, so that the others can read what is written
+_BUSY = {errno.EACCES, errno.EAGAIN, errno.EDEADLK}
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def alone_in(parameter: str, kept: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Decorate a function that writes into a folder, one of its parameters: it does so `alone`, or raises as that.
+
+    `kept` is a file of a finished result; where it is there, the folder may be one that cannot be written into.
+    """
+
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        signature = inspect.signature(function)
+
+        @functools.wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> T:
+            folder = Path(signature.bind(*args, **kwargs).arguments[parameter])
+            with alone(folder, kept):
+                return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+@contextmanager
+def alone(folder: Path, kept: str = "") -> Iterator[None]:
+    """Hold a results folder for a while; a folder that was made for it and stayed empty is taken away again.
+
+    `kept` is as for `alone_in`. `ShjError` if another process, or another thread of this one, is at work in it;
+    `OSError` if it cannot be made or written into.
+    """
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        stream = _locked(folder / LOCK)
+    except OSError as error:
+        if kept and (folder / kept).exists():
+            stream = None
+        else:
+            raise OSError(error.errno, os.strerror(error.errno or errno.EIO), str(folder)) from error
+    try:
+        yield
+    finally:
+        if stream is not None:
+            _release(stream, folder / LOCK)
+        with suppress(OSError):
+            for place in made:
+                place.rmdir()
+
+
+def _locked(path: Path) -> int | None:
+    """Descriptor of the locked file, with who holds it written into it; None where there are no locks."""
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    while True:
+        stream = os.open(path, flags, 0o666)
+        status = os.fstat(stream)
+        if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:  # what is written here would be another file's
+            os.close(stream)
+            raise ShjError(
+                f"{path.name} in {path.parent.name} is no file of its own but a pipe, a device or a further name of "
+                "another file; take it away, or choose another folder with -o"
+            )
+        try:
+            _lock(stream)
+            there = os.fstat(stream).st_ino == path.stat().st_ino  # else its holder took it away meanwhile
+        except FileNotFoundError:
+            there = False
+        except OSError as error:
+            if error.errno not in _BUSY:
+                os.close(stream)
+                path.unlink(missing_ok=True)
+                return None
+            words = f"{path.parent.name} {_holder(stream)}; wait for it, or choose another folder with -o"
+            os.close(stream)
+            raise ShjError(words) from None
+        if there:
+            who = {"process": os.getpid(), "host": socket.gethostname()}
+            who["since"] = datetime.now().astimezone().isoformat(timespec="seconds")
+            os.ftruncate(stream, 0)
+            os.write(stream, json.dumps(who).encode()[:_WRITTEN])
+            return stream
+        os.close(stream)
+
+
+def _holder(stream: int) -> str:
+    """Say who writes into a folder, as far as that stands in its file."""
+    try:
+        os.lseek(stream, 0, os.SEEK_SET)
+        who = json.loads(os.read(stream, _WRITTEN))
+        process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
+        return f"is being written into by process {process} on {host}, since {since}"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet
+        return "is being written into by another process"
+
+
+def _release(stream: int, path: Path) -> None:
+    """Take the file away while it is locked, where the system allows that, then unlock it."""
+    with suppress(OSError):
+        if sys.platform != "win32":
+            path.unlink()
+    os.close(stream)
+    with suppress(OSError):
+        if sys.platform == "win32":
+            path.unlink()
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(stream: int) -> None:
+        os.lseek(stream, _WRITTEN, os.SEEK_SET)
+        msvcrt.locking(stream, msvcrt.LK_NBLCK, 1)
+        os.lseek(stream, 0, os.SEEK_SET)
+
+else:
+    import fcntl
+
+    def _lock(stream: int) -> None:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

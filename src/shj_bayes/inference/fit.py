@@ -19,8 +19,8 @@ from shj_bayes.inference.start import find_start
 from shj_bayes.inference.store import remarks_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.results.fit import FitRecord, Trust
+from shj_bayes.results.store import CHECKPOINT
 
-CHECKPOINT = "checkpoint.h5"
 DEFAULT_PLAN = SamplingPlan()
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from shj_bayes._util.files import open_ordinary, replacing
-from shj_bayes._util.import_safety import without
+from shj_bayes._util.imports import without
 from shj_bayes.errors import CheckpointError, InferenceError, StrangeCheckpointError
 from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, diagnose_chains, judge
 from shj_bayes.inference.proposal import Proposal, fit_proposal

@@ -41,9 +41,10 @@ from shj_bayes.results.fit import (
     RunInput,
     SamplingRecord,
     SummaryRecord,
+    Trust,
     ZeroError,
 )
-from shj_bayes.results.store import FILES, write
+from shj_bayes.results.store import CHECKPOINT, FILES, write
 
 if TYPE_CHECKING:
     from shj_bayes.inference.convergence import Diagnostics, FitVerdict
@@ -307,7 +308,8 @@ def _input(run: Run, zero_kN: float, zero_sd_kN: float) -> RunInput:
 def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: FitRecord) -> FitRecord:
     """Write ``posterior.nc``, ``summary.csv``, ``summary.json`` and, last, ``fit.json`` (each whole or not at all).
 
-    The record gains ``files``, the SHA-256 of the other three, and ``digest``, that of the record itself.
+    The record gains ``files``, the SHA-256 of the other three and of the checkpoint of one to be gone on with,
+    and ``digest``, that of the record itself.
     """
     known = {key: value for key, value in to_json(record).items() if key not in ("files", "digest")}
     data.attrs.update(schema=SCHEMA, device=record.device, provenance=json.dumps(known))
@@ -316,7 +318,8 @@ def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: FitR
         data.to_netcdf(part, engine="h5netcdf")
     write_text(folder / "summary.csv", table.assign(schema=SCHEMA).to_csv(index=False))
     write(SummaryRecord(parameters=record.parameters), folder)
-    record = replace(record, files={name: file_digest(folder / name) for name in FILES})
+    left = (CHECKPOINT,) if record.verdict != Trust.RELIABLE and (folder / CHECKPOINT).is_file() else ()
+    record = replace(record, files={name: file_digest(folder / name) for name in (*FILES, *left)})
     (folder / "report.html").unlink(missing_ok=True)  # of the fit before; no clock tells which came first
     return from_json(FitRecord, write(record, folder, allow_nan=True))
 

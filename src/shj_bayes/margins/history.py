@@ -9,12 +9,12 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import PopulationError, plain_text
-from shj_bayes.margins.request import Request
 from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.options import MarginOptions
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import Block, exact_motion
 from shj_bayes.recording.reader import read_history
@@ -147,7 +147,7 @@ class LoadCase:
     channels: tuple[tuple[str, float], ...] = ()
 
 
-def loading_history(request: Request, specimens: Sequence[Specimen]) -> LoadingHistory | None:
+def loading_history(request: MarginOptions, specimens: Sequence[Specimen]) -> LoadingHistory | None:
     """Give the history that is asked for; None for the test that each device went through.
 
     The largest common amplitude and speed of the tested devices stand in for what was not stated.

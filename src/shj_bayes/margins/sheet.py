@@ -21,7 +21,6 @@ from shj_bayes.margins.basis import (
 )
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
-from shj_bayes.margins.request import PLAIN, Request
 from shj_bayes.margins.row import BANDS, DESIGN, FACTORS, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.spread import (
     NOT_NORMAL,
@@ -33,6 +32,7 @@ from shj_bayes.margins.spread import (
 )
 from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.parameters import base_of
+from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, sets_suffice
@@ -125,7 +125,7 @@ def _carried(design: PopulationResult, tests: Sequence[VirtualTestResult]) -> Po
 def margins(
     design: PopulationResult,
     tests: Sequence[VirtualTestResult],
-    request: Request = PLAIN,
+    request: MarginOptions = PLAIN,
     *,
     asked: LoadingHistory | None = None,
     words: Sequence[str] = (),
@@ -154,7 +154,7 @@ def margins(
     return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
 
 
-def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request: Request) -> Iterator[Margin]:
+def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request: MarginOptions) -> Iterator[Margin]:
     by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
     for name in request.sets or (*result.set_names, ANY_SET):
@@ -255,7 +255,7 @@ def _given(
     by_set: Mapping[str, dict[str, Sample]],
     common: Mapping[str, tuple[float, int]],
     basis: DesignBasis,
-    request: Request,
+    request: MarginOptions,
 ) -> Given:
     """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
     if name != ANY_SET:
@@ -285,7 +285,11 @@ def _degradation(row: Margin) -> Margin:
 
 
 def _warnings(
-    result: PopulationResult, request: Request, spoken: Sequence[str], asked: LoadingHistory | None, laws: Sequence[str]
+    result: PopulationResult,
+    request: MarginOptions,
+    spoken: Sequence[str],
+    asked: LoadingHistory | None,
+    laws: Sequence[str],
 ) -> Iterator[str]:
     """Say what limits the use of the margins: what was taken as known, what was not tested, where tests are too few."""
     tested = result.tested

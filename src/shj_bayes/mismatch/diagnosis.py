@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import replacing
-from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.heldout import Proven, proven
-from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.missed import beside_missed
 from shj_bayes.mismatch.regions import aliases_of, regions_of
 from shj_bayes.mismatch.scene import Metric, scene_of
@@ -25,6 +24,7 @@ from shj_bayes.mismatch.search import search
 from shj_bayes.mismatch.state import State, find_noise, settle, settle_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import DiagnosedModel, DiagnosisRecord, Input, Sampled
 from shj_bayes.results.fit import Trust
@@ -58,7 +58,7 @@ class DiagnosisResult:
 def diagnose(
     runs: Sequence[Run],
     device: DeviceModel,
-    look: Look | None = None,
+    look: DiagnoseOptions | None = None,
     *,
     seed: int = 1,
     sample: Sampling | None = None,
@@ -72,7 +72,7 @@ def diagnose(
         Consecutive runs.
     device : DeviceModel
         Where the search begins: the base law, with the effects that are known to be there, if any.
-    look : Look, optional
+    look : DiagnoseOptions, optional
         What is not to be looked for, and how thoroughly; by default everything, in full.
     seed : int
         Same seed and recordings, same numbers.
@@ -83,7 +83,7 @@ def diagnose(
         Gets one line for each step.
     """
     begin = time.perf_counter()
-    look = look or Look()
+    look = look or DiagnoseOptions()
     device = replace(device, speed="velocity" not in look.without)
     effects_named(look.without)
     hidden = look.hidden(device)

@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import ModelError
+from shj_bayes.errors import ModelError, did_you_mean
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
 from shj_bayes.model.history import History

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import ModelError
+from shj_bayes.errors import ModelError, did_you_mean
 from shj_bayes.model.augmented import force_with_effects, slopes_with_effects
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.catalogue import catalogue

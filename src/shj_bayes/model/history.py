@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.frozen_arrays import frozen
+from shj_bayes._util.arrays import frozen
 from shj_bayes.errors import ModelError
 from shj_bayes.model.course import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
 from shj_bayes.model.measured import Measured

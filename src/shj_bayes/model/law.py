@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import ModelError
+from shj_bayes.errors import ModelError, did_you_mean
 from shj_bayes.model import kernel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion

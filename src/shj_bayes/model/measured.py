@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes._util.frozen_arrays import freeze
+from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.further import Channel

@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes._util.files import read_toml
-from shj_bayes._util.shipped import shipped
-from shj_bayes.errors import PriorError, shown
+from shj_bayes._util.files import read_toml, shipped
+from shj_bayes.errors import PriorError, did_you_mean, shown
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.parameters import BASE, FloatArray, base_and_run, describe
 

@@ -15,9 +15,8 @@ from itertools import permutations
 import numpy as np
 from scipy.special import logsumexp
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.errors import PlanError
+from shj_bayes._util.arrays import one_blas_thread
+from shj_bayes.errors import PlanError, did_you_mean
 from shj_bayes.inference.reduction import zero_noise_kN
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts

@@ -10,8 +10,8 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 import pandas as pd
 
+from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import write_text
-from shj_bayes._util.one_thread import one_blas_thread
 from shj_bayes.errors import PlanError, ShjError
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch.classes import DOUBT, MATTERS

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.did_you_mean import did_you_mean
 from shj_bayes._util.files import read_toml
-from shj_bayes.errors import PlanError, shown
+from shj_bayes.errors import PlanError, did_you_mean, shown
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.recording.protocol import table_1

@@ -13,10 +13,9 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi2, nct, norm
 
-from shj_bayes._util.did_you_mean import did_you_mean
+from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
-from shj_bayes._util.one_thread import one_blas_thread
-from shj_bayes.errors import PlanError
+from shj_bayes.errors import PlanError, did_you_mean
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
@@ -24,7 +23,6 @@ from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
-from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, N_OF_RUN, Metric, NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import ODDS, Search, noise_beside, noise_of_size
 from shj_bayes.mismatch.state import find_noise, settle
@@ -34,6 +32,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.history import SCALES, History, histories
 from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.protocol import Protocol, Rig
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import BoolArray, Extra, Recording, Source
@@ -84,7 +83,7 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> DeviceUnderT
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     Fy = float(np.exp(logs.mean())), float(logs.std(ddof=1))
-    return DeviceUnderTest(fit.record.device, tuple(runs), device, sets, Look(without).hidden(device), Fy=Fy)
+    return DeviceUnderTest(fit.record.device, tuple(runs), device, sets, DiagnoseOptions(without).hidden(device), Fy=Fy)
 
 
 FRACTILE = 0.05

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes._util.files import damage_told
-from shj_bayes._util.shipped import shipped
+from shj_bayes._util.files import damage_told, shipped
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.priors import Prior

@@ -20,9 +20,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes._util.frozen_arrays import freeze
-from shj_bayes.errors import PopulationError
+from shj_bayes._util.arrays import freeze
+from shj_bayes.errors import PopulationError, did_you_mean
 from shj_bayes.inference.convergence import ess_bulk, rhat
 from shj_bayes.inference.shared import n_threads
 from shj_bayes.population.device import DeviceEstimate, RangeTested, Tags, sets_of

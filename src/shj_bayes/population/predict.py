@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from shj_bayes._util.frozen_arrays import frozen
+from shj_bayes._util.arrays import frozen
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult

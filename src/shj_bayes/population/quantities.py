@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.frozen_arrays import freeze
+from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.parameters import base_of
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import RecordingError, shown
+from shj_bayes.errors import RecordingError, did_you_mean, shown
 from shj_bayes.recording.formula import Value, evaluate
 from shj_bayes.recording.groups import beside, clock_of, described, one_axis, same_clock, usual_step
 from shj_bayes.recording.limits import (

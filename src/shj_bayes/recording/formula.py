@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, did_you_mean
 from shj_bayes.recording.recording import FloatArray
 from shj_bayes.recording.tables import Column, Table
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from shj_bayes._util.frozen_arrays import freeze
+from shj_bayes._util.arrays import freeze
 from shj_bayes.recording.limits import CHANNEL_CELLS, CHANNEL_FOLLOWS, CHANNEL_GAP, CHANNEL_NOISE
 from shj_bayes.recording.recording import Extra, FloatArray
 from shj_bayes.recording.smoothing import grid_of

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, did_you_mean
 from shj_bayes.recording.limits import GAP_STEPS, MIN_SAMPLES, RESTART_GAP_STEPS, SAME_INSTANT
 from shj_bayes.recording.recording import Finding, FloatArray
 from shj_bayes.recording.tables import Column

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.frozen_arrays import freeze, frozen
+from shj_bayes._util.arrays import freeze, frozen
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.recording import BoolArray, FloatArray
 

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.frozen_arrays import frozen
+from shj_bayes._util.arrays import frozen
 from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.limits import GAP_STEPS

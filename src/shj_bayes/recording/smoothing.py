@@ -7,7 +7,7 @@ from math import factorial
 
 import numpy as np
 
-from shj_bayes._util.frozen_arrays import frozen
+from shj_bayes._util.arrays import frozen
 from shj_bayes.recording.limits import BIAS_RANGE, BIAS_SHARE, GAP_STEPS, KINK_Z, LOCAL_SD, SHORTEST_SHARE
 from shj_bayes.recording.recording import BoolArray, FloatArray
 

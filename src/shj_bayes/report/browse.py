@@ -6,7 +6,7 @@ import webbrowser
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from shj_bayes._util.child_processes import program
+from shj_bayes._util.processes import program
 from shj_bayes.errors import ReportError
 from shj_bayes.report.page import is_ours
 

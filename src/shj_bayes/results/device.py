@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.vetting import vet
+from shj_bayes._util.processes import vet
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import History, histories
@@ -206,6 +206,15 @@ def whole(folder: Path, group: str = "") -> Iterator[Path]:
         raise InferenceError(
             f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
         ) from error
+
+
+def read_whole(folder: Path, library: Any) -> Any:
+    """``posterior.nc`` as `library`, an ArviZ, reads it."""
+    with whole(folder) as path:
+        data = library.from_netcdf(str(path), engine="h5netcdf")
+        data.load()  # and close: an open file cannot be replaced on Windows
+        data.close()
+    return data
 
 
 def read_device(folder: Path) -> DeviceData:

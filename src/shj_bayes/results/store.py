@@ -1,11 +1,14 @@
-"""Files of results: the only place that opens, writes and seals them."""
+"""Files of results: the only place that opens, writes and seals them; and what need not be made again."""
 
+import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, get_args, get_type_hints
 
+import shj_bayes
 from shj_bayes._util.files import (
     check_seal,
     damage_told,
@@ -23,6 +26,9 @@ from shj_bayes.results.fit import FitRecord
 
 DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
+CHECKPOINT = "checkpoint.h5"  # of a fit that is under way, or has not converged
+SOURCES = ("**/*.py", "**/templates/*", "**/scripts/*")  # of the package
+Said = TypeVar("Said")
 
 
 class _Stored(Protocol):
@@ -40,11 +46,6 @@ Kind = TypeVar("Kind", bound=_Stored)
 def has(kind: type[_Stored], folder: Path) -> bool:
     """Whether a folder holds the file of a record."""
     return (folder / kind.FILE).is_file()
-
-
-def written_ns(kind: type[_Stored], folder: Path) -> int:
-    """When the file of a record was written, in nanoseconds; -1 where there is none."""
-    return (folder / kind.FILE).stat().st_mtime_ns if has(kind, folder) else -1
 
 
 def read(kind: type[Kind], folder: Path) -> Kind:
@@ -124,3 +125,54 @@ def check_files(folder: Path, record: FitRecord) -> None:
                 f"{name} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one "
                 "in fit.json); restore it or run the fit again"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageCache:
+    """Content of ``made.json``: by stage the digest of what it rests on, those of its files, and what it said."""
+
+    FILE: ClassVar[str] = "made.json"
+    ERROR: ClassVar[type[ShjError]] = ShjError
+    MISSING: ClassVar[str] = "holds no finished stages"
+    AGAIN: ClassVar[str] = "run the command again"
+
+    schema: Literal["shj-bayes/made/1"] = "shj-bayes/made/1"
+    stages: Mapping[str, Mapping[str, Any]]
+    digest: str = ""
+
+
+def digests(folder: Path, patterns: Sequence[str]) -> dict[str, str]:
+    """SHA-256 of every file of a folder that one of the patterns fits, by its path below the folder."""
+    files = {path for pattern in patterns for path in folder.glob(pattern) if path.is_file()}
+    return {path.relative_to(folder).as_posix(): file_digest(path) for path in sorted(files)}
+
+
+def made(folder: Path, stage: str, rests_on: Any, writes: Sequence[str], make: Callable[[], Said]) -> Said:
+    """Give what a stage says, values that JSON holds: from its last run where that still holds, else by running it.
+
+    `rests_on` is everything that the result depends on besides the package; `writes` are patterns of all files below
+    `folder` that the stage writes. A file that was altered, taken away or added makes the stage run again, and so does
+    a package whose own files are others: an updated checkout has the same version number.
+    """
+    inputs = hashlib.sha256(json.dumps([package(), rests_on], sort_keys=True).encode()).hexdigest()
+    known = _stages(folder).get(stage, {})
+    if known.get("rests_on") == inputs and known.get("files") == digests(folder, writes):
+        said: Said = known["said"]
+        return said
+    said = json.loads(json.dumps(make()))  # as it will be read
+    new = {"rests_on": inputs, "files": digests(folder, writes), "said": said}
+    write(StageCache(stages={**_stages(folder), stage: new}), folder, allow_nan=True)  # `make` may have added some
+    return said
+
+
+def _stages(folder: Path) -> Mapping[str, Mapping[str, Any]]:
+    """Stages of a folder; none where nothing is known or the record cannot be trusted."""
+    known = find(StageCache, folder)
+    return known.stages if known else {}
+
+
+@cache
+def package() -> str:
+    """Digest of the files of the package that runs."""
+    files = digests(Path(shj_bayes.__file__).parent, SOURCES)
+    return hashlib.sha256(json.dumps([shj_bayes.__version__, files]).encode()).hexdigest()

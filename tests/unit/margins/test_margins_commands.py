@@ -11,11 +11,11 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from shj_bayes.app.design import margin_text
 from shj_bayes.cli import main
-from shj_bayes.commands.design import margin_text
-from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sheet import margins
+from shj_bayes.options import MarginOptions
 from shj_bayes.population.compare import is_bare
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.results import write_population
@@ -64,7 +64,7 @@ def test_the_sheet_of_published_tables_has_no_empty_columns(folder):
 
 
 def test_wide_limits_are_printed_without_exponents_and_sets_are_counted_as_sets(design, trials):
-    asked = Request(sets=("Zinc 70",))
+    asked = MarginOptions(sets=("Zinc 70",))
     sheet = margins(design, trials, asked)
     wide = [replace(r, value=1e3 + r.value) if r.method == "EN 1990" and r.side == HIGH else r for r in sheet.rows]
     assert not re.search(r"\de[+-]\d", margin_text(replace(sheet, rows=tuple(wide)), "II"))
@@ -123,7 +123,7 @@ def test_a_sheet_of_one_set_speaks_of_that_set_alone_in_the_numbers_of_the_sheet
 
 
 def test_what_to_mind_is_counted_over_the_sets_that_are_asked_for(design, trials):
-    two = margins(design, trials, Request(sets=("Zinc 70", "Zinc 70 corroded")))
+    two = margins(design, trials, MarginOptions(sets=("Zinc 70", "Zinc 70 corroded")))
     assert two.spoken == ("Zinc 70", "Zinc 70 corroded")
     assert {trial.set_name for trial in two.tests} == set(two.spoken)
     assert any("2 of 2 sets rest on one or two" in line for line in two.warnings)
@@ -201,7 +201,7 @@ def test_a_folder_without_a_population_says_what_to_run(tmp_path):
 
 
 def test_a_missing_factor_is_told_by_its_value_not_by_a_dash(design, trials):
-    sheet = replace(margins(design, trials, Request(sets=("Zinc 70",))), spoken=("Zinc  -  70 -",))
+    sheet = replace(margins(design, trials, MarginOptions(sets=("Zinc 70",))), spoken=("Zinc  -  70 -",))
     rows = [replace(row, set_name="Zinc  -  70 -") for row in sheet.rows]
     known = [replace(row, value=50.0) if row.method == "EN 1990" else row for row in rows]
     assert "has no factor" not in margin_text(replace(sheet, rows=tuple(known)), "II")
@@ -212,7 +212,7 @@ def test_a_missing_factor_is_told_by_its_value_not_by_a_dash(design, trials):
 
 
 def test_bounds_are_shown_for_the_class_that_was_asked_for(design, trials):
-    third = Request(importance="III", sets=("Zinc 70",))
+    third = MarginOptions(importance="III", sets=("Zinc 70",))
     sheet = margins(design, trials, third)
     bound = sheet.by_key["Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW]
     assert f"EN 15129 {bound.value:.3g} to" in margin_text(sheet, "III")

@@ -6,7 +6,7 @@ import pytest
 from made_diagnosis import made
 from page_tools import read_old
 
-from shj_bayes.commands import design
+from shj_bayes.app import design
 from shj_bayes.margins.specimen import Diagnosed, find_diagnosis, words_of
 from shj_bayes.results import store
 from shj_bayes.results.campaign import CampaignRecord, DeviceEntry, SetEntry, SetTogether

@@ -13,11 +13,11 @@ from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.export import bounds, draw_devices, loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.history import LAWS, published_factors, sine
-from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, agreement, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
 from shj_bayes.margins.virtual_test import virtual_tests
+from shj_bayes.options import MarginOptions
 from shj_bayes.population.device import PUBLISHED, RangeTested, common
 from shj_bayes.population.hierarchy import ANY_SET
 
@@ -136,7 +136,7 @@ def test_factors_multiply(sheet, design):
 
 
 def test_nominal_and_importance_are_the_users(design, trials, sheet):
-    stated = margins(design, trials, Request(nominal_kN=80.0, importance="III"))
+    stated = margins(design, trials, MarginOptions(nominal_kN=80.0, importance="III"))
     kind = "phi equivalent, first run"
     typical = sheet.by_key["Zinc 70", "force", "nominal sliding force", MIDDLE].value
     assert stated.by_key["Zinc 70", "force", kind, LOW].value == pytest.approx(
@@ -146,7 +146,7 @@ def test_nominal_and_importance_are_the_users(design, trials, sheet):
     assert lower[1] <= 1.001 * lower[0]  # a high nominal force does not raise the bound
     assert ("Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW) in stated.by_key
     with pytest.raises(PopulationError, match="above zero"):
-        Request(nominal_kN=-1.0)
+        MarginOptions(nominal_kN=-1.0)
 
 
 def test_nothing_is_said_of_what_was_not_tested(population):
@@ -157,7 +157,7 @@ def test_nothing_is_said_of_what_was_not_tested(population):
     with pytest.raises(PopulationError, match=r"position of 120 mm.*tested up to 95 mm"):
         virtual_tests(specimens, sine(120.0, 9.0, 3), extrapolate=True)
     with pytest.raises(PopulationError, match="above zero"):
-        Request(speed_mm_s=-3.0)
+        MarginOptions(speed_mm_s=-3.0)
 
 
 def test_extrapolation_is_the_outermost_of_bounded_laws(population, sheet):
@@ -259,7 +259,7 @@ def test_a_contradiction_is_found_and_said(sheet):
 
 
 def test_a_spread_stated_as_known_is_printed_with_its_reason(design, trials):
-    told = margins(design, trials, Request(v_known=0.06, v_reason="300 devices in the factory"))
+    told = margins(design, trials, MarginOptions(v_known=0.06, v_reason="300 devices in the factory"))
     assert any("V = 0.06" in text and "300 devices in the factory" in text for text in told.warnings)
     row = told.by_key["Zinc 70", "least", "EN 1990 characteristic, lognormal, V known", LOW]
     assert "300 devices in the factory" in row.inputs

@@ -9,9 +9,9 @@ import pytest
 import shj_validation.trials
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.recording import Recording
 
 
@@ -24,7 +24,7 @@ def trials() -> ModuleType:
 def first_look(recordings: list[Recording], **options: object) -> DiagnosisResult:
     """Diagnose two runs without sampling."""
     runs = runs_of(recordings)
-    return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True, **options))  # type: ignore[arg-type]
+    return diagnose(runs, DeviceModel(len(runs), read_priors("afc")), DiagnoseOptions(quick=True, **options))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="session")

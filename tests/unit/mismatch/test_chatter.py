@@ -8,13 +8,13 @@ import pytest
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import Class
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.periodic import SURE, Chatter, _at_scale, chatter_of
 from shj_bayes.mismatch.scene import NoiseSetting, scene_of
 from shj_bayes.mismatch.search import NOISE_MOST, Search
 from shj_bayes.mismatch.state import settle_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.results.codec import from_json
@@ -98,7 +98,9 @@ def test_chatter_is_named_and_hides_no_larger_effect_and_no_law(chattering, look
 
 def test_chatter_that_is_not_asked_for_is_not_looked_for(chattering):
     runs = runs_of(chattering)
-    record = diagnose(runs, DeviceModel(2, read_priors("afc")), Look(quick=True, without=("stick_slip",))).content
+    record = diagnose(
+        runs, DeviceModel(2, read_priors("afc")), DiagnoseOptions(quick=True, without=("stick_slip",))
+    ).content
     assert "stick_slip" not in {effect["id"] for effect in record["effects"]}
 
 

@@ -16,7 +16,6 @@ from shj_bayes.mismatch.content import heldout as heldout_row
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.findings import Reason, answer_of
 from shj_bayes.mismatch.heldout import held_out, proven
-from shj_bayes.mismatch.look import Look
 from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.mismatch.scene import NoiseSetting, Scene, scene_of
 from shj_bayes.mismatch.search import NOISE_MOST, Search, noise_beside, search
@@ -25,6 +24,7 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.results.codec import from_json
@@ -215,7 +215,9 @@ def test_a_force_that_fluctuates_is_not_adequate(trials):
         for r in trials.simulate({"taper": {"size": 0.02}}, 3)
     ]
     runs, said = runs_of(recordings), []
-    record = diagnose(runs, DeviceModel(len(runs), read_priors("afc")), Look(quick=True), tell=said.append).content
+    record = diagnose(
+        runs, DeviceModel(len(runs), read_priors("afc")), DiagnoseOptions(quick=True), tell=said.append
+    ).content
     assert sum(line.startswith("looking beyond") for line in said) <= 2
     assert (record["verdict"], record["effects"]) == ("unknown", [])
     assert classes(record) == {("motion", "stick-slip")}
@@ -445,7 +447,7 @@ def test_what_is_given_is_not_looked_for(trials):
 
     runs = runs_of(trials.simulate({"asymmetry": {"size": 0.08}}, 4))
     device = DeviceModel(2, read_priors("afc"), effects=effects_named(["asymmetry"]))
-    record = diagnose(runs, device, Look(quick=True)).content
+    record = diagnose(runs, device, DiagnoseOptions(quick=True)).content
     assert record["verdict"] == "adequate", record["reason"]
     assert record["model"]["given"] == ["asymmetry"]
     assert not {"asymmetry", "velocity"} & {row["id"] for row in record["candidates"]}

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from shj_bayes._util.shipped import shipped
+from shj_bayes._util.files import shipped
 from shj_bayes.errors import PriorError
 from shj_bayes.model.parameters import BASE
 from shj_bayes.model.priors import LAWS, SCHEMA, Prior, read_priors, shipped_families

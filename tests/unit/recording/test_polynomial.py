@@ -43,13 +43,13 @@ def test_usual_units_are_those_of_pint():
 HEAVY = "scipy pandas xarray pint numba matplotlib arviz emcee h5py"
 CASES = {
     "check": ("shj_bayes.recording.check", HEAVY),
-    "finished": ("shj_bayes.commands.finished", HEAVY),
-    "compare": ("shj_bayes.commands.comparison", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
+    "finished": ("shj_bayes.app.resume", HEAVY),
+    "compare": ("shj_bayes.app.design", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
     "unchanged campaign": (
-        "shj_bayes.commands.summary",
+        "shj_bayes.app.campaign",
         "scipy.stats scipy.signal pandas xarray matplotlib arviz emcee pint",
     ),
-    "fit": ("shj_bayes.commands.pipeline", "scipy.stats scipy.signal matplotlib arviz pint"),
+    "fit": ("shj_bayes.app.device", "scipy.stats scipy.signal matplotlib arviz pint"),
 }
 
 

@@ -8,10 +8,10 @@ from shj_bayes.inference.fit import fit
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.look import Look
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
+from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.reader import read
 from shj_bayes.results.diagnosis import Sampled
 
@@ -62,4 +62,4 @@ def diagnose_blind(
         return draws, Sampled(how=f"{LIBRARY}; {'; '.join(result.verdict.reasons)}", verdict=result.verdict.word)
 
     device = DeviceModel(len(runs), read_priors(priors), variant=model)
-    return diagnose(runs, device, Look(tuple(without), quick), sample=sample if intervals else None).content
+    return diagnose(runs, device, DiagnoseOptions(tuple(without), quick), sample=sample if intervals else None).content

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import shj_bayes
 import shj_validation
-from shj_bayes._util.shipped import shipped
+from shj_bayes._util.files import shipped
 
 FORBIDDEN = (
     "shj_validation.proof.cases",

@@ -8,8 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import shj_bayes
-from shj_bayes._util.files import read_json, write_text
-from shj_bayes._util.lock import alone_in
+from shj_bayes._util.files import alone_in, read_json, write_text
 from shj_bayes.errors import ProofError
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.writer import write_csv

@@ -10,9 +10,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from shj_bayes._util.child_processes import Workers, program
-from shj_bayes._util.files import read_json, write_text
-from shj_bayes._util.lock import alone_in
+from shj_bayes._util.files import alone_in, read_json, write_text
+from shj_bayes._util.processes import Workers, program
 from shj_bayes.errors import ProofError
 from shj_bayes.inference.store import versions
 from shj_bayes.recording.writer import write_csv

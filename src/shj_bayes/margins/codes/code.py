@@ -5,13 +5,13 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
-from shj_bayes._util.discover import discovered
+from shj_bayes._util.imports import discovered
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import codes
 from shj_bayes.margins.basis import DesignBasis
-from shj_bayes.margins.request import Request
 from shj_bayes.margins.row import FACTORS, Margin
 from shj_bayes.margins.spread import Sample, Spread, limit, remarks
+from shj_bayes.options import MarginOptions
 from shj_bayes.population.quantities import LOWEST
 from shj_bayes.population.quantities import quantity as described
 
@@ -26,7 +26,7 @@ class Given:
     spreads: Mapping[str, tuple[Spread, ...]] = field(repr=False)  # ways to come by the spread of each quantity
     devices: Mapping[str, int]  # tested devices behind each quantity
     basis: DesignBasis  # nominal force, bounds of the sliding force, ageing
-    request: Request  # choices of the user
+    request: MarginOptions  # choices of the user
 
     def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
         """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from shj_bayes._util.discover import discovered
+from shj_bayes._util.imports import discovered
 from shj_bayes.errors import ModelError
 from shj_bayes.model import effects
 from shj_bayes.model.effects.effect import FAMILIES, Effect

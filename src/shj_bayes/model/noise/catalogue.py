@@ -2,9 +2,8 @@
 
 from functools import cache
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes._util.discover import discovered
-from shj_bayes.errors import ModelError
+from shj_bayes._util.imports import discovered
+from shj_bayes.errors import ModelError, did_you_mean
 from shj_bayes.model import noise
 from shj_bayes.model.noise.noise import Noise
 

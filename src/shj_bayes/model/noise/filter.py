@@ -29,7 +29,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from shj_bayes._util.frozen_arrays import freeze
+from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import ModelError
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray

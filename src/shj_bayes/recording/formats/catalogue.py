@@ -4,8 +4,8 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from shj_bayes._util.discover import constants
 from shj_bayes._util.files import file_digest, need_files
+from shj_bayes._util.imports import constants
 from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording import formats
 from shj_bayes.recording.formats.format import Format

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from shj_bayes._util.did_you_mean import did_you_mean
-from shj_bayes.errors import RecordingError, shown
+from shj_bayes.errors import RecordingError, did_you_mean, shown
 from shj_bayes.recording.columns import by_header
 from shj_bayes.recording.dialect import NoNumbersError
 from shj_bayes.recording.formats.format import Format

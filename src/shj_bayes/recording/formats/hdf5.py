@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.child_processes import PYTHON, bound_memory, end_with_input, tether
+from shj_bayes._util.processes import PYTHON, bound_memory, end_with_input, tether
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.formats.nested import Item, Stated, flat
 from shj_bayes.recording.limits import (

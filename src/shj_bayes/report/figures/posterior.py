@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from shj_bayes._util.import_safety import without
+from shj_bayes._util.imports import without
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.figures.canvas import BLUE, INK, SERIES, WIDE, fixed, label, png, svg, tidy
 

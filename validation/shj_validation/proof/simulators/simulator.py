@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from shj_bayes._util.discover import constants
+from shj_bayes._util.imports import constants
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_validation.proof import simulators

@@ -1,13 +1,16 @@
-"""Tasks on a dask cluster that is there already (``campaign --dask ADDRESS``); the optional extra ``dask``.
+"""Many tasks, on the processors of this machine or on a dask cluster that is there already: results as they come.
 
-The cluster's scheduler hands a task to a worker that is free, and hands it to another when a worker is lost. Whoever
-can reach a dask scheduler can run code on its workers: the address is trusted as the command line is.
+A task whose process died is tried once more here; a cluster's scheduler hands it to another worker. Whoever can reach a
+dask scheduler can run code on its workers: the address is trusted as the command line is. dask is the optional extra
+``dask``.
 """
 
 import asyncio
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +18,7 @@ from uuid import uuid4
 
 import shj_bayes
 from shj_bayes._util.files import read_json
+from shj_bayes._util.processes import Workers
 from shj_bayes.errors import CampaignError, plain_text, shown
 
 SCHEMES = ("tcp", "tls", "ws", "wss")
@@ -24,6 +28,44 @@ _ONE = threading.Lock()  # a worker may have many threads; fits and pictures are
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+def results_here(
+    n_workers: int, function: Callable[[Item], Result], items: Iterable[Item]
+) -> Iterator[tuple[Item, Result | None, str]]:
+    """Items, each with its result or None and why there is none, as processes of this machine finish them.
+
+    What was under way when a process died is tried once more, one at a time, so that none is blamed for another.
+    """
+    waiting = deque(enumerate(items))
+    suspects: set[int] = set()
+    while waiting:
+        pool = Workers(min(n_workers, len(waiting)))
+        running: dict[Future[Result], tuple[int, Item]] = {}
+        broken = False  # a process died, and with it the pool
+        try:
+            while running or (waiting and not broken):
+                while waiting and not broken and len(running) < (1 if suspects else 2 * n_workers):
+                    try:
+                        running[pool.submit(function, waiting[0][1])] = waiting[0]
+                        waiting.popleft()
+                    except BrokenProcessPool:
+                        broken = True
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    number, item = running.pop(future)
+                    died = isinstance(future.exception(), BrokenProcessPool)
+                    broken |= died
+                    if died and number not in suspects:
+                        suspects.add(number)
+                        waiting.appendleft((number, item))
+                        continue
+                    suspects.discard(number)
+                    reason = "the process that fitted it died twice (memory, or killed)" if died else ""
+                    yield item, None if died else future.result(), reason
+        except BaseException:
+            pool.stop()
+            raise
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def results_on(

@@ -1,13 +1,15 @@
-"""Libraries that look for settings in the current folder are imported from another one.
+"""How modules are imported: libraries from a safe folder, and what a package holds, found module by module.
 
-A recording from elsewhere may come with a ``.numba_config.yaml``, which can name the folder of numba's cache; what is
-in that cache is run. A ``matplotlibrc`` can call LaTeX, an ``arvizrc`` can stop the import. Settings in the home folder
-and in the environment hold as before.
+Libraries that look for settings in the current folder are imported from another one. A recording from elsewhere may
+come with a ``.numba_config.yaml``, which can name the folder of numba's cache; what is in that cache is run. A
+``matplotlibrc`` can call LaTeX, an ``arvizrc`` can stop the import. Settings in the home folder and in the environment
+hold as before.
 """
 
 import atexit
 import importlib
 import os
+import pkgutil
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +19,8 @@ from importlib.machinery import ModuleSpec
 from tempfile import TemporaryDirectory, mkdtemp
 from types import ModuleType
 from typing import Any
+
+from shj_bayes.errors import ShjError
 
 LOOK_HERE = frozenset({"arviz", "matplotlib", "numba", "numba.core.config"})
 _AWAY = os.path.dirname(os.__file__)  # the standard library: may stand in for "", the current folder, on the path
@@ -116,3 +120,21 @@ def import_elsewhere() -> None:
     """Put the rule into force for this process."""
     if not any(isinstance(finder, _Elsewhere) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Elsewhere())
+
+
+def constants(package: ModuleType, constant: str) -> Iterator[tuple[str, Any]]:
+    """Modules of a package that hold a constant: name of the module and its value, by name."""
+    for module in pkgutil.iter_modules(package.__path__):
+        value = getattr(importlib.import_module(f"{package.__name__}.{module.name}"), constant, None)
+        if value is not None:
+            yield module.name, value
+
+
+def discovered(package: ModuleType, constant: str, error: type[ShjError]) -> Iterator[Any]:
+    """Value of a constant such as ``EFFECT`` in every module that holds one; `error` where its id is not its file's."""
+    folder = package.__name__.rpartition(".")[2]
+    for name, value in constants(package, constant):
+        if value.id != name:
+            what = constant.lower()
+            raise error(f"{folder}/{name}.py holds {what} '{value.id}'; the file carries the {what}'s id")
+        yield value

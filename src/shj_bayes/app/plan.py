@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes._util.lock import alone_in
-from shj_bayes.commands.finished import Done
+from shj_bayes._util.files import alone_in
+from shj_bayes.app.resume import CommandResult
 from shj_bayes.errors import PlanError
 from shj_bayes.margins.history import from_file
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.asked import PlanOptions
+from shj_bayes.options import PlanOptions
 from shj_bayes.planning.information import FORCE, WHICH, quantity_named
 from shj_bayes.planning.plan import Plan, PlanRecord, force_record, make_plan, write_plan
-from shj_bayes.planning.protocol import Protocol, Rig, proposals, table_1_protocol
+from shj_bayes.planning.protocol import LIMITS, Protocol, Rig, proposals, stated_limits, table_1_protocol
 from shj_bayes.planning.rivals import (
     DeviceUnderTest,
     PretestPosterior,
@@ -37,26 +37,32 @@ DEFAULT_QUESTION = "gamma"  # of a device about which nothing is undecided
 
 @alone_in("out")
 def plan_next(
-    folders: Sequence[Path], out: Path, asked: PlanOptions, *, tell: Callable[[str], None] = lambda _: None
-) -> Done:
+    folders: Sequence[Path],
+    out: Path,
+    asked: PlanOptions,
+    *,
+    rig: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> CommandResult:
     """Plan the next test and write ``plan.json``, ``next-1.csv`` to ``next-3.csv`` and ``plan.html``.
 
-    The devices are those of the `folders` that `shj_bayes.api.plan` takes. `tell` gets one line for each step.
-    `PlanError` if a folder, a limit or a question cannot be used.
+    The devices are those of the `folders` that `shj_bayes.api.plan` takes; `rig` is a file of limits. `tell` gets one
+    line for each step. `PlanError` if a folder, a limit or a question cannot be used.
     """
+    limits = stated_limits(rig, {name: getattr(asked, name) for name in LIMITS})
     tested = [_read(folder) for folder in folders]
     if asked.question == FORCE:
         further = further_devices([one.Fy[0] for one in tested], [one.Fy[1] for one in tested])
         return _written(out, force_record(further, tuple(one.name for one in tested), asked.seed), None)
     base = DeviceModel(1, read_priors(asked.priors))
-    rig = _rig(tested, base, asked.limits)
-    proposed = proposals(rig, asked.seed)
+    limited = _rig(tested, base, limits)
+    proposed = proposals(limited, asked.seed)
     given = tuple(_protocol(Path(path), tell) for path in asked.histories)
-    known = _known(tested, base, rig, (*proposed, *given), asked.among, tell)
+    known = _known(tested, base, limited, (*proposed, *given), asked.among, tell)
     undecided = any(len(k.keys) > 1 for k in known)
     word = asked.question or (WHICH if undecided else DEFAULT_QUESTION)
     quantities = () if word == WHICH else tuple(quantity_named(k, word) for k in known)
-    plan = make_plan(known, rig, proposed, given, question=word, quantities=quantities, seed=asked.seed, tell=tell)
+    plan = make_plan(known, limited, proposed, given, question=word, quantities=quantities, seed=asked.seed, tell=tell)
     return _written(out, plan.record, plan)
 
 
@@ -79,10 +85,10 @@ def _known(
     return [linearise(one, common_scales(one.runs, rig, protocols), tell) for one in tested]
 
 
-def _written(out: Path, record: PlanRecord, plan: Plan | None) -> Done:
+def _written(out: Path, record: PlanRecord, plan: Plan | None) -> CommandResult:
     """Write the files and the page of a plan; what a question about further devices gives has no protocol."""
     write_plan(out, record, plan)
-    return Done(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
+    return CommandResult(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
 
 
 def _read(folder: Path) -> DeviceUnderTest:

@@ -1,16 +1,20 @@
-"""From a results folder to margins: population, diagnoses of its devices, sheet, files, page."""
+"""From finished devices, or from the published tables, to population, comparison and margins, with their pages."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from shj_bayes._util.files import need_population, write_text
+from shj_bayes._util.files import need_population, shipped, write_text
+from shj_bayes.app.campaign import WRITES, Outcome
+from shj_bayes.app.resume import POPULATION, design_margins
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.en15129 import kind_of
+from shj_bayes.margins.curves import CurveContrast, compare_curves
 from shj_bayes.margins.export import (
     bounds,
     draw_devices,
@@ -22,9 +26,9 @@ from shj_bayes.margins.export import (
     tcl_script,
     write_loops,
 )
-from shj_bayes.margins.files import CHOSEN, design_table, to_json, write_margins
+from shj_bayes.margins.files import CHOSEN, design_table, write_margins
+from shj_bayes.margins.files import to_json as sheet_record
 from shj_bayes.margins.history import LEEWAY, left_out_words, loading_history
-from shj_bayes.margins.request import Request
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import (
     Specimen,
@@ -35,21 +39,193 @@ from shj_bayes.margins.specimen import (
     words_of,
 )
 from shj_bayes.margins.virtual_test import virtual_tests
-from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
-from shj_bayes.population.results import load_population
+from shj_bayes.options import MarginOptions
+from shj_bayes.population.compare import ROPE, Comparison, compare, members, strata_of
+from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
+from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
+from shj_bayes.population.results import load_population, record_of, write_population
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins
-from shj_bayes.report.sets import name_of
+from shj_bayes.report.sets import SHOWN, curve_words, name_of, pairs
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
+from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import DiagnosisVerdict
-from shj_bayes.results.store import has
+from shj_bayes.results.store import digests, has, made
+
+
+def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
+    """Pool devices, draw up margins, compare sets and write the page; without a device that can be used, the page.
+
+    Arguments are those of `shj_bayes.app.campaign.summarise_campaign`. ``record`` is for machines, ``lines`` for
+    people.
+    """
+    from shj_bayes.report.campaign import render_campaign  # noqa: PLC0415  (needs matplotlib)
+
+    if not usable:
+        for name in WRITES:  # of devices that are no longer there
+            (folder / name).unlink(missing_ok=True)
+        render_campaign(folder)
+        return {"record": {}, "lines": []}
+
+    def pool() -> None:
+        places = [folder / o.device.folder for o in usable]
+        devices = [
+            device_from_fit(place, o.device.name, o.device.set_name, o.device.tags)
+            for place, o in zip(places, usable, strict=True)
+        ]
+        ranges = [tested_by_fit(place) for place in places]
+        tested = common([r for r in ranges if r]) if all(ranges) else None
+        write_population(replace(fit_population(devices, seed=seed, progress=progress), tested=tested), folder)
+
+    fits = [
+        (o.device.name, o.device.set_name, asdict(o.device.tags), digests(folder / o.device.folder, ["fit.json"]))
+        for o in usable
+    ]
+    made(folder, "population", [seed, fits], POPULATION, pool)
+    population = load_population(folder)
+    design = design_margins(folder, progress=progress)
+    curves = curves_of_pairs(folder, population)
+    render_campaign(folder, population, curves)
+    record = {"population": to_json(record_of(population)), "margins": design.record, "curves": curve_records(curves)}
+    return {"record": record, "lines": [band_text(population), "", design.text]}
+
+
+def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
+    """Pool the published tables and write their page with the paper's claims; as for `pooled_campaign`."""
+    from shj_bayes.report.campaign import render_tables  # noqa: PLC0415  (needs matplotlib)
+
+    def pool() -> None:
+        population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
+        write_population(population, folder)
+
+    made(folder, "population", [seed, digests(shipped("data", "published"), ["*"])], POPULATION, pool)
+    population = load_population(folder)
+    design = design_margins(folder, progress=progress)
+    render_tables(folder, population, claims)
+    answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
+    record = {
+        "population": to_json(record_of(population)),
+        "margins": design.record,
+        "claims": [vars(c) for c in claims],
+    }
+    return {"record": record, "lines": [band_text(population), "", *answers, "", design.text]}
+
+
+def band_text(population: PopulationResult) -> str:
+    """Bands of a new device, one line per set and quantity."""
+    table = new_device_table(population)
+    lines = ["A NEW device of each set: 5 %, 50 %, 95 %"]
+    enough = sets_suffice(len(population.sets))
+    if not enough:
+        table = table[table["set"] != ANY_SET]
+    for row in table[table["quantity"].isin(SHOWN)].itertuples():
+        unit = "" if row.unit == "1" else f" {row.unit}"
+        numbers = f"{row.q05:10.4g} {row.q50:10.4g} {row.q95:10.4g}{unit}"
+        devices = f"{row.n_devices} device{'' if row.n_devices == 1 else 's'}"
+        lines.append(f"  {name_of(str(row.set)):34.34}{devices:12}{row.quantity:10}{numbers}")
+    return "\n".join(lines if enough else [*lines, f"  {never_tested_words(len(population.sets))}"])
+
+
+def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.0) -> tuple[dict[str, Any], str]:
+    """Compare two sets of a folder that `campaign` or `tables` wrote: for machines, and for people.
+
+    `set_a` and `set_b` are names of sets, or kinds: coated, uncoated, corroded, uncorroded, "70 %". `rope_percent` is
+    the half-width of the region of practical equivalence.
+    """
+    need_population(folder)
+    result = load_population(folder)
+    first, second = members(result, strata_of(result, set_a, set_b)[2])
+    rope = rope_percent / 100.0
+    comparison = compare(result, set_a, set_b, rope=rope)
+    curves = compare_curves(result, read_devices(folder, result)[1], set_a, set_b, rope=rope)
+    table = comparison.to_table()
+    who = [
+        f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
+        for side, name, sets in (("a", comparison.set_a, first), ("b", comparison.set_b, second))
+    ]
+    columns = (
+        f"P(a > b): the typical device of a is above that of b; P(same): they differ by less than {rope_percent:g} %; "
+        "new a > new b: a new device of a is above one of b; Welch, permuted, Holm: p-values; spread a/b: standard "
+        "deviation between devices of a over that of b."
+    )
+    lines = [*who, *comparison_lines(comparison), "", columns, "", *(f"- {c.sentence}" for c in comparison.contrasts)]
+    lines += [f"- {curve_words(curve)}" for curve in curves]
+    rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
+    record = {
+        "schema": "shj-bayes/comparison/1",
+        "set_a": comparison.set_a,
+        "set_b": comparison.set_b,
+        "members": {"a": list(first), "b": list(second)},
+        "strata": comparison.strata,
+        "multiplicity": comparison.multiplicity,
+        "contrasts": rows,
+        "curves": curve_records(curves),
+    }
+    return record, "\n".join([*lines, "", comparison.multiplicity])
+
+
+def curve_records(curves: Sequence[CurveContrast]) -> list[dict[str, Any]]:
+    """Comparisons of curves for machines."""
+    return [{**asdict(curve), "sentence": curve_words(curve)} for curve in curves]
+
+
+def curves_of_pairs(folder: Path, result: PopulationResult) -> tuple[CurveContrast, ...]:
+    """Compare the curves of the pairs of sets that a campaign page names, and write ``comparison-curves.csv``.
+
+    Nothing is said of more devices than `MOST_DRAWN`.
+    """
+    few = sum(len(group.devices) for group in result.sets) <= MOST_DRAWN
+    chosen = pairs(result) if few else ()
+    specimens = read_devices(folder, result)[1] if chosen else ()
+    found = tuple(c for pair in chosen for c in compare_curves(result, specimens, *pair, rope=ROPE))
+    path = folder / "comparison-curves.csv"
+    path.unlink(missing_ok=True)
+    if found:
+        write_text(path, pd.DataFrame([row for curve in found for row in curve.rows()]).to_csv(index=False))
+    return found
+
+
+def comparison_lines(comparison: Comparison) -> list[str]:
+    """Comparison as a table of text, one line per quantity."""
+    words = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)", "Holm")
+    rows = [["", *words, "spread a/b"]]
+    for c in comparison.contrasts:
+        tests = c.tests
+        exact = f"{_p(tests.permutation_p)} ({_p(tests.permutation_least)})"
+        rows.append(
+            [
+                c.quantity + ("" if c.unit == "1" else f" {c.unit}"),
+                f"{c.q50:.3g}",
+                f"{c.q05:.3g} to {c.q95:.3g}",
+                *(f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)),
+                _p(tests.welch_p),
+                exact if tests.permutation_p is not None else "-",
+                f"{_p(c.holm_p)} {c.holm_test}".strip(),
+                f"{c.spread_factor[1]:.2f}",
+            ]
+        )
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    first, *others = widths
+    return [
+        "   ".join([f"  {head:{first}}", *(f"{cell:>{width}}" for cell, width in zip(cells, others, strict=True))])
+        for head, *cells in rows
+    ]
+
+
+def _p(value: float | None) -> str:
+    """Write a p-value; a dash where the test cannot be made."""
+    if value is None:
+        return "-"
+    return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+
 
 TABLES_NAME = "Published tables"
 MOST_DRAWN = 100  # devices whose loops are drawn and written
 
 
-def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[str, Any]:
+def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) -> dict[str, Any]:
     """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
 
     ``record`` is the content of ``margins.json``, ``text`` the design table and what to mind, for people.
@@ -70,7 +246,7 @@ def drawn_up(folder: Path, request: Request, *, progress: bool = False) -> dict[
     render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
     lines = [margin_text(sheet, request.importance), "", *notes, "", *two_numbers(sheet)]
-    return {"record": to_json(sheet), "text": "\n".join(lines)}
+    return {"record": sheet_record(sheet), "text": "\n".join(lines)}
 
 
 def export_analysis(

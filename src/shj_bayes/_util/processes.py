@@ -1,0 +1,283 @@
+"""Other processes: they run nothing from the current folder, and they end with the process that started them.
+
+Python puts the current folder first on the path of a process started with ``-c`` or by spawn. A file named ``h5py.py``
+beside the recordings would then be run. ``-P`` (in the environment: PYTHONSAFEPATH) leaves that folder out.
+
+HDF5 files of results may come from elsewhere: they are read in a process of their own before they are read here. A
+damaged one can end the process that opens it, take all memory or never come back. One process goes through all files
+that this one asks for.
+"""
+
+import _thread
+import atexit
+import faulthandler
+import json
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import cache
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from shj_bayes.errors import shown
+
+PYTHON = (sys.executable, "-P")  # the beginning of a command that starts this Python again
+_SAFE, _WARNINGS = "PYTHONSAFEPATH", "PYTHONWARNINGS"
+_NO_LEAKS = "ignore::UserWarning:multiprocessing.resource_tracker"
+_KILLED = 1  # exit status of a process whose parent is gone; nobody reads it
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Workers(ProcessPoolExecutor):
+    """Pool of so many spawned processes."""
+
+    def __init__(self, n: int) -> None:
+        with _safe_path(), _deaf():  # the process that tracks semaphores starts here
+            super().__init__(n, mp_context=get_context("spawn"), initializer=_begin)
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Hand over a call; processes start here, when there is something for them to do."""
+        with _safe_path(), _deaf():
+            return super().submit(fn, *args, **kwargs)
+
+    def stop(self) -> None:
+        """End the processes, whatever they are doing: what they write is whole or not there at all."""
+        for process in list((self._processes or {}).values()):
+            process.terminate()
+        self.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Begin a worker: it ends with its parent, and warnings of libraries stay off the terminal as in the command."""
+    end_with_parent()
+    quiet_libraries()
+
+
+def quiet_libraries() -> None:
+    """Keep what libraries say off the terminal: it names lines of their source, or folders of theirs."""
+    logging.captureWarnings(True)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+
+
+def end_with_parent() -> None:
+    """End this process as soon as the one that started it by `multiprocessing` is gone, whatever it is doing."""
+    parent: Any = parent_process()
+    if parent is not None:
+        _when(parent.join)
+
+
+@contextmanager
+def tether() -> Iterator[int]:
+    """Give a child a standard input (``stdin=`` of `subprocess`) that ends when this process does.
+
+    The child calls `end_with_input`.
+    """
+    reading, writing = os.pipe()
+    try:
+        yield reading
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+def end_with_input() -> None:
+    """End this process as soon as its standard input ends."""
+    _when(lambda: os.read(0, 1))  # not sys.stdin: its lock, held by a waiting thread, aborts an orderly exit
+
+
+def bound_memory(more: int) -> None:
+    """Let this process take so many bytes more than it has, where the system can hold it to that."""
+    try:
+        import resource  # noqa: PLC0415  not on Windows
+
+        taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        limit = taken + more
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+    except (ImportError, OSError, ValueError):
+        return
+
+
+def program(name: str) -> str | None:
+    """Path of an installed program, without ending; never one in the current folder, where Windows looks first."""
+    folders = os.pathsep.join(folder for folder in os.get_exec_path() if os.path.isabs(folder))
+    found = shutil.which(name, path=folders)
+    return found if found and os.path.isabs(found) else None
+
+
+def _when(gone: Callable[[], object]) -> None:
+    """End this process when a call that waits comes back."""
+
+    def watch() -> None:
+        gone()
+        os._exit(_KILLED)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Start processes that do not hear Ctrl-C: the terminal sends it to all of them, and the parent ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let processes that are started meanwhile leave the current folder out of their path.
+
+    The one that tracks semaphores keeps to itself that it takes away those of a process that was stopped. Only
+    meanwhile: what a user's script starts by itself may need the folder.
+    """
+    before = {name: os.environ.get(name) for name in (_SAFE, _WARNINGS)}
+    os.environ[_SAFE] = "1"
+    os.environ[_WARNINGS] = ",".join(filter(None, (before[_WARNINGS], _NO_LEAKS)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+AGAIN_S = 0.02  # time for the place that drops exceptions to be left
+
+
+@contextmanager
+def no_interrupt_lost() -> Iterator[None]:
+    """Raise a `KeyboardInterrupt` again where Python printed it and went on.
+
+    In finalizers and callbacks of weak references, of which imports and drawing make thousands, Python prints an
+    exception as ignored: the command would go on to its end, with a traceback.
+    """
+    before = sys.unraisablehook
+
+    def hook(dropped: "sys.UnraisableHookArgs") -> None:
+        if issubclass(dropped.exc_type, KeyboardInterrupt):
+            threading.Timer(AGAIN_S, _thread.interrupt_main).start()
+        else:
+            before(dropped)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+_CHILD = "from shj_bayes._util.processes import child; child()"
+_SECONDS = 20  # for a small file on a busy machine, and more by its size
+_BYTES_S = 4 * 1024**2  # read in a second by the slowest disk
+_NUMBERS = 512 * 1024**2  # in a file; ours hold some megabytes
+_BYTES = 768 * 1024**2  # of memory for one variable, its chunks and the library
+_PARTS = 2000  # groups and variables in a file; ours hold about a hundred
+_ELSEWHERE = "is a link to somewhere else, or lies there"
+_MORE = "lies deeper, or behind more parts, than in a file of ours"
+_ONE_AT_A_TIME = threading.Lock()
+
+
+def vet(path: Path, group: str = "") -> None:
+    """Refuse (`ValueError`) an HDF5 file that is no result of ours, or cannot be read within bounds.
+
+    Read is one `group` at the top of it, or all that it holds.
+    """
+    with _ONE_AT_A_TIME:
+        child, answer = _child(), b""
+        try:
+            child.stdin.write(json.dumps([os.path.abspath(path), group]).encode() + b"\n")
+            child.stdin.flush()
+            answer = child.stdout.readline()
+        except BrokenPipeError:
+            pass
+        finally:
+            if not answer.endswith(b"\n"):  # it died, or Ctrl-C came and the answer would be that to the next question
+                child.kill()
+                _end()
+    if not answer.endswith(b"\n"):
+        raise ValueError("the library of its format cannot read it and gave up")
+    if reason := json.loads(answer):
+        raise ValueError(reason)
+
+
+@cache
+def _child() -> Any:
+    """Start the process; it ends when its input does."""
+    pipe = subprocess.PIPE
+    return subprocess.Popen([*PYTHON, "-c", _CHILD], stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
+
+
+@atexit.register
+def _end() -> None:
+    if _child.cache_info().currsize:
+        with _child():  # closes its input, and waits
+            pass
+        _child.cache_clear()
+
+
+def child() -> None:
+    """Answer each line of standard input, a path and a group, with a line: null, or why the file is refused."""
+    import h5py  # noqa: F401, PLC0415  what is loaded does not count against the bound
+
+    bound_memory(_BYTES)
+    for line in sys.stdin.buffer:
+        path, group = json.loads(line)
+        try:
+            seconds = _SECONDS + os.path.getsize(path) // _BYTES_S
+            faulthandler.dump_traceback_later(seconds, exit=True)  # also where the library holds every thread up
+            _read(path, group)
+            reason = None
+        except Exception as error:  # the library raises dozens of kinds for damaged files; all mean the same
+            reason = str(error) or type(error).__name__
+        faulthandler.cancel_dump_traceback_later()
+        sys.stdout.write(json.dumps(reason) + "\n")
+        sys.stdout.flush()
+
+
+def _read(path: str, group: str) -> None:
+    """Read what `group` of a file holds; `ValueError` where the file has parts that ours have not.
+
+    Ours have hard links alone, and groups that hold variables: a file with other links, or external or virtual
+    variables, is a window into others.
+    """
+    import h5py  # noqa: PLC0415
+
+    names: list[str] = []
+
+    # What a callback raises is lost in the library; what it returns ends the walk.
+    def look(name: bytes, link: Any) -> str | None:
+        names.append(name.decode("utf-8", "replace"))
+        if link.type != h5py.h5l.TYPE_HARD:
+            return _ELSEWHERE
+        return _MORE if name.count(b"/") > 1 or len(names) > _PARTS else None
+
+    with h5py.File(path, "r") as file:
+        if wrong := file.id.links.visit(look, info=True):
+            raise ValueError(f"{shown(names[-1])} {wrong}")
+        parts = {name: file[name] for name in names if group in ("", name.split("/")[0])}
+        variables = {name: part for name, part in parts.items() if isinstance(part, h5py.Dataset)}
+        if (size := sum(one.size * one.dtype.itemsize for one in variables.values())) > _NUMBERS:
+            raise ValueError(f"it claims {size // 2**20} MiB of numbers; allowed are {_NUMBERS // 2**20}")
+        for name, one in variables.items():
+            if one.external or one.is_virtual:
+                raise ValueError(f"{shown(name)} {_ELSEWHERE}")
+            one[()]
+        for part in parts.values():
+            dict(part.attrs)

@@ -1,0 +1,364 @@
+"""Many devices to many posteriors and diagnoses, and what they say together: only what is missing or changed is done.
+
+Each device is fitted and diagnosed. Then the evidence of the devices of each set is added, and where a set has physics
+that a device's own model lacks, the device is fitted with it too: that fit lies in the device's folder, and the margins
+take it. Population, margins and pages are made in the end.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from tqdm import tqdm
+
+from shj_bayes._util.files import (
+    alone_in,
+    make_writable,
+    shipped,
+)
+from shj_bayes._util.tasks import results_here, results_on
+from shj_bayes.app.manifest import Device, Manifest
+from shj_bayes.app.resume import MARGINS, PAGE, POPULATION, CommandResult, campaign_inputs, kept_result
+from shj_bayes.errors import CampaignError, ShjError, did_you_mean, plain_text, shown, system_words
+from shj_bayes.options import DIAGNOSES, DiagnoseOptions
+from shj_bayes.population.device import Claim
+from shj_bayes.report.campaign_physics import statements
+from shj_bayes.results.campaign import (
+    WITH_SET,
+    CampaignRecord,
+    DeviceEntry,
+    SetEntry,
+    SetTogether,
+    read_campaign,
+)
+from shj_bayes.results.codec import from_json, to_json
+from shj_bayes.results.diagnosis import DiagnosisRecord
+from shj_bayes.results.fit import FitRecord, Trust
+from shj_bayes.results.store import DIAGNOSIS, digests, find, made, write
+
+FAILED = "failed"
+WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one device."""
+
+    device: Device
+    status: str  # "done", "kept", "failed": fitted, found unchanged, or not fitted
+    # reason, verdict: why it failed, or what there is to say; verdict of the fit
+    reason: str = ""
+    verdict: str = ""
+    simulated: bool = False  # a recording says that it is simulated
+    inputs: tuple[tuple[str, str], ...] = ()  # name and digest of each recording
+    # diagnosis, diagnosis_reason: verdict of the diagnosis, ``off``, or ``failed`` with why
+    diagnosis: str = ""
+    diagnosis_reason: str = ""
+    # with_set, with_set_reason: verdict of the fit with what its set makes certain, or ``failed`` with why; empty where
+    # there is none
+    with_set: str = ""
+    with_set_reason: str = ""
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What was not done for the device, with why."""
+        parts = (
+            ("", self.reason if self.status == FAILED else ""),
+            ("not diagnosed: ", self.diagnosis_reason if self.diagnosis == FAILED else ""),
+            ("not fitted with what its set has: ", self.with_set_reason if self.with_set == FAILED else ""),
+        )
+        return tuple(f"{head}{reason}" for head, reason in parts if reason)
+
+
+@alone_in("folder")
+def run_campaign(
+    manifest: Manifest,
+    folder: Path,
+    *,
+    workers: int = 0,
+    cluster: str = "",
+    diagnose: str | None = None,
+    progress: bool = False,
+) -> list[Outcome]:
+    """Fit and diagnose every device that is missing or changed; one bad device never stops the rest.
+
+    Each device has its own folder below ``devices`` of `folder`. There are as many processes as `workers` (0 for one
+    per processor), or those of the `cluster`, the address of a dask scheduler, whose workers must see `folder` and the
+    recordings under the same paths. `diagnose` stands in for what the manifest says. The outcomes, in the manifest's
+    order, are written to ``campaign.json``, too.
+    """
+    make_writable(folder)
+    devices = manifest.devices
+    if diagnose is not None:
+        if diagnose not in DIAGNOSES:
+            words = did_you_mean(diagnose, DIAGNOSES)
+            raise CampaignError(f"diagnose = {shown(diagnose)}; allowed are {', '.join(DIAGNOSES)}{words}")
+        devices = tuple(replace(device, diagnose=diagnose) for device in devices)
+    n_workers = workers or os.cpu_count() or 1
+    run = partial(_all_done, folder=folder, workers=n_workers, cluster=cluster, progress=progress)
+    outcomes, together, enter = _together(run(devices, "fits"), folder)
+    more = {o.device.folder: o for o in run(_with_sets(outcomes, enter), "with what the set has")}
+    outcomes = [_told_with_set(o, more.get(f"{o.device.folder}/{WITH_SET}")) for o in outcomes]
+    write(campaign_record(manifest, outcomes, together), folder)
+    return outcomes
+
+
+def _together(
+    outcomes: Sequence[Outcome], folder: Path
+) -> tuple[list[Outcome], Sequence[SetTogether], Mapping[str, Sequence[str]]]:
+    """Add up what the diagnosed devices of each set, and all of them, have in common.
+
+    Outcomes; what is common; and by device what of it enters its model.
+    """
+    diagnosed = [o for o in outcomes if o.status != FAILED and o.diagnosis not in ("off", FAILED)]
+    if not diagnosed:
+        return list(outcomes), (), {}
+
+    def add_up() -> dict[str, Any]:
+        from shj_bayes.mismatch.together import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
+
+        devices, failed = [], {}
+        for o in diagnosed:
+            place = o.device.folder
+            try:
+                devices.append((o.device.set_name, read_diagnosed(folder / place / DIAGNOSIS, place)))
+            except ShjError as error:
+                failed[place] = str(error)
+        groups = together(devices)
+        enter = {place: effects for one in groups if one.set_name for place, effects in one.effects.items()}
+        return {"together": [to_json(one.record) for one in groups], "enter": enter, "unread": failed}
+
+    files = [
+        (o.device.set_name, digests(folder, [f"{o.device.folder}/{DIAGNOSIS}/{DiagnosisRecord.FILE}"]))
+        for o in diagnosed
+    ]
+    said = made(folder, "together", files, (), add_up)
+    unread = said["unread"]
+    out = [
+        replace(o, diagnosis=FAILED, diagnosis_reason=unread[o.device.folder]) if o.device.folder in unread else o
+        for o in outcomes
+    ]
+    return out, [from_json(SetTogether, one) for one in said["together"]], said["enter"]
+
+
+def _with_sets(outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]]) -> list[Device]:
+    """Devices whose own fit lacks what their set has, as they are to be fitted with it."""
+    return [
+        replace(
+            o.device,
+            options=replace(o.device.options, effects=(*o.device.options.effects, *enter[o.device.folder])),
+            diagnose="off",
+            below=f"/{WITH_SET}",
+        )
+        for o in outcomes
+        if o.device.folder in enter
+    ]
+
+
+def _told_with_set(outcome: Outcome, more: Outcome | None) -> Outcome:
+    """Outcome of a device with that of its fit with what its set has, where there is one."""
+    if more is None:
+        return outcome
+    return replace(outcome, with_set=more.verdict if more.status != FAILED else FAILED, with_set_reason=more.reason)
+
+
+def _all_done(
+    devices: Sequence[Device], words: str, *, folder: Path, workers: int, cluster: str, progress: bool
+) -> list[Outcome]:
+    """Outcome of each device, in order: known already, or of a process, of this machine or of a cluster."""
+    outcomes = {device.folder: outcome for device in devices if (outcome := _kept(device, folder))}
+    waiting = [device for device in devices if device.folder not in outcomes]
+    quiet = None if progress and devices else True
+    with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
+        if not (cluster and waiting):
+            coming = results_here(workers, partial(_fit_one, folder=folder), waiting)
+        else:
+            there, sent = folder.absolute(), map(_with_whole_paths, waiting)
+            do = partial(_fit_one, folder=there)
+            coming = results_on(cluster, there, do, sent, tell=bar.set_postfix_str)
+        named = {device.folder: device for device in devices}  # an outcome speaks of the device as the manifest does
+        for device, outcome, reason in coming:
+            mine = named[device.folder]
+            outcomes[device.folder] = replace(outcome, device=mine) if outcome else Outcome(mine, FAILED, reason)
+            bar.update()
+    return [outcomes[device.folder] for device in devices]
+
+
+def _kept(device: Device, folder: Path) -> Outcome | None:
+    """Outcome of a device that was fitted and diagnosed earlier and has not changed: no process is started for it."""
+    place = folder / device.folder
+    result = kept_result(device.recordings, place, asdict(device.options), device.name)
+    if result is None:
+        return None
+    known = "off" if device.diagnose == "off" else _kept_diagnosis(device, place, result.record.key)
+    return None if known is None else replace(_outcome(device, result), diagnosis=known)
+
+
+def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
+    """Verdict of a diagnosis that was made earlier of the same recordings with the same options; None without one.
+
+    A full one does where a quick one is asked for.
+    """
+    folder = place / DIAGNOSIS
+    record = find(DiagnosisRecord, folder)
+    if record is None or record.key != key or record.model is None or record.model.without:
+        return None
+    enough = device.diagnose == "quick" or not record.quick
+    return record.verdict if enough and (folder / "diagnosis.html").is_file() else None
+
+
+def _with_whole_paths(device: Device) -> Device:
+    """Make the paths mean the same on another machine that shares the file system."""
+    priors, options = device.options.priors, device.options
+    if priors.endswith(".toml"):
+        options = replace(options, priors=str(Path(priors).absolute()))
+    return replace(device, recordings=tuple(path.absolute() for path in device.recordings), options=options)
+
+
+def _fit_one(device: Device, folder: Path) -> Outcome:
+    """Fit and diagnose one device in a worker process."""
+    # A campaign in which nothing changed needs none of it.
+    from shj_bayes.app.device import Work, fit_device  # noqa: PLC0415
+    from shj_bayes.report.device import render_device  # noqa: PLC0415
+
+    place, off = folder / device.folder, device.diagnose == "off"
+    given = device.recordings, place, device.options
+    result = _tried(lambda: fit_device(*given, name=device.name, page=off, work=Work(threads=1)))
+    if isinstance(result, str):
+        return Outcome(device, FAILED, result)
+    outcome = _outcome(device, result)
+    if off:
+        return replace(outcome, diagnosis="off")
+    outcome = _diagnosed(device, place, outcome, result.record.key)
+    page = _tried(lambda: render_device(place))  # now, since it says what the diagnosis found
+    return replace(outcome, status=FAILED, reason=page) if isinstance(page, str) else outcome
+
+
+def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outcome:
+    """Diagnose a fitted device, where that was not done earlier."""
+    from shj_bayes.app.device import Work, diagnose_device  # noqa: PLC0415
+
+    known = _kept_diagnosis(device, place, key)
+    if known is not None:
+        return replace(outcome, diagnosis=known)
+    given = device.recordings, place / DIAGNOSIS, device.options, DiagnoseOptions(quick=device.diagnose == "quick")
+    found = _tried(lambda: diagnose_device(*given, name=device.name, work=Work(threads=1)))
+    if isinstance(found, str):
+        return replace(outcome, status="done", diagnosis=FAILED, diagnosis_reason=found)
+    return replace(outcome, status="done", diagnosis=found.record.verdict)
+
+
+def _tried(job: Callable[[], Result]) -> Result | str:
+    """Do a job; give why it failed, in words, where it did: one bad device must not stop a thousand good ones."""
+    try:
+        return job()
+    except ShjError as error:
+        return str(error)
+    except OSError as error:
+        return system_words(error)
+    except MemoryError:
+        return "not enough memory; use fewer --workers, or export fewer samples"
+    except Exception as error:  # the type says that it is a bug
+        return plain_text(f"unexpected {type(error).__name__}: {error}")
+
+
+def _outcome(device: Device, result: CommandResult) -> Outcome:
+    """Outcome of a device that has a result."""
+    record: FitRecord = result.record
+    return Outcome(
+        device,
+        "done" if result.fresh else "kept",
+        result.note,
+        record.verdict,
+        any(source.simulated for source in record.inputs),
+        tuple((source.name, source.sha256 or "") for source in record.inputs),
+    )
+
+
+def campaign_record(
+    manifest: Manifest, outcomes: Sequence[Outcome], together: Sequence[SetTogether] = ()
+) -> CampaignRecord:
+    """Say what became of the devices of each set."""
+    told = ("status", "reason", "verdict", "diagnosis", "diagnosis_reason", "with_set", "with_set_reason")
+    sets: dict[str, list[DeviceEntry]] = {}
+    for o in outcomes:
+        words = {word: getattr(o, word) for word in told}
+        entry = DeviceEntry(name=o.device.name, folder=o.device.folder, **words)
+        sets.setdefault(o.device.set_name, []).append(entry)
+    inputs = ((f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs)
+    return CampaignRecord(
+        name=manifest.name,
+        simulated=manifest.simulated or any(o.simulated for o in outcomes),
+        warnings=tuple(repeated(inputs)),
+        sets=tuple(SetEntry(name=name, devices=tuple(devices)) for name, devices in sets.items()),
+        together=tuple(together),
+    )
+
+
+def repeated(inputs: Iterable[tuple[str, str, str]]) -> list[str]:
+    """Say which recordings belong to several devices, from device with its set, name of the file and its digest."""
+    places: dict[str, dict[str, str]] = {}
+    for device, name, digest in inputs:
+        places.setdefault(digest, {}).setdefault(device, name)
+    return [
+        f"The same recording is in {len(where)} devices, which counts one test as several: "
+        + ", ".join(f"{device} ({name})" for device, name in list(where.items())[:5])
+        + (f" and {len(where) - 5} more." if len(where) > 5 else ".")
+        for digest, where in places.items()
+        if digest and len(where) > 1
+    ]
+
+
+@alone_in("folder")
+def summarise_campaign(
+    outcomes: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False
+) -> CommandResult:
+    """Pool the usable devices of a campaign and write its page; the same seed and devices, the same numbers."""
+    usable = [o for o in outcomes if o.status != FAILED and o.verdict != Trust.UNUSABLE]
+    record = read_campaign(folder)
+    lines = [*map(_line, outcomes), *record.warnings, *statements(record.together)]
+
+    def pool() -> dict[str, Any]:
+        # Population, margins and pictures need most of scipy, which a campaign in which nothing changed need not load.
+        from shj_bayes.app.design import pooled_campaign  # noqa: PLC0415
+
+        return pooled_campaign(usable, folder, seed=seed, progress=progress)
+
+    who = [(o.device.folder, o.device.name, o.device.set_name, asdict(o.device.tags)) for o in usable]
+    said = made(folder, "summary", [seed, who, campaign_inputs(folder)], WRITES, pool)
+    if usable:
+        lines += ["", *said["lines"], "", f"margins: {folder / PAGE}"]
+    text = "\n".join([*lines, f"report: {folder / 'report.html'}"])
+    return CommandResult(to_json(record) | said["record"], text, usable=bool(usable))
+
+
+@alone_in("folder")
+def summarise_tables(folder: Path, claims: Sequence[Claim], *, seed: int, progress: bool = False) -> CommandResult:
+    """Pool the published tables and write their page with the paper's claims; as for `summarise_campaign`."""
+    make_writable(folder)
+
+    def pool() -> dict[str, Any]:
+        from shj_bayes.app.design import pooled_tables  # noqa: PLC0415  (as above)
+
+        return pooled_tables(claims, folder, seed=seed, progress=progress)
+
+    rests_on = [seed, digests(shipped("data", "published"), ["*"]), [vars(claim) for claim in claims]]
+    said = made(folder, "tables", rests_on, (*POPULATION, *MARGINS, "report.html"), pool)
+    where = [f"margins: {folder / PAGE}", f"report: {folder / 'report.html'}"]
+    return CommandResult(said["record"], "\n".join([*said["lines"], "", *where]))
+
+
+def _line(o: Outcome) -> str:
+    """Say what became of a device."""
+    parts = [o.status, o.verdict or o.reason]
+    if o.diagnosis not in ("", "off"):
+        parts.append(f"{o.diagnosis}{f' ({o.diagnosis_reason})' if o.diagnosis_reason else ''}")
+    if o.with_set:
+        parts.append(f"with what its set has: {o.with_set}{f' ({o.with_set_reason})' if o.with_set == FAILED else ''}")
+    return f"{o.device.set_name}, {o.device.name}: {', '.join(parts)}"

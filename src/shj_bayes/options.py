@@ -1,0 +1,223 @@
+"""What users choose, declared once: the command line, the checks and the help in Python read these fields.
+
+A field carries its words, and what the command line needs: its flag is the field's name without the unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from shj_bayes.errors import ModelError, PopulationError, shown
+
+if TYPE_CHECKING:
+    from shj_bayes.model.device import DeviceModel
+    from shj_bayes.model.priors import Priors
+
+DIAGNOSES = ("quick", "full", "off")  # how a campaign looks for what the law leaves out
+Kind = TypeVar("Kind")
+
+
+def option(
+    default: Any,
+    words: str,
+    metavar: str | None = None,
+    *,
+    flag: str = "",
+    choices: Sequence[str] = (),
+    bounds: tuple[int, int] | None = None,
+    typed: tuple[int, int] | None = None,
+    commas: bool = False,
+    shown: bool = True,
+) -> Any:
+    """Field of options: what it is, and how it is written in a command.
+
+    Parameters
+    ----------
+    default : object
+        Value where nothing is said.
+    words : str
+        What it is, for the help of the command and of the class.
+    metavar : str, optional
+        Value as the help of the command writes it.
+    flag : str
+        In the place of the field's name.
+    choices : sequence of str
+        Words that a command takes.
+    bounds, typed : tuple of int, optional
+        Smallest and largest value; the same of a command, where it allows less.
+    commas : bool
+        Several values stand between commas; else the flag may be given again.
+    shown : bool
+        Whether the help of the command states the default.
+    """
+    says = {"words": words, "metavar": metavar, "flag": flag, "choices": choices, "commas": commas, "shown": shown}
+    return field(default=default, metadata=says | {"bounds": bounds, "typed": typed or bounds})
+
+
+def documented(kind: type[Kind]) -> type[Kind]:
+    """Give a class of options the numpydoc section of its fields."""
+    own: Any = kind
+    rows = ["", "Parameters", "----------"]
+    for one in fields(own):
+        choices, bounds = one.metadata["choices"], one.metadata["bounds"]
+        allowed = (
+            f" One of {', '.join(choices)}." if choices else f" From {bounds[0]} to {bounds[1]}." if bounds else ""
+        )
+        rows.append(f"{one.name} : {one.type}, default {one.default!r}\n    {one.metadata['words']}{allowed}")
+    kind.__doc__ = "\n".join([str(kind.__doc__), *rows])
+    return kind
+
+
+@documented
+@dataclass(frozen=True)
+class FitOptions:
+    """How to read and fit a device; the same words as on the command line."""
+
+    columns: str | None = option(None, "time=, displacement=, force=, and others to show.", "ROLE=COLUMN,...")
+    units: str | None = option(None, "Units, where the header does not say.", "mm,kN,s")
+    rate_Hz: float | None = option(None, "Sampling rate of files without time, Hz.", "HZ")
+    sheet: str | None = option(None, "Sheet of a workbook, or group of a TDMS, HDF5 or MAT file.", "NAME")
+    priors: str = option("afc", "Family that ships (afc, general) or TOML file.")
+    model: str = option(
+        "published", "Eq. 1 as published, or without its jump at reversals.", choices=("published", "continuous")
+    )
+    noise: str = option(
+        "slow",
+        "White and slow noise; for comparison ar1 (at the recorded rate), independent; student has heavy tails.",
+        choices=("slow", "ar1", "independent", "student"),
+    )
+    effects: tuple[str, ...] = option((), "Physical effects that are known to be there.", "slack,wear", commas=True)
+    free: tuple[str, ...] = option((), "Parameters that each run has for itself.", "K,beta,gamma", commas=True)
+    seed: int = option(1, "Same seed and inputs, same numbers.", bounds=(0, 2**32 - 1))
+    max_steps: int = option(
+        10_000,
+        "Steps after which sampling stops even if it has not converged.",
+        bounds=(1, 1_000_000),
+        typed=(200, 1_000_000),
+    )
+    runs: int | Literal["split", "one"] | None = option(
+        None, 'Runs that the files hold together; "split" parts files where runs are found, "one" never does.'
+    )
+    priors_from: str | None = option(
+        None, "Posterior of an earlier fit, or of a campaign's set, as prior.", "DIR[#SET]"
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse choices that no fit could take, before any device is read."""
+        from shj_bayes.model.law import variant_named
+        from shj_bayes.recording.columns import check_rate, parse_columns
+        from shj_bayes.recording.runs import check_runs
+        from shj_bayes.recording.units import parse_units
+
+        object.__setattr__(self, "model", variant_named(self.model))
+        _check_bounds(self)
+        asked = parse_columns(self.columns)
+        parse_units(self.units)
+        if self.rate_Hz is not None:
+            check_rate(self.rate_Hz, asked)
+        check_runs(self.runs)
+        if "velocity" in self.effects:
+            raise ModelError(
+                "the base law depends on speed already; take 'velocity' out of the effects (or --without velocity)"
+            )
+        self.device_model(1, None)
+
+    def device_model(self, n_runs: int, priors: Priors | None) -> DeviceModel:
+        """Model of a device with so many runs; without priors those of the default family stand in."""
+        from shj_bayes.model.device import DeviceModel, effects_named
+        from shj_bayes.model.noise.catalogue import noise_model
+        from shj_bayes.model.priors import read_priors
+
+        return DeviceModel(
+            n_runs,
+            priors or read_priors(),
+            effects=effects_named(self.effects),
+            noise=noise_model(self.noise),
+            free=self.free,
+            variant=self.model,
+        )
+
+
+@documented
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """How to look for what a model leaves out."""
+
+    without: tuple[str, ...] = option((), "velocity: base law without it; others: not tried.", "EFFECT")
+    quick: bool = option(False, "A first look: approximate intervals, no sampling.")
+    name: str = option("device", "Name of the device; by default that of the first file.", shown=False)
+
+    def hidden(self, device: DeviceModel) -> frozenset[str]:
+        """Mechanisms that are not looked for: those taken out, and those that the model of the device has already."""
+        speed = {"velocity"} if device.speed else set()
+        return frozenset({*self.without, *(effect.mechanism for effect in device.effects)} - {"velocity"} | speed)
+
+
+@documented
+@dataclass(frozen=True)
+class PlanOptions:
+    """What is asked of a plan; limits go before those of the rig, and those not stated are what the tests reached."""
+
+    question: str | None = option(None, "which, gamma, ratio, K, Fy, beta, least or force; which by default.", "Q")
+    among: tuple[str, ...] = option((), "Mechanisms to tell apart; velocity: base law.", "velocity,prying", commas=True)
+    max_stroke_mm: float | None = option(None, "Largest displacement to either side.", "MM")
+    max_speed_mm_s: float | None = option(None, "Largest speed.", "MM/S")
+    max_force_kN: float | None = option(None, "Largest force.", "KN")
+    max_minutes: float | None = option(None, "Longest test.", "MIN")
+    rate_Hz: float | None = option(None, "Rate of the displacement history.", "HZ")
+    histories: tuple[Path, ...] = option(
+        (), "A further candidate: displacement (mm) over time (s).", "FILE", flag="--history"
+    )
+    priors: str = option("afc", "Family that ships (afc, general) or TOML file: a plan before any test.", shown=False)
+    seed: int = option(1, "Same seed and inputs, same numbers.", bounds=(0, 2**32 - 1))
+
+
+@documented
+@dataclass(frozen=True)
+class MarginOptions:
+    """What is asked of the margins."""
+
+    amplitude_mm: float | None = option(None, "Of a sine, in place of the tests themselves.", "MM")
+    speed_mm_s: float | None = option(None, "Its peak speed; largest tested by default.", "MM/S")
+    cycles: int | None = option(None, "Its cycles; 3 by default.", "N")
+    history: Path | None = option(
+        None, "Displacement (mm) over time (s), two columns, in place of the tests themselves.", "FILE"
+    )
+    extrapolate: bool = option(False, "Allow speed, travel and time beyond the tests: bounded laws.")
+    nominal_kN: float | None = option(None, "Nominal sliding force; typical device by default.", "KN")
+    importance: str = option("II", "Importance class of the structure (EN 15129).", choices=("I", "II", "III"))
+    v_known: float | None = option(None, "Known coefficient of variation of the sliding force (EN 1990).", "V")
+    v_reason: str = option("", "Where V is known from; printed beside the values.", "WORDS")
+    sets: tuple[str, ...] = option((), "Draw up this set alone; may be given again.", "NAME", flag="--set")
+
+    def __post_init__(self) -> None:
+        """Refuse a nominal force that is none, and a known spread without a reason."""
+        for value, unit in ((self.amplitude_mm, "mm"), (self.speed_mm_s, "mm/s"), (self.cycles, "cycles")):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise PopulationError(f"amplitude, speed and cycles must be above zero; got {value:g} {unit}")
+        if self.history is not None and (self.amplitude_mm, self.speed_mm_s, self.cycles) != (None, None, None):
+            raise PopulationError("give a history or amplitude, speed and cycles of a sine, not both")
+        if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
+            raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
+        if self.v_known is not None and not 0 < self.v_known < 1:
+            raise PopulationError(f"a known coefficient of variation must lie between 0 and 1; got {self.v_known:g}")
+        if (self.v_known is None) != (not self.v_reason.strip()):
+            raise PopulationError(
+                "a coefficient of variation taken as known needs the reason, and a reason needs the value: give "
+                '--v-known 0.06 --v-reason "factory control of 300 devices"; without both, V counts as unknown'
+            )
+
+
+PLAIN = MarginOptions()
+
+
+def _check_bounds(options: Any) -> None:
+    """Refuse numbers outside what their fields allow."""
+    for one in fields(options):
+        found, bounds = getattr(options, one.name), one.metadata["bounds"]
+        if bounds and not bounds[0] <= found <= bounds[1]:
+            raise ModelError(f"{one.name} = {shown(found, 20)}; allowed is {bounds[0]} to {bounds[1]}")
