@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, load_cases, measured_channels
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.model.history import History
-from shj_bayes.model.law import work_between
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Likelihood, Measurement, band_of
@@ -90,7 +90,8 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
         if taken > 1:
             force = np.stack([np.convolve(row, np.full(taken, 1.0 / taken), "valid") for row in force])
         out["largest_kN"][:, h] = force.max(axis=1)
-    out["work_kJ"] = work_between(force_kN, x, np.append(start[:-1], x.size - 1)) / 1000.0
+        joined = slice(start[h], min(start[h + 1] + 1, x.size))
+        out["work_kJ"][:, h] = trapezoid(force_kN[:, joined], x[joined], axis=1) / 1000.0
     complete = (np.arange(n) > 0) & (np.arange(n) < n - 1)
     return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, *out.values())
 
