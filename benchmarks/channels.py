@@ -20,7 +20,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.recording import Extra, Recording
 from shj_validation.trials import RATE_HZ, ar1, simulate
 

@@ -9,8 +9,9 @@ the same whatever ``-n`` is; ``--first`` goes on behind trials that are done. Ev
 ``--others`` draws other protocols and noises than a proof does: triangles, ramps with rests, two speeds, an earthquake;
 white alone, rounded, with hum, growing with the force; the motion begins with the first reading. ``--protocol`` and
 ``--noise`` choose among all. ``--first-off`` puts the first force reading of each run three standard deviations off.
-``--table FILE...`` prints the tables of trials that are done: by effect; by protocol and noise false alarms,
-coordinates, and the error on cycles left out before and after.
+``--without split_curve`` leaves a move of the search out: what it is worth. ``--table FILE...`` prints the tables of
+trials that are done: by effect; by protocol and noise false alarms, coordinates, and the error on cycles left out
+before and after.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
+from shj_bayes.mismatch import search
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -39,6 +41,7 @@ from shj_validation.proof.summary import RIGHT_OUTCOMES
 from shj_validation.proof.truth import truth_of
 
 BUILD = Path(__file__).resolve().parents[1] / "build" / "develop"
+MOVES = ("try_constant", "replace_by_formula", "drop_one", "swap_one", "split_curve", "follow_bends", "refit_noise")
 KEPT = ("verdict", "reason", "coordinates", "effects", "family", "before", "after")
 
 
@@ -56,6 +59,7 @@ def main() -> None:
     parser.add_argument("--protocol", action="append", choices=known[0], help="to draw from; may be repeated")
     parser.add_argument("--noise", action="append", choices=known[1], help="to draw from; may be repeated")
     parser.add_argument("--first-off", action="store_true", help="first force reading of each run three deviations off")
+    parser.add_argument("--without", action="append", choices=MOVES, default=[], help="moves to leave out")
     parser.add_argument(
         "--table", type=Path, nargs="+", metavar="FILE", help="print the tables of trials that are done"
     )
@@ -78,7 +82,9 @@ def main() -> None:
     )
     words = [arguments.kind, arguments.effect, arguments.rate, "others" if arguments.others else None]
     words += [*(arguments.protocol or ()), *(arguments.noise or ()), "first-off" if arguments.first_off else None]
-    words.append(f"seed{arguments.seed}")
+    words += [f"seed{arguments.seed}", *(f"without-{move}" for move in arguments.without)]
+    for move in arguments.without:
+        setattr(search, move, lambda out, *_, **__: out)
     BUILD.mkdir(parents=True, exist_ok=True)
     rows = []
     with (BUILD / ("-".join(str(word) for word in words if word is not None) + ".jsonl")).open("a") as file:

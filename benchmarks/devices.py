@@ -11,7 +11,7 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 
 TRUTH = Truth(
     K=18.0, Fy=80.0, beta=10.0, gamma=1 / 60, ratio=0.875, sigma=0.8, phi=0.0, sigma_slow=0.6, tau_slow=3.0,

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, motion_of, table_1
 from shj_bayes.recording.recording import FloatArray, Recording, Source
 from shj_validation.proof.protocols import course
 

@@ -27,8 +27,7 @@ from timing import best
 from shj_bayes.model import kernel
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import Motion, exact_motion, table_1
 
 LAW = (18.0, 80.0, 0.01)  # K kN/mm, Fy kN, gamma s/mm
 Way = Callable[[Motion, float], FloatArray]

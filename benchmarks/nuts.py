@@ -29,7 +29,7 @@ from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import Prior, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 RATE_HZ = 6.0

@@ -22,7 +22,7 @@ from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
-from shj_bayes.recording.protocol import Block, table_1
+from shj_bayes.recording.motion import Block, table_1
 from shj_bayes.recording.recording import Recording
 
 Floats = NDArray[np.float64]

@@ -35,8 +35,8 @@ from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
-from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 from shj_bayes.report.margins_page import render_margins
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))

@@ -16,7 +16,7 @@ from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population import hierarchy
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.report.figures import canvas, posterior
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")

@@ -133,7 +133,7 @@ BREAKAGES = (
     ),
     Breakage(
         "motion: the sampled extreme instead of the turning point",
-        "recording/protocol.py",
+        "recording/motion.py",
         "turning_mm=np.concatenate([[0.0], turning])",
         "turning_mm=np.concatenate([[0.0], (amplitude * np.sin(phase))[start[1:-1] - 1]])",
     ),

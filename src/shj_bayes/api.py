@@ -26,7 +26,7 @@ from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.options import DiagnoseOptions, FitOptions, PlanOptions
 from shj_bayes.planning.plan import PlanRecord
 from shj_bayes.population.results import PopulationRecord
-from shj_bayes.recording.frame import read_frame
+from shj_bayes.recording.reader import read_frame
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.diagnosis_words import sentences

@@ -220,7 +220,7 @@ def check(recordings: tuple[Path, ...], output: Output, **reading: Any) -> None:
     reading = _reading(**reading)
     if not output.as_json and not any(path.exists() for path in recordings):
         need_files(recordings, RecordingError)
-    from shj_bayes.recording.check import check_recording
+    from shj_bayes.recording.runs import check_recording
 
     results = [result for path in recordings for result in check_recording(path, **reading)]
     output.show([facts for facts, _ in results], "\n\n".join(text for _, text in results))

@@ -21,7 +21,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import FAMILIES, Base, Effect
 from shj_bayes.model.history import ARRAYS, History, histories
 from shj_bayes.model.law import force
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 # Ids and families keep their meaning: users script against them.
 FAMILY = {

@@ -18,7 +18,7 @@ from shj_bayes.model.effects.effect import Base, Contribution
 from shj_bayes.model.history import histories
 from shj_bayes.planning.protocol import Rig, table_1_protocol
 from shj_bayes.planning.rivals import common_scales, linearise, read_device
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
 from shj_bayes.results import store

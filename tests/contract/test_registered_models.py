@@ -19,7 +19,7 @@ from shj_bayes.model.noise.noise import Noise, gaussian
 from shj_bayes.model.parameters import BASE, LAW_PARAMETERS, NOISE_PARAMETERS, SHAREABLE, Parameter
 from shj_bayes.model.priors import Prior, read_priors
 from shj_bayes.options import DiagnoseOptions
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 
 UNITS = {"kN/mm", "kN", "1", "s/mm", "mm", "mm/s", "s"}
 N = 60

@@ -21,7 +21,7 @@ from shj_bayes.margins.history import from_file
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import device_from_fit
 from shj_bayes.population.results import load_population
-from shj_bayes.recording.check import check_recording
+from shj_bayes.recording.runs import check_recording
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.device import render_device
 

@@ -23,7 +23,7 @@ from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import published_devices
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.results import write_population
-from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import FloatArray, Recording
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))

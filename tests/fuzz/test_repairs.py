@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.motion import Block
 from shj_bayes.recording.reader import read
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.model.law import force, force_of_laws
-from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import Motion, exact_motion, table_1
 
 RATE_HZ = 20.0
 TOLERANCE = 1e-10  # of Fy

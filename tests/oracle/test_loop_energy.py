@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.model.law import force
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 RIGID = 1e6  # kN/mm: the knee is a ten-thousandth of a millimetre wide
 # dep in mm/s and the factor on the energy at a peak speed of 10 mm/s

@@ -18,7 +18,7 @@ from shj_bayes.margins.export import (
     tcl_script,
 )
 from shj_bayes.model.law import force
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 HOSTILE = 'brass"; import os #\n[exec rm] {$x}'
 BOUNDS = tuple(

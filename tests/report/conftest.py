@@ -14,7 +14,7 @@ from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.simulate import Truth
-from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import Recording
 from shj_bayes.results.device import DeviceData, read_device
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.model.law import force, work_between
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.report import numbers, sets_page, words
 from shj_bayes.report.device import freed_words
 from shj_bayes.report.figures import loops

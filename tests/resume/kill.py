@@ -28,8 +28,8 @@ import numpy as np
 import xarray as xr
 
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import check_files, read
 

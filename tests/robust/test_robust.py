@@ -12,9 +12,8 @@ from shj_bayes.inference.posterior import make_posterior
 from shj_bayes.inference.run import runs_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.check import check_recording
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.runs import settle
+from shj_bayes.recording.runs import check_recording, settle
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))

@@ -38,10 +38,9 @@ from shj_bayes.errors import (
 from shj_bayes.margins.history import from_file
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.protocol import stated_limits
-from shj_bayes.recording import numerals, tables
-from shj_bayes.recording.formats import hdf5, text
-from shj_bayes.recording.formats.catalogue import read_table
-from shj_bayes.recording.reader import read
+from shj_bayes.recording import limits, rows
+from shj_bayes.recording.formats import binary, text
+from shj_bayes.recording.reader import read, read_table
 from shj_bayes.results import store as store_file
 from shj_bayes.results.fit import FitRecord
 
@@ -136,8 +135,8 @@ def test_links_out_of_an_hdf5_file_are_not_followed(tmp_path):
 def test_a_file_that_kills_or_stops_the_hdf5_library_is_one_line(tmp_path, monkeypatch, body):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file["time_s"] = np.arange(60.0)
-    monkeypatch.setattr(hdf5, "_CHILD", body)
-    monkeypatch.setattr(hdf5, "HDF5_SECONDS", 3)
+    monkeypatch.setattr(binary, "_CHILD", body)
+    monkeypatch.setattr(limits, "HDF5_SECONDS", 3)
     with pytest.raises(RecordingError, match=r"run\.h5.*cannot"):
         read_table(tmp_path / "run.h5")
 
@@ -272,7 +271,7 @@ def test_a_cell_in_the_last_row_costs_no_time(tmp_path, row):
 def test_a_compressed_mat_file_is_counted_before_it_is_unpacked(tmp_path, monkeypatch):
     path = tmp_path / "run.mat"
     scipy.io.savemat(path, {"time_s": np.zeros(400_000)}, do_compression=True)
-    monkeypatch.setattr(tables, "MAX_BYTES", 1_000_000)
+    monkeypatch.setattr(limits, "MAX_BYTES", 1_000_000)
     with pytest.raises(RecordingError, match="MiB of numbers"):
         read_table(path)
     assert len(zlib.compress(bytes(3_200_000))) < path.stat().st_size < 100_000
@@ -330,14 +329,14 @@ def test_an_empty_line_behind_every_row_is_read(tmp_path, monkeypatch):
 
 
 def test_columns_of_words_are_not_read_to_their_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(numerals, "MAX_WORDS", 500)
-    monkeypatch.setattr(numerals, "BLOCK_ROWS", 1000)
+    monkeypatch.setattr(rows, "MAX_WORDS", 500)
+    monkeypatch.setattr(rows, "BLOCK_ROWS", 1000)
     looked = []
-    look = numerals._Column._from_text
-    monkeypatch.setattr(numerals._Column, "_from_text", lambda self, cells: (looked.append(0), look(self, cells))[1])
+    look = rows.TextColumn._from_text
+    monkeypatch.setattr(rows.TextColumn, "_from_text", lambda self, cells: (looked.append(0), look(self, cells))[1])
     path = tmp_path / "run.csv"
-    rows = "".join(f"{0.1 * i:g},{i % 7},{i % 5},ok\n" for i in range(10_000))
-    path.write_text("time_s,displacement_mm,force_kN,state\n" + rows)
+    states = "".join(f"{0.1 * i:g},{i % 7},{i % 5},ok\n" for i in range(10_000))
+    path.write_text("time_s,displacement_mm,force_kN,state\n" + states)
     table = read_table(path)
     assert len(looked) == 1
     assert np.all(np.isnan(table.columns[3].values))
@@ -346,7 +345,7 @@ def test_columns_of_words_are_not_read_to_their_end(tmp_path, monkeypatch):
     path.write_text(HEAD + ROWS + "a,b,c\n" * 10_000)
     with pytest.raises(RecordingError, match=r"column time hold text, and fewer than two columns hold numbers"):
         read_table(path)
-    monkeypatch.setattr(numerals, "MAX_SPECIAL", 900)
+    monkeypatch.setattr(rows, "MAX_SPECIAL", 900)
     path.write_text(HEAD + ROWS + "1D1,2,3\n" * 10_000)
     with pytest.raises(RecordingError, match=r"more than 900 numbers have groups"):
         read_table(path)
@@ -391,7 +390,7 @@ def test_a_mat_file_whose_elements_lie_about_their_size(tmp_path, at, size):
 
 WARN = """
 import warnings, logging, sys
-import shj_bayes.recording.check as room
+import shj_bayes.recording.runs as room
 from shj_bayes.cli import main
 def check(path, **_):
     import numpy
@@ -464,7 +463,7 @@ def test_reading_opens_no_connection(tmp_path, monkeypatch):
 
 
 def test_lengths_of_columns_are_bounded(tmp_path, monkeypatch):
-    monkeypatch.setattr(tables, "MAX_COLUMNS", 4)
+    monkeypatch.setattr(limits, "MAX_COLUMNS", 4)
     path = tmp_path / "run.csv"
     path.write_text("\n".join(",".join("123456") for _ in range(50)))
     with pytest.raises(RecordingError, match="6 columns; allowed are"):

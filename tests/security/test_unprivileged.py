@@ -12,8 +12,8 @@ from shj_bayes._util import imports
 from shj_bayes.app.device import fit_device
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import FitOptions
-from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 DROP = ("setpriv", "--inh-caps=-all", "--bounding-set=-all")  # root without the right to write everywhere

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from shj_bayes.cli import prove
-from shj_bayes.mismatch import search
+from shj_bayes.mismatch import fitter, moves, search
 from shj_validation.proof.blind import diagnose_blind
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.run import write_recordings
@@ -64,20 +64,21 @@ def test_nothing_is_claimed_where_nothing_is_concealed(key, tmp_path):
 
 def test_the_short_proof_fails_when_naming_is_broken(tmp_path, monkeypatch):
     """Candidates ranked worst first, the gains in the old places: the same check must not pass."""
-    screen = search.screen
+    screen = fitter.screen
 
     def worst_first(*told):
         right = screen(*told)
         gains = [candidate.gain for candidate in right]
         return [replace(candidate, gain=gain) for candidate, gain in zip(right[::-1], gains, strict=True)]
 
-    monkeypatch.setattr(search, "screen", worst_first)
+    monkeypatch.setattr(fitter, "screen", worst_first)
     assert outcome(TRIALS["asymmetry"], diagnosed(TRIALS["asymmetry"], tmp_path)) != "right"
 
 
 def test_the_short_proof_fails_when_the_coordinate_is_wrong(tmp_path, monkeypatch):
     """What was found is said of another dependence, with the formula that fits there."""
-    monkeypatch.setattr(search, "candidates", _without_direction(search.candidates))
+    for module in (search, moves):
+        monkeypatch.setattr(module, "candidates", _without_direction(module.candidates))
     assert outcome(TRIALS["asymmetry"], diagnosed(TRIALS["asymmetry"], tmp_path)) != "right"
 
 

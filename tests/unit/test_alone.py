@@ -13,8 +13,8 @@ from shj_bayes._util.files import LOCK, alone, write_text
 from shj_bayes.cli import main
 from shj_bayes.errors import ShjError
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 
 HOLDER = """
 import pathlib, sys, time

@@ -11,9 +11,8 @@ from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import histories
-from shj_bayes.recording.protocol import Block, exact_motion
-from shj_bayes.recording.recording import Recording
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block, exact_motion
+from shj_bayes.recording.recording import Recording, write_csv
 
 BLOCKS = (Block(12.0, 0.13, 3), Block(24.0, 0.067, 3), Block(12.0, 0.13, 2))
 WORN = (("capacity", "travel"), ("capacity", "heat"))

@@ -20,8 +20,8 @@ from shj_bayes.app.manifest import Manifest, read_manifest
 from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 from shj_bayes.results.device import read_group
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")

@@ -17,8 +17,8 @@ from shj_bayes.app.resume import name_of_device
 from shj_bayes.cli import main
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import DiagnoseOptions, FitOptions, MarginOptions, PlanOptions
-from shj_bayes.recording.protocol import Block
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 

@@ -15,9 +15,8 @@ from shj_bayes.model.noise.catalogue import noise_models
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import FitOptions
-from shj_bayes.recording.protocol import Block, exact_motion
-from shj_bayes.recording.recording import Recording
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.motion import Block, exact_motion
+from shj_bayes.recording.recording import Recording, write_csv
 
 BLOCKS = (Block(12.0, 0.13, 4), Block(24.0, 0.067, 4), Block(48.0, 0.034, 4))
 RATE_HZ = 4.0

@@ -50,7 +50,7 @@ from shj_bayes.model.law import force
 from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.motion import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
 from shj_bayes.results.fit import Trust
 from shj_validation.calibrate_noise import draw_noise, tables

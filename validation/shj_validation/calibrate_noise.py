@@ -22,7 +22,7 @@ from shj_bayes.model.noise.catalogue import noise_model
 from shj_bayes.model.noise.filter import simulate
 from shj_bayes.model.parameters import LAW_PARAMETERS, base_and_run
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.motion import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
 from shj_bayes.results.fit import Trust
 

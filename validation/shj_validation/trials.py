@@ -15,7 +15,7 @@ from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, Contribution, Effect
 from shj_bayes.model.history import History, histories
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.recording import Recording
 
 RATE_HZ = 5.0

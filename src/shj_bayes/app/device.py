@@ -38,11 +38,10 @@ from shj_bayes.model.parameters import BASE, FloatArray, describe
 from shj_bayes.model.priors import read_priors, shipped_families
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import DiagnoseOptions, FitOptions
-from shj_bayes.recording.protocol import table_1
+from shj_bayes.recording.motion import table_1
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.recording import Finding, Recording
+from shj_bayes.recording.recording import Finding, Recording, write_csv
 from shj_bayes.recording.runs import settle
-from shj_bayes.recording.writer import write_csv
 from shj_bayes.report.browse import find_browser
 from shj_bayes.report.device import render_device
 from shj_bayes.results.device import read_group

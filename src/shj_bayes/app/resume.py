@@ -21,7 +21,7 @@ from shj_bayes._util.files import damage_told, file_digest, need_population, pla
 from shj_bayes.errors import InferenceError, PriorError, did_you_mean
 from shj_bayes.model.parameters import BASE, base_of
 from shj_bayes.options import PLAIN, FitOptions, MarginOptions
-from shj_bayes.recording.formats.catalogue import by_ending
+from shj_bayes.recording.reader import by_ending
 from shj_bayes.recording.recording import Finding, Recording
 from shj_bayes.report import words
 from shj_bayes.report.force_unit import force_unit

@@ -18,8 +18,7 @@ from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import IntArray
-from shj_bayes.recording.reversals import NEAR, degree_for
+from shj_bayes.recording.motion import NEAR, IntArray, degree_for
 
 Force = Callable[[History, float], FloatArray]
 PER_STROKE = 64.0  # blocks that a whole stroke is divided into at least

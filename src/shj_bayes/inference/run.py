@@ -11,10 +11,9 @@ from shj_bayes.errors import InferenceError
 from shj_bayes.model.augmented import UNLOADED
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.measured import Measured, measured_in
-from shj_bayes.recording.further import Channel, Refusal, channel_of
-from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import Motion, motion_of
 from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.smoothing import Channel, Refusal, channel_of
 
 MOVED = 2e-3  # of the largest stroke: more than noise
 LOADED = 0.3  # likewise: how far a first loading is followed as a straight line

@@ -15,10 +15,8 @@ from shj_bayes.model.curve import curve_named
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import MarginOptions
-from shj_bayes.recording.motion import Motion, alternating
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, Motion, alternating, exact_motion, hysteresis
 from shj_bayes.recording.reader import read_history
-from shj_bayes.recording.reversals import hysteresis
 
 PLACES = 41
 

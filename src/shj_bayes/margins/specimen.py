@@ -16,8 +16,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES
-from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import Motion, exact_motion, table_1
 from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import NOTHING_MISSING, DiagnosisRecord, DiagnosisVerdict
 from shj_bayes.results.fit import FitRecord

@@ -23,6 +23,7 @@ MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
 DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
 EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
 PRESENT = 0.05  # probability of each class before the test: about one in a device
+ODDS = math.log(PRESENT / (1.0 - PRESENT))
 TYPICAL, SPREAD = 0.04, 1.2  # of Fy, and of its logarithm: how large a curve is where there is one
 FORMS = 0.5  # probability that a dependence has one of the published formulas of its coordinate
 FEW_STARTS = 12  # formulas with more are tried in the place of a curve only

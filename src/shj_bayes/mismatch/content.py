@@ -11,10 +11,10 @@ from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, Proven, cycles_of
 from shj_bayes.mismatch.hypothesis import TEETH, formula_of
+from shj_bayes.mismatch.moves import LARGEST_OF, Search
 from shj_bayes.mismatch.periodic import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.search import LARGEST_OF, Search
 from shj_bayes.mismatch.state import State, drawn_from
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue
@@ -151,11 +151,11 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
         for member in h.members:
             if member.of.id == name and member.variant.curve is None:
                 return [member.variant.effect.mechanism]
-    of = out.classes[name]
+    of = out.fitter.classes[name]
     if of.coordinate in out.scene.measured:
         return [of.coordinate]
     known = [e for e in catalogue().values() if (of.action, of.coordinate) in e.acts and not e.form]
-    return [e.id for e in known if e.id not in out.hidden]
+    return [e.id for e in known if e.id not in out.fitter.hidden]
 
 
 def family(out: Search, answer: Answer) -> tuple[Member, ...]:
@@ -166,7 +166,7 @@ def family(out: Search, answer: Answer) -> tuple[Member, ...]:
     sure = frozenset.intersection(*(key for key, _ in rivals_of(answer)))
     for key, probability in rivals_of(answer):
         for name in sorted(key - sure):
-            for effect in mechanisms(out, answer, name) or [out.classes[name].coordinate]:
+            for effect in mechanisms(out, answer, name) or [out.fitter.classes[name].coordinate]:
                 listed[effect] = listed.get(effect, 0.0) + probability
     for finding in answer.findings:
         if finding.member.of.id in sure and len(finding.names) > 1:
@@ -182,7 +182,7 @@ def coordinates(out: Search, answer: Answer) -> tuple[Dependence, ...]:
         finding = found.get(name)
         if finding is None and probability < 0.01:
             continue
-        of = out.classes[name]
+        of = out.fitter.classes[name]
         row = Dependence(
             coordinate=of.coordinate,
             unit=of.unit,
@@ -239,7 +239,7 @@ def fluctuation(out: Search) -> Dependence:
         action=TEETH.action,
         probability=SURE if out.chatter else 1.0,
         size_percent=100 * size,
-        matches=tuple(e.id for e in catalogue().values() if TEETH in e.acts and e.id not in out.hidden),
+        matches=tuple(e.id for e in catalogue().values() if TEETH in e.acts and e.id not in out.fitter.hidden),
     )
 
 
@@ -377,7 +377,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
     Where nothing that was found improves what was left out, that which would show whether the first of it is there.
     """
     out, answer = shown.out, shown.answer
-    known = {c.of.coordinate: c.variant.effect for c in out.looked} | catalogue()
+    known = {c.of.coordinate: c.variant.effect for c in out.fitter.looked} | catalogue()
     if answer.reason is Reason.NOT_BORNE_OUT:
         names = mechanisms(out, answer, shown.dropped[-1].of)
         return known[names[0]].next_test if names and names[0] in known else None
@@ -397,7 +397,7 @@ def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
     base = out.found[frozenset()]
     gains: dict[str, float] = {}
     sizes: dict[str, float] = {}
-    for c in out.screen(base):
+    for c in out.fitter.screen(base):
         if c.of.id not in gains:
             gains[c.of.id] = c.gain
             sizes[c.of.id] = float(np.percentile(np.abs(c.change), 99)) if c.change.size else 0.0
@@ -410,7 +410,7 @@ def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
     rows = []
     for effect in catalogue().values():
         name = next((name for name in (str(ClassId(*acts)) for acts in effect.acts) if name in gains), None)
-        if effect.form or effect.id in out.hidden or name is None:
+        if effect.form or effect.id in out.fitter.hidden or name is None:
             continue
         rows.append(
             CandidateRecord(

@@ -139,9 +139,9 @@ def _models(shown: Proven, seed: int) -> _Models:
     under, first = settle_under(fine, alone, law.model, law.z)
     draws = content.draws_of(first, seed)
     if not answer.findings:
-        wide = beside_missed(fine, under, first, (), tuple(out.classes.values()))
+        wide = beside_missed(fine, under, first, (), tuple(out.fitter.classes.values()))
         return _Models(law, draws, content.draws_of(wide, seed))
-    others = tuple(one for name, one in out.classes.items() if name not in answer.shown.key)
+    others = tuple(one for name, one in out.fitter.classes.items() if name not in answer.shown.key)
     sizes = [(f.member, f.size) for f in answer.findings]
     wide = beside_missed(fine, Metric(fine, setting, shown.after.slope), shown.after, sizes, others)
     return _Models(law, draws, content.draws_of(wide, seed))

@@ -11,10 +11,10 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.special import logsumexp
 
-from shj_bayes.mismatch.classes import Candidate, unit_columns
+from shj_bayes.mismatch.classes import ODDS, Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.hypothesis import Hypothesis
-from shj_bayes.mismatch.search import ODDS, RIVAL, Search
+from shj_bayes.mismatch.moves import RIVAL, Search
 from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import EvidenceRecord
@@ -26,7 +26,7 @@ CLEAR = 0.1  # nats; less between two candidates is nothing
 
 def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
     """Log weights of sets of classes, and how each class would be written in the model of the device."""
-    names = sorted(out.classes)
+    names = sorted(out.fitter.classes)
     position = {name: i for i, name in enumerate(names)}
     fitted = {h.key: h.log_weight for h in out.found.values()}
     added: dict[frozenset[str], float] = {}
@@ -44,7 +44,7 @@ def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
     changes = {name: band["mean"][1] - band["mean"][0] for name, band in bands.items() if band is not None}
     # The model that is shown may hold classes of a size that does not matter, too: here they are others.
     plain = out.found.get(frozenset(own), out.found[frozenset()])
-    others = {name: c for name, c in _best(out.screen(plain)).items() if name not in own}
+    others = {name: c for name, c in _best(out.fitter.screen(plain)).items() if name not in own}
     first = _FirstOrder(out, plain, list(others.values()))
     for i, (name, c) in enumerate(others.items()):
         mean = first.mean(i)
@@ -73,7 +73,7 @@ def _gains_beside(out: Search, h: Hypothesis) -> dict[frozenset[str], float]:
     two do the same.
     """
     by_class: dict[str, list[Candidate]] = {}
-    for c in out.screen(h):
+    for c in out.fitter.screen(h):
         by_class.setdefault(c.of.id, []).append(c)
     alone = {name: _averaged(own) for name, own in by_class.items()}
     gains = {frozenset((name,)): gain for name, gain in alone.items()}

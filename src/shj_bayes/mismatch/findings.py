@@ -9,7 +9,8 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import expit, logsumexp
 
-from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate
+from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate, Class
+from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.hypothesis import (
     MOTION,
     SLIP,
@@ -19,11 +20,14 @@ from shj_bayes.mismatch.hypothesis import (
     largest_size_of,
     may_miss,
     replaced,
+    same_twice,
     second_of,
     size_of,
+    without,
 )
 from shj_bayes.mismatch.missed import missed_by
-from shj_bayes.mismatch.search import Search
+from shj_bayes.mismatch.moves import Search, beside_direction, following
+from shj_bayes.mismatch.screen import screen
 from shj_bayes.mismatch.state import State, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
@@ -136,8 +140,8 @@ def _verdict(
     """
     largest = max((f.size for f in findings), default=0.0)
     unknown = {
-        Reason.SLOW_NOISE: out.is_rough and not out.chatter and out.metric.is_slow,
-        Reason.FLUCTUATES: out.is_rough and not out.chatter,
+        Reason.SLOW_NOISE: out.metric.is_rough and not out.chatter and out.metric.is_slow,
+        Reason.FLUCTUATES: out.metric.is_rough and not out.chatter,
         Reason.LEFT_OVER: left > out.matters_in_strokes and left > largest / 3.0,
         Reason.NO_FORM: nothing < DOUBT
         and any(not f.named and (f.size >= out.matters or (f is findings[0] and not out.chatter)) for f in findings),
@@ -204,7 +208,7 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
         drawn = {m.of.id for m in one.members if m.variant.curve is not None}
         missed = []
         for of in (m.of for m in one.members if m.of.id in larger):
-            over = out.classes.get(SLIP) if of.action == MOTION else of
+            over = out.fitter.classes.get(SLIP) if of.action == MOTION else of
             if over is not None and over.id not in drawn:
                 missed.append(missed_by(out.scene, one.state, over, larger[of.id]))
         beside = one.state.beside(*(curves for curves in missed if curves is not None))
@@ -234,7 +238,7 @@ def _findings(
     for place, member in enumerate(h.members):
         if member.of.id not in top:
             continue
-        drawn = out.as_curve(h, place)
+        drawn = _as_curve(out.fitter, h, place)
         found.append(
             FoundEffect(
                 member,
@@ -256,10 +260,39 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
     A small curve is within what matters of everything: a formula in its place must be better than nothing, and matter.
     """
     best, score = h, out.best_within(h.key - {h.members[place].of.id})
-    for new in out.following(h, place):
+    for new in following(out.fitter, h, place):
         if new.log_weight > score and largest_size_of(out.scene, new, place) >= MATTERS:
             best, score = new, new.log_weight
     return best
+
+
+def _in_place_of(fitter: Fitter, h: Hypothesis, place: int, of: Class) -> list[Hypothesis]:
+    """Give the hypotheses with a formula of another class in the place of a curve, most probable first."""
+    rest = fitter.fitted(*without(fitter.scene, h, place))
+    if rest is None:
+        return []
+    return fitter.all_fitted(((*rest.members, f), f) for f in fitter.forms_of(of, rest.members, rest.state.z))
+
+
+def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
+    """Give a hypothesis with a curve in the place of a formula, beside all else that it holds: what can be drawn.
+
+    A curve stays as it is; None where the class has none.
+    """
+    member = h.members[place]
+    if member.variant.curve is not None:
+        return h
+    members, z = without(fitter.scene, h, place)
+    looked = fitter.curves(member.of.id)
+    if not looked or any(same_twice(looked[0], m) for m in members):
+        return None
+    rest = fitter.fitted(members, z)
+    if rest is None:
+        return None
+    best = screen(fitter.metric, rest.state, looked)[0]
+    first = columns_of(fitter.scene, h.state, place)[0]
+    start = np.insert(z, [first] * len(best.variant.effect.parameters), 0.0)
+    return fitter.fitted(replaced(h, place, best), start)
 
 
 def _split(out: Search, h: Hypothesis) -> Hypothesis:
@@ -270,13 +303,13 @@ def _split(out: Search, h: Hypothesis) -> Hypothesis:
     """
     for place, member in enumerate(h.members):
         second = second_of(member)
-        if second is None or second in h.key or second not in out.classes:
+        if second is None or second in h.key or second not in out.fitter.classes:
             continue
         allowed = may_miss(out.scene, h, place)
-        for one in out.in_place_of(h, place, out.classes[second]):
+        for one in _in_place_of(out.fitter, h, place, out.fitter.classes[second]):
             if away(out.scene, h, one) <= allowed:
                 return one
-        both = out.beside_direction(h, place) or out.found.get(h.key | {second})
+        both = beside_direction(out, h, place).found.get(h.key | {second})
         if both is not None and away(out.scene, h, both) <= allowed:
             return both
     return h
@@ -290,11 +323,11 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
     """
     own = h.members[place]
     acting = {e.mechanism for e in catalogue().values() if (own.of.action, own.of.coordinate) in e.acts}
-    if len(acting - out.hidden) < 2:
+    if len(acting - out.fitter.hidden) < 2:
         return h, ((own.variant.effect.mechanism, 1.0),)
     forms = {own.variant.effect.id: h}
-    for form in out.forms(h, place):
-        new, name = out.fitted(replaced(h, place, form), form.start), form.variant.effect.id
+    for form in out.fitter.forms(h, place):
+        new, name = out.fitter.fitted(replaced(h, place, form), form.start), form.variant.effect.id
         if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
             continue
         if name in forms or largest_size_of(out.scene, new, place) >= MATTERS:

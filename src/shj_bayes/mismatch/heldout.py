@@ -11,8 +11,8 @@ from shj_bayes.inference.floor import cycles_through
 from shj_bayes.mismatch.classes import DOUBT
 from shj_bayes.mismatch.findings import Answer, Reason, answer_of
 from shj_bayes.mismatch.hypothesis import Hypothesis, without
+from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
-from shj_bayes.mismatch.search import Search
 from shj_bayes.mismatch.state import State, settle, settle_under
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import DiagnosisVerdict
@@ -182,11 +182,11 @@ def _less(out: Search, shown: Hypothesis, of: str) -> Search:
     place = next(i for i, member in enumerate(shown.members) if member.of.id == of)
     if shown.key - {of} not in found:
         members, z = without(out.scene, shown, place)
-        fitted = out.fitted(members, z)
-        rest = None if fitted is None else out.with_own_noise(fitted, out.metric.setting)
+        fitted = out.fitter.fitted(members, z)
+        rest = None if fitted is None else out.fitter.with_own_noise(fitted, out.metric.setting)
         found |= {} if rest is None else {rest.key: rest}
     best = max(found.values(), key=lambda h: h.log_weight)
-    return replace(out, found=found, metric=best.metric or out.metric, screened={})
+    return replace(out, found=found, fitter=replace(out.fitter, metric=best.metric or out.metric))
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class _LeftOut:
             rest, h = self.base, replace(answer.shown, state=self.after)
             if len(members) > 1:
                 less, z = without(self.fine, h, place)
-                state = settle_under(self.fine, self.setting, out.model_of(less), z)[1]
+                state = settle_under(self.fine, self.setting, out.fitter.model_of(less), z)[1]
                 rest = held_out(self.fine, metric, state)
             gains.append(DroppedMember(member.of.id, Gain.of(rest, self.shown)))
         whole = Gain.of(self.base, self.shown)

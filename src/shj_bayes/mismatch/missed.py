@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit
 
-from shj_bayes.mismatch.classes import EXPLAINED, Candidate, Class, candidates, unit_columns
+from shj_bayes.mismatch.classes import EXPLAINED, ODDS, Candidate, Class, candidates, unit_columns
 from shj_bayes.mismatch.scene import Metric, Scene
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.search import ODDS
 from shj_bayes.mismatch.state import State
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.parameters import FloatArray

@@ -19,6 +19,7 @@ import numpy as np
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
+from shj_bayes.inference.squares import STEP
 from shj_bayes.inference.start import law_starts, started
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
@@ -32,8 +33,8 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import BoolArray
 
 COARSER = 2.5  # blocks than those of a fit: many models are compared
-STEP = 1e-4  # of the standardised parameters, for derivatives
 MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device
+NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load cell
 AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the same at any sampling rate
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
@@ -63,6 +64,11 @@ class Scene:
     def largest_kN(self) -> float:
         """Largest measured force (99th percentile), kN."""
         return float(np.percentile(np.abs(self.measured_kN[self.used > 0]), 99))
+
+    @property
+    def noise_most_kN(self) -> float:
+        """Largest standard deviation that the noise of a load cell may have, kN."""
+        return NOISE_MOST * self.largest_kN
 
     @cached_property
     def base(self) -> Base:
@@ -348,6 +354,16 @@ class Metric:
     def fluctuation(self) -> float:
         """Size of the noise as a share of Fy; see `NoiseSetting.size_kN`."""
         return self.setting.size_kN(self.scene) / self.scene.scale_kN
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether the force fluctuates by more than the noise of a load cell."""
+        return self.setting.size_kN(self.scene) > self.scene.noise_most_kN
+
+    @property
+    def is_capped(self) -> bool:
+        """Whether the noise would be larger than that of a load cell if it could: what is left is no smooth curve."""
+        return self.setting.size_kN(self.scene) > 0.999 * self.scene.noise_most_kN
 
     @property
     def is_slow(self) -> bool:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import DOUBT, MATTERS, PRESENT
-from shj_bayes.mismatch.search import PROMISING
+from shj_bayes.mismatch.moves import PROMISING
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.campaign import SharedDependence

@@ -11,7 +11,7 @@ import numpy as np
 from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.further import Channel
+from shj_bayes.recording.smoothing import Channel
 
 PREFIX = "measured_"  # before the name of a channel, so that no name is that of another coordinate
 

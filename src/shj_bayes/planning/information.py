@@ -29,7 +29,7 @@ from shj_bayes.model.noise.filter import simulate
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.planning.rivals import PLANNED, Key, PretestPosterior, RivalModel, entropy_of
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 
 OUTCOMES = 24  # drawn from each rival

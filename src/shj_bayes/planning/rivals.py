@@ -20,11 +20,11 @@ from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
-from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, PRESENT, TYPICAL, candidates, classes
+from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, ODDS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
+from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
 from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, N_OF_RUN, Metric, NoiseSetting, Scene, scene_of
-from shj_bayes.mismatch.search import ODDS, Search, noise_beside, noise_of_size
 from shj_bayes.mismatch.state import find_noise, settle
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -368,20 +368,20 @@ def linearise(
     rough = settle(scene, Metric(scene, start, slope), device, scene.z)
     looked = candidates(scene, rough, needed)
     metric = noise_beside(scene, rough, looked, None)
-    out = Search(scene, looked, metric, tested.hidden, tell)
-    found = [(key, p, h) for key, p in sets for h in _ways(out, key)]
+    fitter = Fitter(scene, looked, metric, tested.hidden)
+    found = [(key, p, h) for key, p in sets for h in _ways(fitter, key)]
     if not found:
         raise PlanError(f"{name}: none of its rivals can be fitted; run diagnose again")
     best = max((h for _, _, h in found), key=lambda h: h.log_weight)
     setting = find_noise(scene, best.state, np.zeros((best.state.residual.size, 0)), metric.setting)
-    out.metric = Metric(scene, setting, best.state.slope)
-    fits = [(key, p, out.fitted(h.members, h.state.z) or h) for key, p, h in found]
+    fitter = replace(fitter, metric=Metric(scene, setting, best.state.slope))
+    fits = [(key, p, fitter.fitted(h.members, h.state.z) or h) for key, p, h in found]
     shares = _shares(fits, even=tested.untold)
     further = replace(device, n_runs=len(runs) + 1)
     last = old[-1].history
     kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_RIVALS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())
-    rivals = [_rival(out.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
+    rivals = [_rival(fitter.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
     z, middle = _joint(device, further, scene.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
     return PretestPosterior(name, runs, further, z, old, scales, setting, tuple(rivals), middle, peak)
 
@@ -435,26 +435,26 @@ def _shares(fits: Sequence[tuple[Key, float, Hypothesis]], *, even: bool) -> Flo
     return np.asarray(np.exp(before + logs - logsumexp(before + logs)))
 
 
-def _ways(out: Search, key: Key) -> list[Hypothesis]:
+def _ways(fitter: Fitter, key: Key) -> list[Hypothesis]:
     """Fit a set of classes: curves of the likely kinds, and formulas in the place of the last of them."""
-    ways = [h for h in (out.fitted((), out.scene.z),) if h is not None]
+    ways = [h for h in (fitter.fitted((), fitter.scene.z),) if h is not None]
     for left in range(len(key), 0, -1):
         found: list[Hypothesis] = []
         h = max(ways, key=lambda h: h.log_weight)
-        listed = [c for c in out.screen(h) if c.of.id in key - h.key]
+        listed = [c for c in fitter.screen(h) if c.of.id in key - h.key]
         for c in [c for c in listed if listed and c.of.id == listed[0].of.id][: KINDS if left == 1 else 1]:
             start = np.concatenate([h.state.z, c.start[-len(c.variant.effect.parameters) :]])
-            found += [new for new in (out.fitted((*h.members, c), start),) if new is not None]
+            found += [new for new in (fitter.fitted((*h.members, c), start),) if new is not None]
         if not found:
             return []
         ways = found
     curves = [h for h in ways if h.members and h.members[-1].variant.curve is not None]
     for h in curves[:1]:
         tried: set[str] = set()
-        for form in out.forms(h, len(h.members) - 1):
+        for form in fitter.forms(h, len(h.members) - 1):
             if form.variant.effect.id not in tried:
                 tried.add(form.variant.effect.id)
-                new = out.fitted((*h.members[:-1], form), form.start)
+                new = fitter.fitted((*h.members[:-1], form), form.start)
                 ways += [new] if new is not None else []
     one_each: dict[tuple[str, ...], Hypothesis] = {}  # of an effect that was fitted from several starts
     for h in sorted(ways, key=lambda h: -h.log_weight):

@@ -29,7 +29,7 @@ from shj_bayes.population.quantities import (
     quantity,
     stream,
 )
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 
 def scatter(result: PopulationResult, prior: str = "default") -> tuple[tuple[str, ...], FloatArray, int]:

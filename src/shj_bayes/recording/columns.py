@@ -7,21 +7,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shj_bayes.errors import RecordingError, did_you_mean, shown
-from shj_bayes.recording.formula import Value, evaluate
-from shj_bayes.recording.groups import beside, clock_of, described, one_axis, same_clock, usual_step
-from shj_bayes.recording.limits import (
-    BAD_CELL_SHARE,
-    MAX_EXTRA_NAME,
-    MAX_EXTRAS,
-    MAX_HISTORY,
-    MIN_HISTORY,
-    MIN_SAMPLES,
-    RATE_AGREES,
-    SAME_INSTANT,
-)
+from shj_bayes.recording import limits
 from shj_bayes.recording.recording import Extra, Finding, FloatArray
-from shj_bayes.recording.tables import Column, Table
-from shj_bayes.recording.units import ROLES, TARGET, Role, factor, is_weight, parse_units, role_of
+from shj_bayes.recording.tables import (
+    Column,
+    Table,
+    Value,
+    beside,
+    clock_of,
+    described,
+    evaluate,
+    listed,
+    one_axis,
+    same_clock,
+    seconds_of,
+    usual_step,
+)
+from shj_bayes.recording.units import ROLES, TARGET, Role, factor, is_weight, multiplier, parse_units, role_of
 
 TENSION = "tension"  # of the bolts: the force over it is a coefficient of friction
 # Headers that mean the channel and nothing else; a header that merely contains one of the words is a weaker claim.
@@ -33,10 +35,10 @@ _EXACT: dict[Role, set[str]] = {
     "displacement": {"displacement", "disp", "displ", "stroke", "slip", "u", "x", "d", "deformation", "weg"},
     "force": {"force", "load", "f", "p", "axial force", "shear force", "axial load", "kraft"},
 }
-_CONTAINS: dict[Role, tuple[str, ...]] = {
-    "time": ("time", "zeit", "temps", "timestamp"),
-    "displacement": ("displacement", "disp", "stroke", "slip", "lvdt", "deflection", "deformation", "weg", "hub"),
-    "force": ("force", "load", "kraft"),
+_CONTAINS: dict[Role, set[str]] = {
+    "time": {"time", "zeit", "temps", "timestamp"},
+    "displacement": {"displacement", "disp", "stroke", "slip", "lvdt", "deflection", "deformation", "weg", "hub"},
+    "force": {"force", "load", "kraft"},
 }
 _RUN = {"run", "run no", "run nr", "run number", "run id", "run index", "test run", "lauf"}
 _OPTION = re.compile(r"\s*(?P<role>\w+)\s*=(?P<what>.*)$", re.DOTALL)
@@ -83,7 +85,9 @@ def choose(
     if rate_Hz is not None:
         check_rate(rate_Hz, asked)
         _rate_agrees(rate_Hz, table, given, own)
-    timed = own is not None and (apart or (rate_Hz is None and "time" not in asked and not _has_time(table)))
+    times = candidates(table, "time")[0]
+    one_time = len(times) == 1 or (not times and "wf_increment" in table.scalars)  # for all channels
+    timed = own is not None and (apart or (rate_Hz is None and "time" not in asked and not one_time))
     roles = [role for role in ROLES if role != "time" or rate_Hz is None]
     values, chosen = _columns(table, [role for role in roles if role != "time" or not timed], asked, findings)
     axis_s = None if own is None else own[0]
@@ -91,8 +95,8 @@ def choose(
         axis_s = _laid(values, own, table.name, findings)
     if timed and axis_s is not None:
         told = all(column.clock_told for value in values.values() for column in value.columns)
-        chosen["time"], clock = "times of the channels", Column("time", axis_s, "s" if told else None)
-        values["time"] = Value(axis_s, (clock,), plain=True)
+        chosen["time"] = "times of the channels"
+        values["time"] = Value.of(Column("time", axis_s, "s" if told else None))
         given = {role: unit for role, unit in given.items() if role != "time" or not told}
     n = _length(values, table)
     used: dict[str, str] = {}
@@ -104,25 +108,28 @@ def choose(
         )
         findings.append(Finding("rate-given", "assumed", message))
     for role in roles:
-        used[role] = unit = _unit(
-            role, values[role], given, findings, f"{table.name} gives no unit for {chosen[role]!r}"
-        )
+        missing = f"{table.name} gives no unit for {chosen[role]!r}"
+        used[role] = unit = _unit(role, values[role], given, findings, missing)
+        scale = _factor(unit, role, chosen[role], table)
         if role == "force" and is_weight(unit):
-            kn = _factor(unit, role, chosen[role], table)
-            message = f"force: 1 {unit} is taken for the weight of that mass, {kn:.6g} kN"
+            message = f"force: 1 {unit} is taken for the weight of that mass, {scale:.6g} kN"
             findings.append(Finding("unit-weight", "assumed", message))
-        scaled = np.asarray(values[role].values * _factor(unit, role, chosen[role], table), dtype=np.float64)
+        scaled = np.asarray(values[role].values * scale, dtype=np.float64)
         arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
-    others = {name: _at(axis_s, evaluate(text, table)) for name, text in asked.items() if name not in ROLES}
-    extras = tuple(_extra(name, value, n, table) for name, value in others.items())
+    others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
+    extras = tuple(_extra(name, value, axis_s, n, table) for name, value in others.items())
     run, run_rows = _run_column(table, values)
-    if run is not None and run.clock_s is not None and axis_s is not None and apart:
-        run_rows = tuple(np.searchsorted(axis_s, run.clock_s[list(run_rows)]).tolist())
     if run is not None:
-        message = f"column {run.header or run.name!r} numbers {len(run_rows) + 1} runs"
+        if run.clock_s is not None and axis_s is not None and apart:
+            run_rows = tuple(np.searchsorted(axis_s, run.clock_s[list(run_rows)]).tolist())
+        message = f"column {run.label!r} numbers {len(run_rows) + 1} runs"
         findings.append(Finding("run-column", "assumed", message))
     _note_ignored(table, [*values.values(), *others.values()], run, findings)
-    assumed = frozenset(role for role in ROLES if role not in given and not _stated(values.get(role)))
+    assumed = frozenset(
+        role
+        for role in ROLES
+        if role not in given and role in values and values[role].values.ndim and not values[role].unit
+    )
     return RawChannels(
         arrays["time"],
         arrays["displacement"],
@@ -145,22 +152,23 @@ def choose_history(table: Table) -> tuple[FloatArray, FloatArray, tuple[Finding,
     """
     roles: tuple[Role, Role] = ("time", "displacement")
     findings = list(table.findings)
-    named = [by_header(table, role, []) if _named(table, role) else None for role in roles]
+    named = [by_header(table, role, []) for role in roles]
     columns = [column for column in named if column is not None]
     if len(columns) < len(roles):
         columns = list(table.columns[: len(roles)])
     if len(columns) < len(roles) or columns[0].values.size != columns[1].values.size:
         raise RecordingError(f"{table.name}: a history needs two columns of equal length, time and displacement")
     time, moved = (
-        column.values * _factor(column.unit or TARGET[role], role, column.header or column.name, table)
+        column.values * _factor(column.unit or TARGET[role], role, column.label, table)
         for role, column in zip(roles, columns, strict=True)
     )
     known = np.isfinite(time) & np.isfinite(moved)
     n_left = int(known.size - known.sum())
-    if n_left > BAD_CELL_SHARE * known.size or not MIN_HISTORY <= known.size <= MAX_HISTORY:
+    if n_left > limits.BAD_CELL_SHARE * known.size or not limits.MIN_HISTORY <= known.size <= limits.MAX_HISTORY:
         raise RecordingError(
             f"{table.name}: {n_left} of {known.size} rows hold no number in time or displacement; allowed are "
-            f"{BAD_CELL_SHARE:.0%}, of {MIN_HISTORY} to {MAX_HISTORY} rows; correct them, or thin the history"
+            f"{limits.BAD_CELL_SHARE:.0%}, of {limits.MIN_HISTORY} to {limits.MAX_HISTORY} rows; correct them, or thin "
+            "the history"
         )
     if n_left:
         message = f"{n_left} of {known.size} rows hold no number in time or displacement, and are left out"
@@ -180,14 +188,6 @@ def _own_times(table: Table, asked: dict[str, str]) -> tuple[FloatArray, FloatAr
     return None if clocks[0] is None or clocks[1] is None else (clocks[0], clocks[1])
 
 
-def _has_time(table: Table) -> bool:
-    """Whether a file has one time for all channels: a column, or the interval of waveforms."""
-    try:
-        return by_header(table, "time", []) is not None or "wf_increment" in table.scalars
-    except RecordingError:
-        return False
-
-
 def _laid(
     values: dict[Role, Value], own: tuple[FloatArray, FloatArray], name: str, findings: list[Finding]
 ) -> FloatArray:
@@ -197,7 +197,9 @@ def _laid(
     values["displacement"] = replace(x, values=np.interp(axis_s, own[0], x.values))
     values["force"] = replace(f, values=f.values[np.searchsorted(own[1], axis_s)])
     step = usual_step(axis_s)
-    both = bool(np.all(np.min(np.abs(axis_s[:, None] - own[0][beside(own[0], axis_s)]), axis=1) < SAME_INSTANT * step))
+    both = bool(
+        np.all(np.min(np.abs(axis_s[:, None] - own[0][beside(own[0], axis_s)]), axis=1) < limits.SAME_INSTANT * step)
+    )
     how = "both were read" if both else "the force was read; the displacement is on straight lines between its readings"
     message = (
         f"displacement has {described(own[0])}, force {described(own[1])}: they are laid on one axis of {axis_s.size} "
@@ -206,14 +208,6 @@ def _laid(
     )
     findings.append(Finding("own-times", "assumed", message))
     return axis_s
-
-
-def _at(axis_s: FloatArray | None, value: Value) -> Value:
-    """Further channel with times of its own at the instants of the others."""
-    clock = None if axis_s is None else clock_of(value.columns)
-    if axis_s is None or clock is None or clock.size != value.values.size or same_clock(clock, axis_s):
-        return value
-    return replace(value, values=np.interp(axis_s, clock, value.values, left=np.nan, right=np.nan))
 
 
 def _columns(
@@ -226,7 +220,7 @@ def _columns(
         if role in asked:
             values[role], chosen[role] = evaluate(asked[role], table), asked[role]
         elif column := by_header(table, role, findings):
-            values[role], chosen[role] = Value(column.values, (column,), True), column.header or column.name
+            values[role], chosen[role] = Value.of(column), column.label
         else:
             values[role], chosen[role] = _no(table, role, asked), ""
         findings += _text_in(role, values[role])
@@ -237,19 +231,23 @@ def _text_in(role: Role, value: Value) -> Iterator[Finding]:
     """Refuse a channel of which more cells hold text than may be left out."""
     for column in value.columns:
         n_rows = column.values.size
-        if column.n_words > BAD_CELL_SHARE * n_rows:
+        if column.n_words > limits.BAD_CELL_SHARE * n_rows:
             message = (
-                f"{role}: {column.n_words} of {n_rows} cells hold text; allowed are {BAD_CELL_SHARE:.0%}; write all "
-                "numbers with one decimal sign, and take words out"
+                f"{role}: {column.n_words} of {n_rows} cells hold text; allowed are {limits.BAD_CELL_SHARE:.0%}; write "
+                "all numbers with one decimal sign, and take words out"
             )
             yield Finding("text-cells", "unusable", message, column.n_words)
 
 
-def _extra(name: str, value: Value, n: int, table: Table) -> Extra:
+def _extra(name: str, value: Value, axis_s: FloatArray | None, n: int, table: Table) -> Extra:
     """Take a further channel; a force, such as a bolt tension, in kN, anything else in the unit of its header."""
+    clock = None if axis_s is None else clock_of(value.columns)
+    if axis_s is not None and clock is not None and clock.size == value.values.size and not same_clock(clock, axis_s):
+        at = np.interp(axis_s, clock, value.values, left=np.nan, right=np.nan)  # its times are its own
+        value = replace(value, values=at)
     if value.values.size != n or not value.values.ndim:
         raise RecordingError(f"{table.name}: {name} has {value.values.size} rows, the force {n}; choose another column")
-    unit = (value.columns[0].unit if value.plain else None) or ""
+    unit = value.unit or ""
     if role_of(unit) == "force" or (name == TENSION and (not unit or is_weight(unit))):
         return Extra(name, "kN", value.values * (factor(unit, "force") if unit else 1.0))
     return Extra(name, unit, np.array(value.values, dtype=np.float64))
@@ -266,7 +264,7 @@ def parse_columns(option: str | None) -> dict[str, str]:
             continue
         match = _OPTION.match(part)
         role = match["role"].lower() if match else ""
-        if match is None or not match["what"].strip() or len(role) > MAX_EXTRA_NAME:
+        if match is None or not match["what"].strip() or len(role) > limits.MAX_EXTRA_NAME:
             raise RecordingError(f"--columns: cannot read {part.strip()!r}; write {_HOW}")
         if role not in ROLES and (meant := did_you_mean(role, ROLES)):
             raise RecordingError(f"--columns: {role!r} is no channel of the law{meant} Write {_HOW}")
@@ -275,9 +273,16 @@ def parse_columns(option: str | None) -> dict[str, str]:
                 f"--columns names {role} twice: {found[role]!r} and {match['what'].strip()!r}; name it once"
             )
         found[role] = match["what"].strip()
-    if len(found) > len(ROLES) + MAX_EXTRAS:
-        raise RecordingError(f"--columns names {len(found)} channels; allowed are 3 and {MAX_EXTRAS} more")
+    if len(found) > len(ROLES) + limits.MAX_EXTRAS:
+        raise RecordingError(f"--columns names {len(found)} channels; allowed are 3 and {limits.MAX_EXTRAS} more")
     return found
+
+
+def candidates(table: Table, role: Role) -> tuple[list[Column], bool]:
+    """Columns whose header may be a channel, and whether it says so exactly and not by a word in a longer header."""
+    columns = table.columns if table.has_header else ()
+    exact = [c for c in columns if _words(c.name) in _EXACT[role]]
+    return exact or [c for c in columns if set(_words(c.name).split()) & _CONTAINS[role]], bool(exact)
 
 
 def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | None:
@@ -285,29 +290,23 @@ def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | Non
 
     A match by a word in a longer header is a finding.
     """
-    if not table.has_header:
-        return None
-    exact = [c for c in table.columns if _words(c.name) in _EXACT[role]]
-    loose = [c for c in table.columns if any(word in _words(c.name).split() for word in _CONTAINS[role])]
-    found = exact or loose
+    found, exact = candidates(table, role)
     if len(found) > 1:
         groups = list(dict.fromkeys(c.group for c in found if c.group))
         group = f", or take one of the groups with --sheet, as in --sheet {groups[0]!r}" if len(groups) > 1 else ""
         raise RecordingError(
-            f"{table.name}: {len(found)} columns could be {role}: {', '.join(c.header or c.name for c in found)}; "
+            f"{table.name}: {len(found)} columns could be {role}: {', '.join(c.label for c in found)}; "
             f"say which with --columns {role}=...{group}"
         )
-    if not found:
-        return None
-    if not exact:
+    if found and not exact:
         findings.append(Finding("column-by-word", "assumed", f"column {found[0].header!r} is taken for the {role}"))
-    return found[0]
+    return found[0] if found else None
 
 
 def roles_named(name: str) -> set[Role]:
     """Channels that a name may stand for."""
     words = _words(name)
-    return {role for role in ROLES if words in _EXACT[role] or set(words.split()) & set(_CONTAINS[role])}
+    return {role for role in ROLES if words in _EXACT[role] or set(words.split()) & _CONTAINS[role]}
 
 
 def _words(name: str) -> str:
@@ -322,23 +321,12 @@ def _no(table: Table, role: Role, asked: dict[str, str]) -> Value:
     missing = f"no {role} column{'' if table.has_header else ' and no header'}"
     step = ", or name the single number that is the interval" if table.scalars else ""
     rate = f"; if it was sampled at a constant rate, give it with --rate HZ{step}" if role == "time" else ""
-    likely = [f"{r}={n}" for r in ROLES if r not in asked and not _named(table, r) and (n := _by_unit(table, r))]
+    likely = []
+    for other in (r for r in ROLES if r not in asked and not candidates(table, r)[0]):
+        places = [i for i, c in enumerate(table.columns, start=1) if c.unit and role_of(c.unit) == other]
+        likely += [f"{other}={places[0]}"] if len(places) == 1 else []
     perhaps = f"; going by the units, perhaps --columns {','.join(likely)}" if likely else ""
     raise RecordingError(f"{table.name}: {missing} found; {table.summary}; name it with {_HOW}{rate}{perhaps}")
-
-
-def _named(table: Table, role: Role) -> bool:
-    """Whether a header fits, or several do."""
-    try:
-        return by_header(table, role, []) is not None
-    except RecordingError:
-        return True
-
-
-def _by_unit(table: Table, role: Role) -> int:
-    """Give the number of the only column whose unit can only be that of a channel; 0 where none or several are."""
-    places = [i for i, c in enumerate(table.columns, start=1) if c.unit and role_of(c.unit) == role]
-    return places[0] if len(places) == 1 else 0
 
 
 def check_rate(rate_Hz: float, asked: dict[str, str]) -> None:
@@ -353,32 +341,23 @@ def _rate_agrees(
     rate_Hz: float, table: Table, given: dict[Role, str], own: tuple[FloatArray, FloatArray] | None
 ) -> None:
     """Refuse a sampling rate that the file's own clock, or the times of its channels, contradict."""
-    step = 0.0 if own is None else usual_step(own[0])
-    ours = [("the time of the channels", (1.0 / step,))] if step > 0 else []
-    for name, said in [*_rates(table, given), *ours]:
+    steps: dict[str, list[float]] = {"wf_increment": [table.scalars.get("wf_increment", 0.0)]}
+    column = found[0] if len(found := candidates(table, "time")[0]) == 1 else None
+    times = None if column is None else seconds_of(replace(column, unit=given.get("time") or column.unit))
+    times = np.zeros(0) if times is None else times[np.isfinite(times)]
+    if column is not None and times.size > 1 and times[-1] > times[0]:
         # A clock printed with few digits repeats its times, and one with gaps ends late: each shows in one of the two.
-        if all(abs(rate / rate_Hz - 1) > RATE_AGREES for rate in said):
+        mean = float(times[-1] - times[0]) / (times.size - 1)
+        steps[f"column {column.label!r}"] = [float(np.median(np.diff(times))), mean]
+    if own is not None:
+        steps["the time of the channels"] = [usual_step(own[0])]
+    for name, told in steps.items():
+        said = [1.0 / step for step in told if 0 < step < np.inf]
+        if said and all(abs(rate / rate_Hz - 1) > limits.RATE_AGREES for rate in said):
             raise RecordingError(
                 f"{table.name}: {name} says {said[0]:.4g} Hz, --rate {rate_Hz:g} Hz; leave --rate out, which is for "
                 "files without time; where the time is wrong, correct it, or take its column out"
             )
-
-
-def _rates(table: Table, given: dict[Role, str]) -> Iterator[tuple[str, tuple[float, ...]]]:
-    """Give the sampling rates that a file states: name of the column, its rate by the usual step and over all rows."""
-    step = table.scalars.get("wf_increment", 0.0)
-    if np.isfinite(step) and step > 0:
-        yield "wf_increment", (1.0 / step,)
-    try:
-        column = by_header(table, "time", [])
-        unit = factor(given.get("time") or (column and column.unit) or "s", "time")
-    except RecordingError:
-        return
-    times = np.zeros(0) if column is None else column.values[np.isfinite(column.values)] * unit
-    if column is None or times.size < 2 or times[-1] <= times[0]:
-        return
-    usual, mean = float(np.median(np.diff(times))), float(times[-1] - times[0]) / (times.size - 1)
-    yield f"column {column.header or column.name!r}", tuple(1.0 / s for s in (usual, mean) if s > 0)
 
 
 def _length(values: dict[Role, Value], table: Table) -> int:
@@ -411,9 +390,11 @@ def _steps(scaled: FloatArray, n: int, name: str, findings: list[Finding]) -> Fl
 
 def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Finding], missing: str) -> str:
     """Take the unit by option, else by header, else the tool's own, which is said aloud: `missing` begins the words."""
-    header = value.columns[0].unit if value.plain else None
+    header = value.unit
     if role in given:
-        if header is not None and header != given[role] and not _same(header, given[role], role):
+        own = None if header is None else multiplier(header, role)
+        same = header == given[role] or (own is not None and np.isclose(own, factor(given[role], role), rtol=1e-9))
+        if header is not None and not same:
             message = f"{role}: the header says {header}, --units says {given[role]}; {given[role]} is used"
             findings.append(Finding("unit-overruled", "warning", message))
         return given[role]
@@ -432,21 +413,6 @@ def _factor(unit: str, role: Role, column: str, table: Table) -> float:
         raise RecordingError(f"{table.name}, column {column!r}: {error}") from error
 
 
-def _stated(value: Value | None) -> bool:
-    """Whether the file says the unit, or there is none to say: a rate is in Hz, an interval in s."""
-    if value is None or not value.values.ndim:
-        return True
-    return bool(value.plain and value.columns[0].unit)
-
-
-def _same(left: str, right: str, role: Role) -> bool:
-    """Whether two spellings are the same unit."""
-    try:
-        return bool(np.isclose(factor(left, role), factor(right, role), rtol=1e-9))
-    except RecordingError:
-        return False
-
-
 def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None, tuple[int, ...]]:
     """Column that numbers the runs, and the rows at which its number changes; None where no column does."""
     used = {id(column) for value in values.values() for column in value.columns}
@@ -458,7 +424,7 @@ def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None,
         edges = [0, *change.tolist(), rows.size]
         numbers = column.values[rows[[0, *change.tolist()]]] if rows.size else np.zeros(0)
         # A number that comes again, or for a few rows only, counts something else.
-        if change.size and np.unique(numbers).size == numbers.size and np.min(np.diff(edges)) >= MIN_SAMPLES:
+        if change.size and np.unique(numbers).size == numbers.size and np.min(np.diff(edges)) >= limits.MIN_SAMPLES:
             return column, tuple(rows[change].tolist())
     return None, ()
 
@@ -470,5 +436,4 @@ def _note_ignored(table: Table, values: Sequence[Value], run: Column | None, fin
     others = [c for c in table.columns if id(c) not in used and id(c.values) not in clocks]
     rest = [(c.header if table.has_header else "") or c.name for c in others]
     if rest:
-        more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
-        findings.append(Finding("columns-ignored", "note", f"columns not used: {', '.join(rest[:8])}{more}"))
+        findings.append(Finding("columns-ignored", "note", f"columns not used: {listed(rest)}"))

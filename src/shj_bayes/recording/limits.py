@@ -13,9 +13,7 @@ CHILD_BYTES = MAX_BYTES + 256 * 1024**2  # more than what is read into it, in th
 MAX_DEPTH = 32  # groups in groups, structs in structs; deeper ones end the stack of the libraries
 MAX_NESTED = 50_000  # cells and fields of MATLAB; each takes up to 0.1 ms
 MAX_RATIO = 200  # unpacked over packed size of a workbook; sheets of numbers reach about 10, constant columns 60
-MAX_PARTS = (
-    2000  # files in a workbook, variables of MATLAB, groups and datasets; two hundred sheets with pictures stay below
-)
+MAX_PARTS = 2000  # files in a workbook, variables, groups and datasets; two hundred sheets with pictures stay below
 MAX_SHEETS = 200  # a sheet for each specimen of a large programme
 MAX_SHEET_ROWS = 1_048_576  # the last row that a workbook can have
 MAX_ROW_BYTES = 16 * 1024**2  # of a row or text of a workbook; 16 384 full cells take a tenth
@@ -54,9 +52,7 @@ BAD_CELL_SHARE = 0.05  # above this share of filled cells the recording is not u
 # --- rows that are no readings: a jump away from the course of a channel and one back within FILL_RUN rows ---
 SPIKE_NOISE = 12.0  # standard deviations; the noise of a step is 1.4 of them
 SPIKE_RANGE = 0.003  # of the range of the displacement; smaller ones harm neither reversals nor speed
-SPIKE_FORCE = (
-    0.2  # of the range of the force: 40 % of the sliding force; peaks of a breakaway and stick-slip stay below
-)
+SPIKE_FORCE = 0.2  # of the range of the force: 40 % of sliding; peaks of a breakaway and stick-slip stay below
 SPIKE_USUAL = 4.0  # times the usual bend of the channel there, so that coarse sampling makes none
 SPIKE_RETURN = 0.25  # of the jump: the device has moved on meanwhile
 SPIKE_ROUNDS = 5  # searches; each finds what those before had hidden
@@ -90,9 +86,7 @@ LONG_TEST_S = 36_000.0  # ten hours, and slower than the above: mentioned even w
 SIGN_SHARE = 0.2  # friction dissipates: the loop area must be at least this share of (range x range), of either sign
 SWAPPED_BURSTS = 1.5  # burstiness of displacement over that of force; 0.4 to 0.9 for friction, 1.3 at most measured
 SWAPPED_SMOOTH = 3.0  # roughness of displacement over that of force; 1.4 at most measured, 3.6 and more where exchanged
-SWAPPED_PRODUCT = (
-    3.0  # the two ratios and that of the half-cycles, where the loop gives energy back; 1.8 at most measured
-)
+SWAPPED_PRODUCT = 3.0  # both and the ratio of the half-cycles, where the loop gives energy back; 1.8 at most measured
 SWAPPED_ROUGHNESS = 0.5  # second over first differences; driven displacements reach 0.4, noisy forces exceed 0.6
 REST_SAMPLES = 10  # a rest at the start shorter than this is chance
 OFFSET_SHARE = 0.10  # mean of push and pull over half their difference, from which an offset is mentioned

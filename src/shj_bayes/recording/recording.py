@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.arrays import frozen
 from shj_bayes.errors import RecordingError, plain_text
-from shj_bayes.recording.force_unit import unit_of
 from shj_bayes.recording.limits import GAP_STEPS
 
 FloatArray = NDArray[np.float64]
@@ -203,3 +202,77 @@ class Recording:
     def usable(self) -> bool:
         """False when a finding says that the recording must not be fitted."""
         return all(finding.severity != "unusable" for finding in self.findings)
+
+
+SMALL_KN = 1.0  # newton below: 0.26 kN is no number that a laboratory reads off its load cell
+
+
+def unit_for(sliding_kN: float) -> tuple[str, float]:
+    """Choose the unit in which forces of a device are shown, by its sliding force; and how many of it make a kN."""
+    return ("N", 1000.0) if abs(sliding_kN) < SMALL_KN else ("kN", 1.0)
+
+
+def unit_of(force_kN: NDArray[np.float64]) -> tuple[str, float]:
+    """Do so by a recorded force, shape (n,): half of its range without the rare largest is about the sliding force."""
+    low, high = np.quantile(force_kN, (0.05, 0.95))
+    return unit_for(0.5 * float(high - low))
+
+
+_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+_THIRD = np.array([1.0, -3.0, 3.0, -1.0])
+_THIRD_NORM = float(np.sqrt(np.sum(_THIRD**2)))
+
+
+def resolution_of(values: FloatArray) -> float:
+    """Step of an encoder or converter in a channel of shape (n,), 0 when the values come in no steps that matter.
+
+    It is the smallest spacing of the levels, when these repeat so often that rounding is the larger part of the noise.
+    """
+    levels = np.unique(values)
+    if levels.size < 3 or levels.size > values.size / 3:
+        return 0.0
+    spacing = np.diff(levels)
+    # Levels that differ by rounding in the last printed digit are one level.
+    spacing = spacing[spacing > 1e-9 * float(np.ptp(levels))]
+    return float(np.percentile(spacing, 10)) if spacing.size else 0.0
+
+
+def noise_of(values: FloatArray, resolution: float | None = None) -> float:
+    """Estimate the standard deviation of the fast part of a slowly varying channel, shape (n_samples,), nearly even.
+
+    Third differences cancel every parabola, so the motion does not count as noise; their median absolute value
+    does not see the few samples at corners. Rounding to counts (`resolution`, found when not given) adds at least a
+    uniform error. In the unit of the values; 0 for fewer than 8 samples.
+    """
+    if values.size < 8:
+        return 0.0
+    count = resolution_of(values) if resolution is None else resolution
+    third = np.convolve(values, _THIRD, mode="valid") / _THIRD_NORM
+    if count > 0.0:
+        # Most differences of a slow staircase are zero, which blinds the median: use the mean square without the
+        # rare largest, which are corners.
+        size = np.abs(third)
+        spread = float(np.sqrt(np.mean(np.minimum(size, np.percentile(size, 99.0)) ** 2)))
+        return max(spread, count / float(np.sqrt(12.0)))
+    return _MAD * float(np.median(np.abs(third)))
+
+
+def write_csv(path: str | Path, recording: Recording, comment: str = "", digits: int = 7) -> Path:
+    """Write a recording as ``time_s,displacement_mm,force_kN``; an existing file is replaced.
+
+    Findings are not written: reading the file checks it anew. The comment stands above the header, each line after
+    ``#``; a line with the word SIMULATED makes the reader say so. Displacement and force have 3 to 17 significant
+    digits, time 12 at least. `RecordingError` where the digits are out of range or the file cannot be written.
+    """
+    path = Path(path)
+    if not 3 <= digits <= 17:
+        raise RecordingError(f"digits = {digits}: allowed is 3 to 17 (17 keep every bit)")
+    rows = np.column_stack([recording.time_s, recording.displacement_mm, recording.force_kN])
+    header = "".join(f"# {line}\n" for line in comment.splitlines()) + "time_s,displacement_mm,force_kN\n"
+    try:
+        with path.open("w", encoding="utf-8", newline="\n") as stream:
+            stream.write(header)
+            np.savetxt(stream, rows, fmt=[f"%.{max(12, digits)}g", f"%.{digits}g", f"%.{digits}g"], delimiter=",")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror}); choose another folder") from error
+    return path

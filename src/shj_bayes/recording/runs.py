@@ -1,22 +1,23 @@
-"""Several runs in one file: told apart by the file itself, found at long rests or where the protocol begins again."""
+"""Several runs in one file, told apart by the file or found; and what shj-bayes check says of each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from shj_bayes.errors import RecordingError
+from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording import limits
-from shj_bayes.recording.cells import runs as stretches
+from shj_bayes.recording.checks import inspect
 from shj_bayes.recording.clock import clock_findings
-from shj_bayes.recording.noise import noise_of
-from shj_bayes.recording.quality import inspect
-from shj_bayes.recording.recording import Finding, FloatArray, Recording
-from shj_bayes.recording.reversals import hysteresis, least_return
+from shj_bayes.recording.motion import Motion, hysteresis, least_return, motion_of
+from shj_bayes.recording.reader import read
+from shj_bayes.recording.readings import runs as stretches
+from shj_bayes.recording.recording import Finding, FloatArray, Recording, Severity, noise_of, unit_of
 
 Runs = int | Literal["split", "one"] | None
 """What the user says of a file: how many runs it holds, that it may be split, that it is one; None for nothing said."""
@@ -49,7 +50,8 @@ def divisions(recording: Recording) -> tuple[Division, ...]:
         return tuple(found)
     pauses = _apart(recording, sketch, limits.FEW_HALF_CYCLES)
     if pauses:
-        strokes = [_strokes(part) for part in sketch.parts([pause.middle_s for pause in pauses])]
+        parts = sketch.parts([pause.middle_s for pause in pauses])
+        strokes = [np.abs(np.diff(part.x_mm[[0, *part.turns()]])) for part in parts]
         again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _begins_again(strokes[0], own)]
         if again:
             words = f"after {_rests(again)} the protocol begins again as it began"
@@ -75,15 +77,11 @@ def split(recording: Recording, n_runs: int | None = None) -> tuple[Recording, .
     ways = divisions(recording)
     if n_runs is None:
         return _cut(recording, ways[0]) if ways else (recording,)
-    for way in ways:
-        if way.n_runs == n_runs:
-            return _cut(recording, way)
-    longest = _longest_rests(recording, n_runs)
-    if longest is not None:
-        return _cut(recording, longest)
-    seen = (
-        "; ".join(f"{way.words} ({way.n_runs} runs)" for way in ways) or "no long rest, no protocol that begins again"
-    )
+    chosen = next((way for way in ways if way.n_runs == n_runs), None) or _longest_rests(recording, n_runs)
+    if chosen is not None:
+        return _cut(recording, chosen)
+    seen = "; ".join(f"{way.words} ({way.n_runs} runs)" for way in ways)
+    seen = seen or "no long rest, no protocol that begins again"
     raise RecordingError(
         f"{recording.source.name}: {n_runs} runs were expected, but found was: {seen}; correct --runs, or {_OTHER}"
     )
@@ -159,9 +157,8 @@ def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
     return tuple(parts)
 
 
-@dataclass(frozen=True)
-class _Pause:
-    """A rest between movements, from `begin_s` to `end_s`."""
+class _Pause(NamedTuple):
+    """A rest between movements."""
 
     begin_s: float
     end_s: float
@@ -240,8 +237,7 @@ def _pauses(sketch: _Sketch) -> list[_Pause]:
     span = high - np.minimum(np.minimum.reduceat(values, first), at_edges[1:])
     still = span < max(limits.REST_SPEED * travel / n, 0.2 * limits.REST_NOISE * sketch.noise_mm)
     found = [_Pause(float(edges[a]), float(edges[b])) for a, b in stretches(still) if a > 0 and b < n]
-    level = [np.interp([pause.begin_s, pause.end_s], t, x) for pause in found]
-    found = [p for p, ends in zip(found, level, strict=True) if abs(ends[1] - ends[0]) < limits.REST_RANGE * np.ptp(x)]
+    found = [pause for pause in found if abs(np.diff(np.interp(pause, t, x))[0]) < limits.REST_RANGE * np.ptp(x)]
     resting = sum(pause.length_s for pause in found)
     usual = (float(t[-1] - t[0]) - resting) / (len(turns) + 1)
     return [pause for pause in found if pause.length_s > limits.LONG_REST * usual]
@@ -256,11 +252,6 @@ def _apart(recording: Recording, sketch: _Sketch, n_half: int) -> list[_Pause]:
         if all(part.x_mm.size > 1 and len(part.turns()) + 1 >= n_half for part in (since, after)):
             kept.append(pause)
     return kept if all(b - a >= limits.MIN_SAMPLES for a, b in _between(recording, sketch, kept)) else []
-
-
-def _strokes(sketch: _Sketch) -> FloatArray:
-    """Lengths of the movements from reversal to reversal."""
-    return np.abs(np.diff(sketch.x_mm[[0, *sketch.turns()]]))
 
 
 def _begins_again(first: FloatArray, other: FloatArray) -> bool:
@@ -300,17 +291,14 @@ def _repeated(recording: Recording, sketch: _Sketch) -> list[Division]:
             continue
         if not _varied(blocks[0]):
             return []  # the same cycle again and again is one run
-        starts = [_crossing(sketch, turns[k - 1], turns[k]) for k in range(period, n, period)]
+        starts = []
+        for k in range(period, n, period):  # where the displacement passes where it began, between two reversals
+            way = x[turns[k - 1] : turns[k] + 1]
+            beyond = (way - x[0]) * np.sign(way[-1] - way[0]) >= 0
+            starts.append(float(sketch.time_s[turns[k - 1] + int(np.argmax(beyond))]))
         words = f"the same {period} amplitudes come {n // period} times, one after the other"
         return [Division("repeat", _spans(recording, np.searchsorted(recording.time_s, starts).tolist()), words)]
     return []
-
-
-def _crossing(sketch: _Sketch, before: int, after: int) -> float:
-    """Time at which the displacement passes where the recording began, between two reversals."""
-    way = sketch.x_mm[before : after + 1]
-    beyond = (way - sketch.x_mm[0]) * np.sign(way[-1] - way[0]) >= 0
-    return float(sketch.time_s[before + int(np.argmax(beyond))])
 
 
 def _longest_rests(recording: Recording, n_runs: int) -> Division | None:
@@ -353,3 +341,121 @@ def _rests(pauses: list[_Pause]) -> str:
     shown = ", ".join(f"{p.length_s:.3g} s at {p.begin_s:.4g} s" for p in pauses[:4])
     more = f" and {len(pauses) - 4} more" if len(pauses) > 4 else ""
     return f"{'a rest' if len(pauses) == 1 else f'{len(pauses)} rests'} ({shown}{more})"
+
+
+SCHEMA = "shj-bayes/check/1"
+_SAME_AMPLITUDE = 0.05  # reversals within this share of one another belong to one block
+_MAX_BLOCKS = 10  # an earthquake has no blocks; its list would only be long
+
+
+def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple[dict[str, Any], str]]:
+    """Read and check one file, as `shj_bayes.recording.reader.read` and `settle` do; facts and text for each run in it.
+
+    Facts are for machines (``usable`` says whether the run may be fitted), text is for people. A file that cannot be
+    read at all gives its reason in both.
+    """
+    try:
+        recordings = settle([read(path, **reading)], runs)
+    except RecordingError as error:
+        name = plain_text(path.name or str(path))
+        reason = str(error).removeprefix(f"{name}: ")
+        return [({"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}")]
+    checked = []
+    for recording in recordings:
+        try:
+            motion = motion_of(recording)
+        except RecordingError:
+            motion = None
+        checked.append((to_dict(recording, motion), describe(recording, motion)))
+    return checked
+
+
+def blocks_of(motion: Motion) -> list[dict[str, float]]:
+    """Consecutive reversals of like amplitude.
+
+    ``amplitude_mm`` from the middle of the whole stroke, ``cycles`` (two reversals each) and ``peak_speed_mm_s``.
+    """
+    turning = motion.turning_mm[1:]
+    if turning.size == 0:
+        return []
+    centre = 0.5 * (float(np.max(motion.turning_mm)) + float(np.min(motion.turning_mm)))
+    amplitude = np.abs(turning - centre)
+    peaks = np.maximum.reduceat(motion.speed_mm_s, motion.start[:-1])
+    slack = _SAME_AMPLITUDE * amplitude + 0.002 * float(np.max(amplitude))
+    cuts = np.flatnonzero(np.abs(np.diff(amplitude)) > slack[:-1]) + 1
+    return [
+        {
+            "amplitude_mm": float(np.mean(amplitude[a:b])),
+            "cycles": (b - a) / 2,
+            "peak_speed_mm_s": float(np.max(peaks[a + 1 : b + 1])),
+        }
+        for a, b in pairwise([0, *cuts.tolist(), amplitude.size])
+    ]
+
+
+def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
+    """Everything ``check --json`` prints, as plain values.
+
+    `motion` is None when the displacement does not move enough to have half-cycles.
+    """
+    result: dict[str, Any] = {
+        "schema": SCHEMA,
+        "name": recording.source.name,
+        "sha256": recording.source.sha256,
+        "format": recording.source.format,
+        "usable": recording.usable,
+        "columns": dict(recording.source.columns),
+        "units": dict(recording.source.units),
+        "n_samples": recording.n_samples,
+        "n_used": int(np.sum(np.asarray(recording.used))),
+        "rate_Hz": recording.rate_Hz,
+        "duration_s": recording.duration_s,
+        "displacement_mm": [float(recording.displacement_mm.min()), float(recording.displacement_mm.max())],
+        "force_kN": [float(recording.force_kN.min()), float(recording.force_kN.max())],
+        "force_noise_kN": noise_of(recording.force_kN[recording.used]),
+        "findings": [asdict(finding) for finding in recording.findings],
+    }
+    if motion is not None:
+        result["motion"] = {
+            "half_cycles": motion.n_half,
+            "blocks": blocks_of(motion),
+            "peak_speed_mm_s": float(motion.speed_mm_s.max()),
+            "travel_mm": float(motion.travel_mm[-1]),
+            "displacement_noise_mm": motion.noise_mm,
+            "method": motion.method,
+        }
+    return result
+
+
+def describe(recording: Recording, motion: Motion | None) -> str:
+    """Plain text for the ``check`` command: what was read, then the findings, the gravest first.
+
+    `motion` is None when the displacement does not move enough to have half-cycles.
+    """
+    facts = to_dict(recording, motion)
+    unit, factor = unit_of(recording.force_kN)
+    (x_low, x_high), (low, high) = facts["displacement_mm"], (value * factor for value in facts["force_kN"])
+    noise = facts["force_noise_kN"] * factor
+    lines = [f"{facts['name']}: {'usable' if facts['usable'] else 'NOT USABLE'}"]
+    for role, column in facts["columns"].items():
+        lines.append(f"  {role:<13}{column}  [{facts['units'].get(role, '?')}]")
+    lines += [
+        f"  {'samples':<13}{facts['n_samples']} at {facts['rate_Hz']:.5g} Hz, {facts['duration_s']:.5g} s; "
+        f"{facts['n_used']} used as evidence",
+        f"  {'range':<13}{x_low:.4g} to {x_high:.4g} mm, {low:.4g} to {high:.4g} {unit}",
+        f"  {'noise':<13}{noise:.2g} {unit}" + (f", {motion.noise_mm:.2g} mm" if motion else ""),
+    ]
+    if motion is not None:
+        moved = facts["motion"]
+        lines.append(
+            f"  {'motion':<13}{moved['half_cycles']} half-cycles, {moved['travel_mm']:.4g} mm travel, "
+            f"up to {moved['peak_speed_mm_s']:.3g} mm/s"
+        )
+        if 0 < len(blocks := moved["blocks"]) <= _MAX_BLOCKS:
+            shown = (f"{b['amplitude_mm']:.3g} mm x {b['cycles']:g} at {b['peak_speed_mm_s']:.3g} mm/s" for b in blocks)
+            lines.append(f"  {'blocks':<13}{'; '.join(shown)}")
+        lines.append(f"  {'method':<13}{moved['method']}")
+    order = get_args(Severity)
+    found = sorted(recording.findings, key=lambda finding: -order.index(finding.severity))
+    said = [f"  {finding.severity:<9} {finding.code}: {finding.message}" for finding in found]
+    return "\n".join(lines + (said or ["  nothing to remark"]))

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.stamps import H_MIN_OR_MIN_S
+from shj_bayes.recording.clock import H_MIN_OR_MIN_S
 
 if TYPE_CHECKING:
     import pint
@@ -54,18 +54,18 @@ _TONS = {"ton", "tons"}  # metric, short or long? They differ by 10 and 12 %.
 # Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
 _ANY_CASE = {unit.lower(): unit for unit in ("kN", "N", "mm", "cm", "s", "ms", "kip", "lbf")} | {"in": "inch"}
 # Of what pint knows the units that recordings carry: importing it and its list takes longer than reading a recording.
-_USUAL: dict[str, tuple[Role, float]] = {
-    **{name: ("time", factor) for name, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0))},
-    **dict.fromkeys(("hour", "hours"), ("time", 3600.0)),
-    **dict.fromkeys(("second", "seconds"), ("time", 1.0)),
-    **{name: ("displacement", factor) for name, factor in (("mm", 1.0), ("cm", 10.0), ("m", 1e3), ("um", 1e-3))},
-    **{name: ("displacement", factor) for name, factor in (("inch", 25.4), ("ft", 304.8))},
-    **{name: ("force", factor) for name, factor in (("N", 1e-3), ("kN", 1.0), ("MN", 1e3), ("mN", 1e-6))},
-    **{name: ("force", factor) for name, factor in (("lbf", _POUND_KN), ("kip", 1e3 * _POUND_KN))},
-    **{name: ("force", factor) for name, factor in (("kgf", _KILOPOND_KN), (_TONNE, 1e3 * _KILOPOND_KN))},
+_USUAL_SIZES: dict[Role, dict[str, float]] = {
+    "time": {
+        **{"s": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6},
+        **{"min": 60.0, "hour": 3600.0, "hours": 3600.0},
+    },
+    "displacement": {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "inch": 25.4, "ft": 304.8},
+    "force": {
+        **{"N": 1e-3, "kN": 1.0, "MN": 1e3, "mN": 1e-6, "lbf": _POUND_KN, "kip": 1e3 * _POUND_KN},
+        **{"kgf": _KILOPOND_KN, _TONNE: 1e3 * _KILOPOND_KN},
+    },
 }
-
-
+_USUAL = {name: (role, size) for role, sizes in _USUAL_SIZES.items() for name, size in sizes.items()}
 # Units of channels that nobody needs, so that pint is not asked about every one of them.
 _OTHERS = {"V", "mV", "bar", "MPa", "degC", "C", "%", "mm/s", "m/s", "in/s"}
 
@@ -77,7 +77,7 @@ def _known(text: str) -> tuple[Role, float] | None:
         _ALIASES.get(text, text),
         _ALIASES.get(text.lower(), text),
         _ANY_CASE.get(text.lower(), text),
-        _long(text),
+        text.lower() if len(text) > _ABBREVIATION else text,  # written out: Millimeters, KILONEWTONS
     ):
         if name in _USUAL:
             return _USUAL[name]
@@ -86,11 +86,6 @@ def _known(text: str) -> tuple[Role, float] | None:
                 if unit.is_compatible_with(target):
                     return role, float(_registry().Quantity(1.0, unit).to(target).magnitude)
     return None
-
-
-def _long(text: str) -> str:
-    """Names of units that are written out, in the case in which pint knows them: Millimeters, KILONEWTONS."""
-    return text.lower() if len(text) > _ABBREVIATION else text
 
 
 @cache
@@ -128,25 +123,30 @@ def _spaced(text: str) -> str:
     return " ".join(re.split(r"[\s_-]+", text.strip().lower()))
 
 
-def factor(text: str, role: Role) -> float:
-    """Multiplier from a unit (``lb`` is a pound-force) to the tool's unit of a channel: s, mm and kN.
+def multiplier(text: str, role: Role) -> float | None:
+    """Give the factor from a unit (``lb`` is a pound-force) to the tool's unit of a channel: s, mm and kN.
 
-    `RecordingError` if it is not a unit of that channel.
+    None if it is not a unit of that channel.
     """
+    word = _spaced(text)
+    if role == "force" and (word in _WEIGHTS_KN or word in _TONS):
+        return _WEIGHTS_KN.get(word)
+    known = _known(text.strip())
+    return known[1] if known and known[0] == role else None
+
+
+def factor(text: str, role: Role) -> float:
+    """Multiplier from a unit to the tool's unit of a channel; `RecordingError` if it is not a unit of that channel."""
+    if (found := multiplier(text, role)) is not None:
+        return found
     text = text.strip()
     if role == "force" and _spaced(text) in _TONS:
         raise RecordingError(
             f"unit {text!r} of force may be a metric ton (9.807 kN), a short one of 2000 lbf (8.896 kN) or a long one "
             "of 2240 lbf (9.964 kN); say which with --units force=tf, 'force=short ton' or 'force=long ton'"
         )
-    if role == "force" and _spaced(text) in _WEIGHTS_KN:
-        return _WEIGHTS_KN[_spaced(text)]
-    known = _known(text)
-    if known is None or known[0] != role:
-        raise RecordingError(
-            _refusal(text, role, known=known is not None or _parse(_ALIASES.get(text, text)) is not None)
-        )
-    return known[1]
+    known = _known(text) is not None or _parse(_ALIASES.get(text, text)) is not None
+    raise RecordingError(_refusal(text, role, known))
 
 
 def _refusal(text: str, role: Role, known: bool) -> str:
@@ -181,7 +181,10 @@ def parse_units(option: str | None) -> dict[Role, str]:
         if not part:
             continue
         name, _, unit = (piece.strip() for piece in part.rpartition("="))
-        role = _role_named(name, part) if name else role_of(unit) or ("force" if is_weight(unit) else None)
+        role: Role | None = next((r for r in ROLES if r == name.lower()), None)
+        if name and role is None:
+            raise RecordingError(f"--units: {part!r} names {name!r}; allowed are {', '.join(ROLES)}")
+        role = role or role_of(unit) or ("force" if is_weight(unit) else None)
         if role is None:
             near = difflib.get_close_matches(unit, [u for units in _EXAMPLES.values() for u in units], n=1, cutoff=0.4)
             hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -196,11 +199,3 @@ def parse_units(option: str | None) -> dict[Role, str]:
             )
         found[role] = unit
     return found
-
-
-def _role_named(name: str, part: str) -> Role:
-    """Role spelled out before the equals sign."""
-    for role in ROLES:
-        if name.lower() == role:
-            return role
-    raise RecordingError(f"--units: {part!r} names {name!r}; allowed are {', '.join(ROLES)}")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from shj_bayes.recording import force_unit as rule
+from shj_bayes.recording import recording as rule
 from shj_bayes.report.words import short
 from shj_bayes.results.diagnosis import EffectParameter
 from shj_bayes.results.fit import FitRecord, ParameterRow

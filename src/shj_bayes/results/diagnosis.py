@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 from shj_bayes.errors import ReportError, ShjError
-from shj_bayes.recording.further import Refusal
+from shj_bayes.recording.smoothing import Refusal
 from shj_bayes.results.codec import IF_KNOWN, Probability, ProbabilityOrNone
 from shj_bayes.results.fit import Trust
 

@@ -14,7 +14,7 @@ from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.simulate import Truth
-from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.motion import Block
 
 Make = Callable[..., Posterior]
 LONG = (Block(12.0, 0.13, 4), Block(24.0, 0.067, 4), Block(48.0, 0.034, 4))

@@ -19,7 +19,7 @@ from shj_bayes.model.noise.catalogue import noise_models
 from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.priors import MAX_SPREAD, Prior, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.recording.recording import Recording
 
 Make = Callable[..., Posterior]

@@ -17,8 +17,7 @@ from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, Motion, exact_motion
 from shj_bayes.recording.recording import Recording
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(48.0, 0.034, 2))

@@ -15,7 +15,7 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.catalogue import noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block
+from shj_bayes.recording.motion import Block
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 

@@ -14,7 +14,7 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
 from shj_bayes.model.measured import Measured
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 
 TIME, MOTION = exact_motion(table_1(), 10.0)
 CURVE = Curve("capacity", "measured_tension", 0.5)

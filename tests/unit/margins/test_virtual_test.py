@@ -15,7 +15,7 @@ from shj_bayes.model.history import SCALES, histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 
 LAW = {"K": 15.0, "Fy": 80.0, "beta": 15.0, "gamma": 0.0, "ratio": 0.95}
 WEAR, BEDDING = {"wear.size": 0.06}, {"bedding_in.size": 0.2, "bedding_in.length": 0.5}

@@ -8,9 +8,10 @@ import pytest
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import Class
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.fitter import Fitter
+from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.periodic import SURE, Chatter, _at_scale, chatter_of
 from shj_bayes.mismatch.scene import NoiseSetting, scene_of
-from shj_bayes.mismatch.search import NOISE_MOST, Search
 from shj_bayes.mismatch.state import settle_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -39,7 +40,7 @@ def beside_the_law(recordings):
     runs = runs_of(recordings)
     scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
     _, state = settle_under(scene, NoiseSetting((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
-    return scene, chatter_of(scene, state, NOISE_MOST * scene.largest_kN)
+    return scene, chatter_of(scene, state, scene.noise_most_kN)
 
 
 def test_teeth_on_the_plateaus_are_chatter_of_their_size(trials):
@@ -125,9 +126,9 @@ def test_more_force_where_it_chatters_most_is_not_of_its_making():
 
 def _matters(action, coordinate, value):
     """Size that a class must have beside teeth in push, with a value of its parameter."""
-    quiet = SimpleNamespace(fluctuation=0.0)
+    quiet = SimpleNamespace(fluctuation=0.0, is_rough=False)
     scene = SimpleNamespace(scale_kN=1.0, largest_kN=1.0, device=SimpleNamespace(effects=()))
     model = SimpleNamespace(effects=(SimpleNamespace(id="own"),), law_names=("Fy", "own.size"))
     member = SimpleNamespace(of=Class(action, coordinate, "1", ()))
     h = SimpleNamespace(members=(member,), state=SimpleNamespace(model=model, z=np.array([0.0, value])))
-    return Search(scene, [], quiet, chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)
+    return Search(Fitter(scene, [], quiet), chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)

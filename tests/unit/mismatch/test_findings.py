@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +10,10 @@ from scipy.special import expit
 
 from shj_bayes.mismatch import content, findings
 from shj_bayes.mismatch import hypothesis as sizes
+from shj_bayes.mismatch.fitter import Fitter
+from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.periodic import Chatter
-from shj_bayes.mismatch.search import Search
+from shj_bayes.mismatch.scene import Metric
 
 ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", "bearing": "added"}
 
@@ -20,6 +21,11 @@ ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", 
 def _hypothesis(*names):
     members = tuple(SimpleNamespace(of=SimpleNamespace(id=name, action=ACTS.get(name, "capacity"))) for name in names)
     return SimpleNamespace(members=members, key=frozenset(names), log_weight=0.0)
+
+
+def _quiet(**found):
+    """Search in which the noise is that of a load cell."""
+    return Search(Fitter(SimpleNamespace(scale_kN=1.0), [], SimpleNamespace(fluctuation=0.0, is_rough=False)), **found)
 
 
 @pytest.fixture
@@ -89,10 +95,7 @@ def test_a_draw_without_a_force_does_not_make_a_class_small(monkeypatch):
 )
 def test_what_is_left_within_strokes_that_chatter_is_no_more_than_the_teeth(left, verdict):
     """Smooth functions within a stroke take up the mean of the teeth, too."""
-    smooth = SimpleNamespace(fluctuation=0.0)
-    out = Search(
-        SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], smooth, chatter=Chatter(0.1, 0.5, np.ones(2), 0.0, 1.0)
-    )
+    out = _quiet(chatter=Chatter(0.1, 0.5, np.ones(2), 0.0, 1.0))
     assert findings._verdict(out, (), 1.0, 0.0, left)[0] == verdict
 
 
@@ -130,13 +133,11 @@ def test_a_class_is_there_or_what_the_formulas_of_larger_ones_miss(search, monke
 def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(size, away, is_name, monkeypatch):
     form = SimpleNamespace(of=SimpleNamespace(id="taper", action="capacity"), start=np.zeros(1))
     as_curve, as_form = _hypothesis("taper"), SimpleNamespace(members=(form,), log_weight=-50.0)
-    out = SimpleNamespace(
-        scene=None, forms=lambda h, place: [form], fitted=lambda *_: as_form, best_within=lambda key: -100.0
-    )
-    out.following = partial(Search.following, out)
+    fitter = SimpleNamespace(scene=None, forms=lambda h, place: [form], fitted=lambda *_: as_form)
+    out = SimpleNamespace(scene=None, fitter=fitter, best_within=lambda key: -100.0)
     monkeypatch.setattr(sizes, "size_of", lambda scene, h, place: size)
     monkeypatch.setattr(findings, "largest_size_of", lambda scene, h, place: size)
-    monkeypatch.setattr("shj_bayes.mismatch.search.away", lambda scene, a, b: away)
+    monkeypatch.setattr("shj_bayes.mismatch.moves.away", lambda scene, a, b: away)
     assert (findings._followed(out, as_curve, 0) is as_form) == is_name
 
 
@@ -149,8 +150,7 @@ def test_that_nothing_is_missing_must_hold_with_95_per_cent_as_every_verdict_mus
     drift.log_weight, drift.state = nats, None
     nothing = _hypothesis()
     nothing.state = None
-    out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], SimpleNamespace(fluctuation=0.0))
-    out.found = {h.key: h for h in (nothing, drift)}
+    out = _quiet(found={h.key: h for h in (nothing, drift)})
     monkeypatch.setattr(findings, "that_matter", lambda out, h: h.key)
     monkeypatch.setattr(findings, "truly_there", lambda out, h, key: {key: 1.0})
     monkeypatch.setattr(findings, "_split", lambda out, h: h)
@@ -164,12 +164,13 @@ def test_that_nothing_is_missing_must_hold_with_95_per_cent_as_every_verdict_mus
 @pytest.mark.parametrize(("size_kN", "capped"), [(0.30, True), (0.29, False)])
 def test_noise_at_the_most_that_a_load_cell_may_have_is_capped(size_kN, capped):
     """Then no two dependences are looked for in the place of a curve: what is left fluctuates."""
-    metric = SimpleNamespace(setting=SimpleNamespace(size_kN=lambda scene: size_kN))
-    assert Search(SimpleNamespace(largest_kN=10.0), [], metric).is_capped == capped
+    setting = SimpleNamespace(size_kN=lambda scene: size_kN)
+    metric = SimpleNamespace(setting=setting, scene=SimpleNamespace(noise_most_kN=0.3))
+    assert Metric.is_capped.fget(metric) == capped
 
 
 def test_a_curve_without_a_name_is_no_riddle_while_nothing_may_be_missing():
-    out = Search(SimpleNamespace(scale_kN=1.0, largest_kN=1.0), [], SimpleNamespace(fluctuation=0.0))
+    out = _quiet()
     found = (SimpleNamespace(size=0.02, named=False, names=()),)
     assert findings._verdict(out, found, 0.99, 0.01, 0.0)[0] == "unknown"
     assert findings._verdict(out, found, 0.60, 0.40, 0.0)[0] == "family"
@@ -185,5 +186,6 @@ def test_mechanisms_of_one_probability_stand_in_the_order_of_their_words():
         alternatives={},
     )
     classes = {word: SimpleNamespace(action="motion", coordinate=word) for word in words}
-    out = SimpleNamespace(classes=classes, scene=SimpleNamespace(measured=()), hidden=frozenset())
+    fitter = SimpleNamespace(classes=classes, hidden=frozenset())
+    out = SimpleNamespace(fitter=fitter, scene=SimpleNamespace(measured=()))
     assert [one.id for one in content.family(out, answer)] == words

@@ -1,15 +1,19 @@
 """What the formulas of an answer may miss widens the intervals of a first look."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import candidates, classes
 from shj_bayes.mismatch.findings import _missed_instead, answer_of
+from shj_bayes.mismatch.fitter import Fitter, noise_of_size
 from shj_bayes.mismatch.hypothesis import joined
 from shj_bayes.mismatch.missed import beside_missed, curves_of, missed_by
+from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.scene import Metric, NoiseSetting, scene_of
-from shj_bayes.mismatch.search import Search, noise_of_size, search
+from shj_bayes.mismatch.search import search
 from shj_bayes.mismatch.state import find_noise, settle_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -61,7 +65,7 @@ def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials)
     out, answer = answered(trials.simulate({"prying": {"size": 0.007, "power": 2.0}}, 2), "distance")
     assert not answer.findings
     state = out.found[frozenset()].state
-    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.classes.values()))
+    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.fitter.classes.values()))
     ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
     assert np.all(ratio > 1.0 - 1e-6)
     assert ratio.max() > 1.2
@@ -70,7 +74,7 @@ def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials)
 def test_a_class_that_is_not_there_widens_nothing(trials):
     out, _ = answered(trials.simulate({}, 3), "position")
     state = out.found[frozenset()].state
-    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.classes.values()))
+    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.fitter.classes.values()))
     assert np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance)).max() < 1.1
 
 
@@ -87,12 +91,13 @@ def test_what_a_formula_may_miss_over_its_own_coordinate_is_no_other_class(trial
     scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
     travel, over = (next(c for c in classes() if c.id == f"capacity over {name}") for name in ("travel", coordinate))
     metric, rough = settle_under(scene, NoiseSetting(noise_of_size(scene.device, 1.0), 0.1), scene.device, scene.z)
-    out = Search(scene, candidates(scene, rough, (travel, over)), metric)
-    form = next(form for form in out.forms_of(travel, (), scene.z) if form.variant.effect.id == "wear")
-    rest = out.fitted((form,), form.start)
-    out.metric = Metric(scene, find_noise(scene, rest.state, np.zeros((rest.state.residual.size, 0))), rough.slope)
-    rest = out.fitted((form,), rest.state.z)
-    curve = next(c for c in out.screen(rest) if c.of.id == over.id)
-    both = out.fitted((form, curve), joined(rest, curve))
+    fitter = Fitter(scene, candidates(scene, rough, (travel, over)), metric)
+    form = next(form for form in fitter.forms_of(travel, (), scene.z) if form.variant.effect.id == "wear")
+    rest = fitter.fitted((form,), form.start)
+    noise = find_noise(scene, rest.state, np.zeros((rest.state.residual.size, 0)))
+    fitter = replace(fitter, metric=Metric(scene, noise, rough.slope))
+    rest = fitter.fitted((form,), rest.state.z)
+    curve = next(c for c in fitter.screen(rest) if c.of.id == over.id)
+    both = fitter.fitted((form, curve), joined(rest, curve))
     assert both.log_weight > rest.log_weight + 5.0
-    assert (_missed_instead(out, both, rest, {travel.id: 0.2}) > 0.0) == missed
+    assert (_missed_instead(Search(fitter), both, rest, {travel.id: 0.2}) > 0.0) == missed

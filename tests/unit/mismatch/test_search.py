@@ -8,16 +8,18 @@ import pytest
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.mismatch.findings import answer_of, curve_band
+from shj_bayes.mismatch.fitter import Fitter
+from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_formula
 from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
-from shj_bayes.mismatch.scene import scene_of
-from shj_bayes.mismatch.search import RIVAL, Search, search
+from shj_bayes.mismatch.scene import Metric, scene_of
+from shj_bayes.mismatch.search import search
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 
 
@@ -125,8 +127,8 @@ def test_a_fit_that_is_singular_to_rounding_is_no_fit(monkeypatch):
     out = search(scene, [one for one in classes() if one.coordinate == "direction"])
     given = out.best.state.gaussian
     steep = replace(given, inner=given.inner - 2.0 * given.inner.max() * np.eye(given.along.size))
-    monkeypatch.setattr("shj_bayes.mismatch.search.settle", lambda *_: replace(out.best.state, gaussian=steep))
-    assert out.fitted(out.best.members, out.best.state.z) is None
+    monkeypatch.setattr("shj_bayes.mismatch.fitter.settle", lambda *_: replace(out.best.state, gaussian=steep))
+    assert out.fitter.fitted(out.best.members, out.best.state.z) is None
 
 
 def test_formulas_are_tried_from_a_place_on(trials, monkeypatch):
@@ -135,9 +137,9 @@ def test_formulas_are_tried_from_a_place_on(trials, monkeypatch):
     h = out.best
     assert len(h.members) == 2
     tried: list[int] = []
-    monkeypatch.setattr(out, "forms", lambda _, place: tried.append(place) or [])
-    out.refine(h, 1, again=True)
-    out.refine(h, again=True)
+    monkeypatch.setattr(Fitter, "forms", lambda fitter, _, place: tried.append(place) or [])
+    replace_by_formula(out, h, 1, again=True)
+    replace_by_formula(out, h, again=True)
     assert tried == [1, 0, 1]
 
 
@@ -146,9 +148,10 @@ def test_what_acts_on_the_motion_is_followed_while_the_noise_is_capped(trials, m
     out = _searched(trials, {"sensor_lag": {"size": 0.05}, "taper": {"size": -0.3}}, ("delay", "position"))
     moves, tapers = (out.found[frozenset({name})] for name in ("motion over delay", "capacity over position"))
     assert moves.log_weight < tapers.log_weight - RIVAL
+    monkeypatch.setattr("shj_bayes.mismatch.moves.noise_beside", lambda *_: out.metric)
+    ahead = replace(out, found={key: h for key, h in out.found.items() if len(key) < 2}, curves={})
+    assert ahead.best is tapers
     for capped in (True, False):
-        monkeypatch.setattr(Search, "is_capped", capped)
-        assert out.moving(1) == ([moves] if capped else [])
-        out._again(tapers)
-        assert (moves.key in out.found) == capped
-        moves = out.found.get(moves.key, moves)
+        monkeypatch.setattr(Metric, "is_capped", capped)
+        assert moving(ahead, 1) == ([moves] if capped else [])
+        assert (moves.key in refit_noise(ahead).found) == capped

@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from shj_bayes.mismatch.classes import PRESENT
-from shj_bayes.mismatch.search import ODDS
+from shj_bayes.mismatch.classes import ODDS, PRESENT
 from shj_bayes.mismatch.sets import ALONE, DeviceEvidence, common_to, log_shared
 from shj_bayes.mismatch.together import DiagnosedDevice, together
 from shj_bayes.results.codec import from_json

@@ -10,7 +10,7 @@ from shj_bayes.model.coordinates import STROKES, Coordinate, coordinate_named, c
 from shj_bayes.model.effects.effect import FAMILIES, Base
 from shj_bayes.model.effects.sliding import slid_since_mm
 from shj_bayes.model.history import History, histories
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 
 BASE = Base(18.0, 64.0, 100.0, 0.01, 80.0)
 every_coordinate = pytest.mark.parametrize("one", coordinates().values(), ids=list(coordinates()))

@@ -10,7 +10,7 @@ from shj_bayes.model.device import DeviceModel, effect_named, effects_named, mea
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 BASE = Base(18.0, 64.0, 100.0, 0.01, 80.0)
 CURVES = [

@@ -16,7 +16,7 @@ from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.noise.catalogue import noise_model
 from shj_bayes.model.parameters import describe, run_name
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 PRIORS = read_priors("afc")
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))

@@ -15,8 +15,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
 from shj_bayes.model.history import ARRAYS, DELAYED, History, delayed, histories
-from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 K, FY = 20.0, 80.0
 BASE = Base(K, FY, 200.0, 0.0, FY)

@@ -13,8 +13,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.sliding import slid_m
 from shj_bayes.model.history import History, histories
-from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 BASES = (Base(18.0, 80.0, 10.0, 0.0, 80.0), Base(18.0, 60.0, 10.0, 0.0, 80.0))
 ELASTIC = BASES[0].Fy / BASES[0].K  # from zero force to sliding, mm

@@ -9,7 +9,7 @@ import pytest
 from shj_bayes.errors import ModelError
 from shj_bayes.model import kernel
 from shj_bayes.model.law import force, force_of_laws
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 
 MOTION = exact_motion((Block(12.0, 0.13, 2),), 10.0)[1]
 GOOD = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.01}

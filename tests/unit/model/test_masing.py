@@ -9,7 +9,7 @@ import pytest
 
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.masing import masing_force
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 
 K, FY = 18.0, 80.0

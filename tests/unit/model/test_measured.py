@@ -16,9 +16,9 @@ from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import delayed
 from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.priors import read_priors
-from shj_bayes.recording.further import Refusal
-from shj_bayes.recording.protocol import exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.recording import Extra, Recording
+from shj_bayes.recording.smoothing import Refusal
 
 BASE = Base(18.0, 80.0, 100.0, 0.01, 80.0)
 TENSION = "measured_tension"

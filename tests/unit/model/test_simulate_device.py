@@ -9,7 +9,7 @@ import pytest
 from shj_bayes.errors import ModelError, RecordingError
 from shj_bayes.model.law import force
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.motion import Block, exact_motion, table_1
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(48.0, 0.034, 2))
 

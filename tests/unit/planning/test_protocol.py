@@ -19,7 +19,7 @@ from shj_bayes.planning.protocol import (
     read_rig,
     table_1_protocol,
 )
-from shj_bayes.recording.protocol import table_1
+from shj_bayes.recording.motion import table_1
 
 RIG = Rig(95.0, 40.0, 200.0, 12.0, 20.0)
 

@@ -8,7 +8,7 @@ import pytest
 
 from shj_bayes.model.history import histories
 from shj_bayes.model.law import force
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 from shj_validation.proof.cases import draw_keys, stated_key
 from shj_validation.proof.make import make
 from shj_validation.proof.predict import predict

@@ -14,8 +14,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import histories
 from shj_bayes.model.law import force
-from shj_bayes.recording.protocol import Block, exact_motion
-from shj_bayes.recording.reversals import hysteresis
+from shj_bayes.recording.motion import Block, exact_motion, hysteresis
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.device import Device
 from shj_validation.proof.make import make

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.protocol import Block, exact_motion, table_1
+from shj_bayes.recording.motion import Block, Motion, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
 
 

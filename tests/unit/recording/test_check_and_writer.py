@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.check import blocks_of, check_recording, describe, to_dict
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.recording import Recording
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.recording import Recording, write_csv
+from shj_bayes.recording.runs import blocks_of, check_recording, describe, to_dict
 
 
 def test_written_files_read_back_to_the_stated_digits(tmp_path, small):

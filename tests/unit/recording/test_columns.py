@@ -4,11 +4,9 @@ import pytest
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.columns import choose, parse_columns
-from shj_bayes.recording.formula import evaluate
-from shj_bayes.recording.frame import read_frame
-from shj_bayes.recording.heads import split_header
-from shj_bayes.recording.reader import read
-from shj_bayes.recording.tables import Column, Table
+from shj_bayes.recording.reader import read, read_frame
+from shj_bayes.recording.rows import split_header
+from shj_bayes.recording.tables import Column, Table, evaluate
 
 N = 6
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from shj_bayes.recording.further import Channel, Refusal, at_samples, channel_of
 from shj_bayes.recording.limits import CHANNEL_CELLS, CHANNEL_NOISE
 from shj_bayes.recording.recording import Extra
+from shj_bayes.recording.smoothing import Channel, Refusal, at_samples, channel_of
 
 TIME = 0.2 * np.arange(3000.0)
 FORCE = 60.0 * np.sign(np.sin(2 * np.pi * TIME / 40.0))

@@ -7,11 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.noise import noise_of, resolution_of
-from shj_bayes.recording.protocol import Block, exact_motion, table_1
-from shj_bayes.recording.recording import Recording
-from shj_bayes.recording.reversals import hysteresis
+from shj_bayes.recording.motion import Block, exact_motion, hysteresis, motion_of, table_1
+from shj_bayes.recording.recording import Recording, noise_of, resolution_of
 from shj_bayes.recording.smoothing import Grid, bandwidth, find_kinks, local_polynomial
 
 COUNT = 200.0 / 1024

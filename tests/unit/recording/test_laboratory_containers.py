@@ -17,12 +17,10 @@ from shj_bayes.app.manifest import read_manifest
 from shj_bayes.cli import main
 from shj_bayes.errors import RecordingError
 from shj_bayes.options import FitOptions
-from shj_bayes.recording.check import check_recording
 from shj_bayes.recording.formats import binary
-from shj_bayes.recording.formats.hdf5 import from_hdf5
-from shj_bayes.recording.formats.nested import flat
+from shj_bayes.recording.formats.binary import flat, from_hdf5
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.runs import split
+from shj_bayes.recording.runs import check_recording, split
 
 START = np.datetime64("2024-03-05T10:00:00", "us")
 STEP = 1.0 / RATE_HZ

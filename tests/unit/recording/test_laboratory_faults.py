@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from one_device import RATE_HZ, plain
 
-from shj_bayes.recording.excursions import held
-from shj_bayes.recording.kinematics import motion_of
-from shj_bayes.recording.quality import inspect, repair
+from shj_bayes.recording.checks import inspect, repair
+from shj_bayes.recording.motion import hysteresis, motion_of
 from shj_bayes.recording.reader import read
+from shj_bayes.recording.readings import held
 from shj_bayes.recording.recording import FloatArray, Recording
-from shj_bayes.recording.reversals import hysteresis
 
 P = plain()
 N = P.time_s.size

@@ -42,7 +42,7 @@ def test_usual_units_are_those_of_pint():
 
 HEAVY = "scipy pandas xarray pint numba matplotlib arviz emcee h5py"
 CASES = {
-    "check": ("shj_bayes.recording.check", HEAVY),
+    "check": ("shj_bayes.recording.runs", HEAVY),
     "finished": ("shj_bayes.app.resume", HEAVY),
     "compare": ("shj_bayes.app.design", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
     "unchanged campaign": (

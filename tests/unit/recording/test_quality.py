@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.cells import clipped
+from shj_bayes.recording.checks import inspect, repair, resampled
 from shj_bayes.recording.clock import longest_increasing
-from shj_bayes.recording.excursions import not_readings
-from shj_bayes.recording.kinematics import blind_stretches, motion_of
-from shj_bayes.recording.quality import inspect, repair
+from shj_bayes.recording.motion import blind_stretches, motion_of
 from shj_bayes.recording.reader import read
+from shj_bayes.recording.readings import clipped, not_readings
 from shj_bayes.recording.recording import Recording
-from shj_bayes.recording.resampled import resampled
 
 
 def arrays(clean):
@@ -163,9 +161,9 @@ def test_corners_and_coarse_sampling_are_no_dropouts(clean, rate):
     triangle = np.interp(t % 8.0, [0, 4, 8], [0, 40, 0])
     cases = [(triangle + noise, np.sign(np.gradient(triangle))), *((x[::k], f[::k]) for k in (2, 10, 60, 100))]
     for place, force in cases:
-        found = not_readings(np.arange(place.size) / rate, place, force)
-        assert not np.any([found.displacement, found.force])
-        assert found.jumps == ()
+        *bad, jumps = not_readings(np.arange(place.size) / rate, place, force)
+        assert not np.any(bad)
+        assert jumps == []
 
 
 @pytest.mark.parametrize("limit", [75.0, 60.0])

@@ -7,7 +7,7 @@ import pytest
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.clock import restarts
-from shj_bayes.recording.protocol import Block, exact_motion
+from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.runs import divisions, settle, split

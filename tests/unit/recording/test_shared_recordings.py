@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.runs import settle
 

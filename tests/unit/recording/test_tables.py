@@ -14,9 +14,9 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.formats import excel, records, text
-from shj_bayes.recording.formats.catalogue import by_ending, read_table
-from shj_bayes.recording.reader import read
+from shj_bayes.recording import limits
+from shj_bayes.recording.formats import records, text
+from shj_bayes.recording.reader import by_ending, read, read_table
 
 HEAD = "time_s,displacement_mm,force_kN"
 
@@ -352,7 +352,7 @@ def test_refusals_name_the_file_and_the_reason(tmp_path, name, content, words):
 def test_archives_that_unpack_beyond_the_bound_are_stopped(tmp_path, monkeypatch, small):
     monkeypatch.setattr(text, "MAX_BYTES", 2000)
     monkeypatch.setattr(text, "CHUNK_BYTES", 500)
-    monkeypatch.setattr(excel, "MAX_BYTES", 2000)
+    monkeypatch.setattr(limits, "MAX_BYTES", 2000)
     bomb = tmp_path / "run.csv.gz"
     bomb.write_bytes(gzip.compress(b"1,2,3\n" * 100_000))
     with pytest.raises(RecordingError, match="unpacks to more than"):

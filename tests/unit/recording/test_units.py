@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.heads import split_header
+from shj_bayes.recording.rows import split_header
 from shj_bayes.recording.units import factor, parse_units, role_of
 
 

@@ -17,7 +17,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base, combine
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.predict import acting_in, law_of

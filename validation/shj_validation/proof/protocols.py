@@ -7,8 +7,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.protocol import table_1
-from shj_bayes.recording.reversals import hysteresis
+from shj_bayes.recording.motion import hysteresis, table_1
 
 PEAK_SPEED_MM_S = {
     "paper": 10.25,

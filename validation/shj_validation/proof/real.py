@@ -11,7 +11,7 @@ import shj_bayes
 from shj_bayes._util.files import alone_in, read_json, write_text
 from shj_bayes.errors import ProofError
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.recording import write_csv
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.report.page import head
 from shj_bayes.results.codec import from_json

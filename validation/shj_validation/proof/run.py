@@ -14,7 +14,7 @@ from shj_bayes._util.files import alone_in, read_json, write_text
 from shj_bayes._util.processes import Workers, program
 from shj_bayes.errors import ProofError
 from shj_bayes.inference.store import versions
-from shj_bayes.recording.writer import write_csv
+from shj_bayes.recording.recording import write_csv
 from shj_validation.proof import seal
 from shj_validation.proof.cases import Key, draw_keys
 from shj_validation.proof.make import make

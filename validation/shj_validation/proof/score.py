@@ -8,7 +8,7 @@ from scipy import optimize, stats
 
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.kinematics import motion_of
+from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key
 from shj_validation.proof.make import make

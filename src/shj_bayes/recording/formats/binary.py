@@ -1,26 +1,376 @@
 """MAT files (v4 to v7.3) and HDF5: numbers, structs and cells of them, nothing that could hold code."""
 
+import faulthandler
+import json
 import math
 import struct
+import subprocess
+import sys
+import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
-from shj_bayes.errors import RecordingError
-from shj_bayes.recording.formats.format import Format
-from shj_bayes.recording.formats.hdf5 import apart
-from shj_bayes.recording.formats.nested import Item, channels_of, flat
-from shj_bayes.recording.groups import grouped
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_DEPTH, MAX_NESTED, MAX_PARTS
-from shj_bayes.recording.tables import Table, refuse_large
+import numpy as np
 
-_INTEGERS = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
-_NUMERIC_CLASSES = {"double", "single", "logical", *_INTEGERS}
+from shj_bayes._util.processes import PYTHON, bound_memory, end_with_input, tether
+from shj_bayes.errors import RecordingError
+from shj_bayes.recording import limits
+from shj_bayes.recording.recording import Finding
+from shj_bayes.recording.rows import is_unit_row, split_header
+from shj_bayes.recording.tables import Column, Format, Table, as_floats, grouped, left_out, refuse_large
+
+MAX_WIDTH = 64  # a matrix with more columns is an image or a state history, not channels
+_VALUES = {"data", "values", "value", "y"}  # fields of a channel: its numbers, their times, what they are called
+_TIMES = {"time", "times", "t"}
+_NAMES = ("name", "label", "channel", "title")
+_UNITS = ("units", "unit")
+Numbers = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """Numbers with the unit that the file states beside them."""
+
+    values: Numbers
+    unit: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """One thing that a file holds."""
+
+    group: str  # what it lies in, with the marks of the file between the levels
+    name: str
+    unit: str | None = None
+    values: Numbers | None = None  # vector, matrix or single number; None for what is no numbers
+    times: Numbers | None = None  # times of the values, where they have their own
+    path: str = ""  # where the numbers themselves lie, if not under the name
+
+
+def shaped(values: Numbers) -> Numbers | None:
+    """Vector, or matrix with the long side down; None for what is neither."""
+    values = np.squeeze(values)
+    if values.ndim <= 1:
+        return values if values.size else None
+    if values.ndim == 2:
+        values = values if values.shape[0] >= values.shape[1] else values.T
+        return values if values.shape[1] <= MAX_WIDTH else None
+    return None
+
+
+def flat(node: dict[str, Any], mark: str, group: str = "") -> Iterator[Item]:
+    """Channels and whatever else lies in a nest of dictionaries, lists, arrays and texts, in its order.
+
+    A struct of values alone, or of values with their times, is one channel, with the name and unit that it states. A
+    list of texts beside a matrix of as many columns names them.
+    """
+    values = {key: _numbers(value) for key, value in node.items()}
+    names, units = _titles(values)
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _within(value, mark, group, key)
+        elif isinstance(value, list):
+            if not any(value is texts for texts in (names, units)):
+                yield from _listed(value, mark, group, key, (names, units))
+        elif not isinstance(value, Stated):
+            yield Item(group, key)
+        elif value.values.ndim == 2 and value.values.shape[1] == len(names):
+            yield from _titled(_below(group, mark, key), names, units, value.values.T)
+        else:
+            yield Item(group, key, value.unit, value.values)
+
+
+def _below(group: str, mark: str, key: str) -> str:
+    return f"{group}{mark}{key}" if group else key
+
+
+def _titled(group: str, names: list[str], units: list[str], columns: Iterable[Numbers]) -> Iterator[Item]:
+    """Columns with the names and units that stand in lists of texts."""
+    for title, unit, column in zip(names, units or ("",) * len(names), columns, strict=True):
+        yield Item(group, title, unit or None, column)
+
+
+def _listed(cells: list[Any], mark: str, group: str, key: str, titles: tuple[list[str], list[str]]) -> Iterator[Item]:
+    """Elements of an array of structs, and cells."""
+    inside = [_numbers(each) for each in cells]
+    if len(titles[0]) == len(inside) and all(isinstance(each, Stated) for each in inside):
+        yield from _titled(_below(group, mark, key), *titles, (each.values for each in inside))
+    elif not any(isinstance(each, dict | Stated) for each in inside):
+        yield Item(group, key)
+    else:
+        for number, each in enumerate(inside, start=1):
+            if isinstance(each, dict):
+                yield from _within(each, mark, group, f"{key}({number})")
+            else:
+                yield Item(group, f"{key}{{{number}}}", None, each.values if isinstance(each, Stated) else None)
+
+
+def _within(node: dict[str, Any], mark: str, group: str, key: str) -> Iterator[Item]:
+    """Go into a struct, which is one channel or holds several things."""
+    path = _below(group, mark, key)
+    vectors = {k: v for k, value in node.items() if isinstance(v := _numbers(value), Stated) and v.values.size > 1}
+    data = [k for k in vectors if k.lower() in _VALUES]
+    times = [k for k in vectors if k.lower() in _TIMES]
+    if len(data) == 1 and len(times) == len(vectors) - 1 <= 1 and vectors[data[0]].values.ndim == 1:
+        found = vectors[data[0]]
+        clock = vectors[times[0]].values if times else None
+        if clock is None or clock.shape == found.values.shape:
+            said = {k.lower(): v.strip() for k, v in node.items() if isinstance(v, str) and v.strip()}
+            name = next((said[k] for k in _NAMES if k in said), key)
+            unit = found.unit or next((said[k] for k in _UNITS if k in said), None)
+            yield Item(group, name, unit, found.values, clock, f"{path}{mark}{data[0]}")
+            return
+    yield from flat(node, mark, path)
+
+
+def _numbers(value: Any) -> Any:
+    """Numbers as `Stated`, cells of numbers too; cells of anything else as a list; the rest as it is."""
+    if isinstance(value, np.ndarray) and value.dtype.kind == "O":
+        value = _cells(value)
+    if isinstance(value, list) and value and all(_single(each) for each in value):
+        value = np.array([float(each) for each in value])
+    if isinstance(value, np.ndarray) and value.dtype.kind == "U":
+        return [str(text).strip() for text in np.ravel(value)] if value.ndim else str(value)
+    if _single(value) or (isinstance(value, np.ndarray) and value.dtype.kind in "fiub"):
+        value = Stated(np.asarray(value), None)
+    if isinstance(value, Stated):
+        plain = shaped(value.values)
+        return None if plain is None else Stated(plain, value.unit)
+    return value
+
+
+def _cells(cells: np.ndarray[Any, Any]) -> Any:
+    """Table of single numbers as a matrix, with titles as a dictionary of columns; other cells as a list."""
+    if cells.ndim == 2:
+        table = cells if cells.shape[0] >= cells.shape[1] else cells.T
+        titled = all(isinstance(each, str) for each in table[0])
+        if all(_single(each) for each in table[titled:].ravel()):
+            numbers = table[titled:].astype(np.float64)
+            return dict(zip(table[0].tolist(), numbers.T, strict=True)) if titled else numbers
+    return list(np.ravel(cells))
+
+
+def _single(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) or (
+        isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiub"
+    )
+
+
+def _titles(values: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Find the lists of texts that are names and units; empty where it is not clear which are the names."""
+    texts = [v for v in values.values() if isinstance(v, list) and v and all(isinstance(each, str) for each in v)]
+    names = [each for each in texts if not is_unit_row(each)]
+    if len(names) != 1:
+        return [], []
+    units = [each for each in texts if is_unit_row(each) and len(each) == len(names[0])]
+    return names[0], units[0] if len(units) == 1 else []
+
+
+def channels_of(items: Iterator[Item], mark: str) -> tuple[list[Column], dict[str, float], tuple[Finding, ...]]:
+    """Columns for vectors and for each column of a matrix, single numbers, and what was left out."""
+    columns, scalars, skipped = list[Column](), dict[str, float](), list[str]()
+    for item in items:
+        path = item.path or _below(item.group, mark, item.name)
+        if item.values is None:
+            skipped.append(path)
+        elif item.values.size == 1:
+            scalars[path] = float(item.values.ravel()[0])
+        else:
+            plain, own = split_header(item.name)
+            clock = None if item.times is None else as_floats(item.times)
+            unit = item.unit or own
+            if item.values.ndim == 1:
+                columns.append(Column(plain, as_floats(item.values), unit, path, 0, item.group, clock, clock is None))
+            else:
+                columns += (
+                    Column(f"{plain}[{i}]", as_floats(each), unit, f"{path}[{i}]", 0, item.group)
+                    for i, each in enumerate(item.values.T, start=1)
+                )
+    return columns, scalars, left_out(skipped)
+
+
+_CHILD = "import sys; from shj_bayes.recording.formats.binary import child; child(*sys.argv[1:])"
+_NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+_NESTED = {"struct", "cell"}
+
+
+def apart(path: Path, mark: str) -> Iterator[Item]:
+    """Read a file in a process of its own, which a damaged one can end: what it holds.
+
+    `mark` stands between the levels of its groups. About one damaged HDF5 file in a thousand ends its reader with a
+    segmentation fault (``tests/fuzz``); so do a few thousand cells in one another in scipy.
+
+    `RecordingError` if the file cannot be read, or the library dies, hangs or takes too much memory over it.
+    """
+    broken = f"{path.name}: the library of its format cannot read it and gave up"
+    advice = "check that the file is complete; export it again"
+    seconds = limits.HDF5_SECONDS + path.stat().st_size // limits.HDF5_BYTES_S
+    try:
+        with tether() as until_our_end, tempfile.TemporaryFile() as stream:
+            done = subprocess.run(
+                [*PYTHON, "-c", _CHILD, str(path.resolve()), mark, str(seconds)],
+                stdin=until_our_end,
+                stdout=stream,
+                stderr=subprocess.DEVNULL,
+                timeout=seconds,
+                check=False,
+            )
+            if done.returncode:
+                raise RecordingError(f"{broken} (status {done.returncode}); {advice}")
+            stream.seek(0)
+            answer = json.loads(stream.readline())
+            if "error" in answer:
+                raise RecordingError(answer["error"])
+            for group, name, unit, where, given in answer["items"]:
+                values, times = (np.load(stream, allow_pickle=False) if there else None for there in given)
+                yield Item(group, name, unit, values, times, where)
+    except subprocess.TimeoutExpired as error:
+        raise RecordingError(f"{broken} after {seconds} s; {advice}") from error
+
+
+def child(path: str, mark: str, seconds: str) -> None:
+    """Read a file and write what it holds to standard output: a line of names and units, then the arrays."""
+    end_with_input()
+    faulthandler.dump_traceback_later(int(seconds), exit=True)  # also where the library holds every other thread up
+    items: list[Item] = []
+    try:
+        read = from_hdf5 if is_hdf5(Path(path)) else loaded
+        import_module("h5py" if read is from_hdf5 else "scipy.io")  # what is loaded is not counted against the bound
+        bound_memory(limits.CHILD_BYTES)
+        items = list(flat(read(Path(path)), mark))
+        heads = [(i.group, i.name, i.unit, i.path, (i.values is not None, i.times is not None)) for i in items]
+        answer: dict[str, Any] = {"items": heads}
+    except RecordingError as error:
+        answer = {"error": str(error)}
+    except Exception as error:  # the library raises many kinds of errors for damaged files; all mean the same
+        reason = f"{Path(path).name}: cannot be read ({type(error).__name__}: {str(error)[:160]})"
+        answer = {"error": f"{reason}; check that the file is complete"}
+    out = sys.stdout.buffer
+    out.write(json.dumps(answer).encode() + b"\n")
+    for item in items:
+        for values in (item.values, item.times):
+            if values is not None:
+                # In pieces, by way of something that is no file: a second copy of it all would be over the bound.
+                np.save(SimpleNamespace(write=out.write), values, allow_pickle=False)
+    out.flush()
+
+
+def from_hdf5(path: Path) -> dict[str, Any]:
+    """Read the groups of an HDF5 file as nested dictionaries of numbers, texts and lists.
+
+    What is no numbers is None. No link out of the file is followed; cells and arrays of structs of MATLAB, which are
+    references in it, are.
+    """
+    import h5py  # noqa: PLC0415
+
+    with h5py.File(path, "r") as file:
+        tree: dict[str, Any] = _Tree(path.name, file, h5py).group(file, 0)
+        numbers = ((k, v) for k, v in file.attrs.items() if isinstance(v, int | float | np.integer | np.floating))
+        return tree | {key: np.asarray(value) for key, value in numbers if key not in tree}
+
+
+class _Tree:
+    """What an HDF5 file holds, gone through with its objects, their depth and their bytes counted."""
+
+    def __init__(self, name: str, file: Any, h5py: Any) -> None:
+        self.name, self.file, self.h5py = name, file, h5py
+        self.parts = self.cells = self.bytes = 0
+        self.seen: set[Any] = set()
+
+    def group(self, group: Any, depth: int) -> Any:
+        """Members of a group by hard links, each object once; an array of structs of MATLAB as the list of them."""
+        if depth > limits.MAX_DEPTH:
+            raise RecordingError(
+                f"{self.name}: groups within groups, {depth} deep; allowed are {limits.MAX_DEPTH}; export it again"
+            )
+        self.parts += len(group)
+        if self.parts > limits.MAX_PARTS:
+            raise RecordingError(
+                f"{self.name} holds more than {limits.MAX_PARTS} groups and datasets; export fewer channels"
+            )
+        found: dict[str, Any] = {}
+        for key in group:
+            if key.startswith("#") or not isinstance(group.get(key, getlink=True), self.h5py.HardLink):
+                continue
+            item = group[key]
+            place = self.h5py.h5o.get_info(item.id).addr
+            if place in self.seen:
+                continue
+            self.seen.add(place)
+            found[key] = self.group(item, depth + 1) if isinstance(item, self.h5py.Group) else self.dataset(item, depth)
+        # The fields of an array of structs are references without a class, as many for each field.
+        fields = [group[key] for key in found] if "MATLAB_class" in group.attrs else []
+        kinds = [f.dtype.kind for f in fields if isinstance(f, self.h5py.Dataset) and "MATLAB_class" not in f.attrs]
+        if fields and kinds == ["O"] * len(fields):
+            lists = [value for value in found.values() if isinstance(value, list)]
+            if len(lists) == len(found) and len(set(map(len, lists))) == 1:
+                return [dict(zip(found, element, strict=True)) for element in zip(*lists, strict=True)]
+        return found
+
+    def dataset(self, item: Any, depth: int) -> Any:
+        """Numbers of a dataset, columns of a table, text and cells of MATLAB; None for anything else."""
+        if not isinstance(item, self.h5py.Dataset) or item.external or item.is_virtual or item.shape is None:
+            return None
+        kind = item.attrs.get("MATLAB_class", b"")
+        kind = kind.decode("ascii", "replace") if isinstance(kind, bytes) else str(kind)
+        if item.dtype == self.h5py.ref_dtype:
+            ours = kind == "cell" or (not kind and "MATLAB_class" in item.parent.attrs)
+            return self._followed(item, depth) if ours else None
+        # What is stored of an object of MATLAB is no numbers but places.
+        parts = [item.dtype[name] for name in item.dtype.names or ()] or [item.dtype]
+        plain = all(part.kind in "fiub" for part in parts)
+        if "MATLAB_empty" in item.attrs or not plain or kind not in {"", "char", *_NUMERIC}:
+            return None
+        self.bytes += int(item.size or 0) * max(8, item.dtype.itemsize)
+        refuse_large(self.bytes, self.name)
+        # What a chunk really unpacks to, the bound on the memory tells.
+        if item.chunks and int(np.prod([float(n) for n in item.chunks])) * item.dtype.itemsize > limits.MAX_BYTES:
+            raise RecordingError(f"{self.name}: chunks of {item.chunks} values; save it again with smaller ones")
+        if kind == "char":
+            return "".join(chr(int(letter)) for letter in np.ravel(item[()])[: limits.MAX_PARTS])
+        if item.dtype.names:
+            table = item[()]
+            return {field: table[field] for field in item.dtype.names}
+        return Stated(item[()], _unit(item))
+
+    def _followed(self, item: Any, depth: int) -> Any:
+        """Cells, or elements of an array of structs, which lie elsewhere in the same file."""
+        if depth > limits.MAX_DEPTH:
+            raise RecordingError(f"{self.name}: cells within cells, {depth} deep; allowed are {limits.MAX_DEPTH}")
+        self.cells += int(item.size or 0)
+        if self.cells > limits.MAX_NESTED:
+            raise RecordingError(f"{self.name} holds more than {limits.MAX_NESTED} cells; save its channels as vectors")
+        read: list[Any] = []
+        for reference in np.ravel(item[()]):
+            cell = self.file[reference] if reference else None
+            one = self.group(cell, depth + 1) if isinstance(cell, self.h5py.Group) else self.dataset(cell, depth + 1)
+            read.append(one.values.ravel()[0] if isinstance(one, Stated) and one.values.size == 1 else one)
+        if len(item.shape) == 2 and min(item.shape) > 1:
+            table = np.empty(len(read), dtype=object)
+            table[:] = read
+            return table.reshape(item.shape)
+        return read
+
+
+def _unit(item: Any) -> str | None:
+    """Look for a unit among the attributes of a dataset."""
+    for key in ("units", "unit", "Units", "Unit"):
+        value = item.attrs.get(key)
+        if isinstance(value, bytes):
+            value = value.decode("utf-8", "replace")
+        if isinstance(value, str) and value.strip():
+            return value.strip()
+    return None
+
+
 _V5_ORDERS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version and order of the bytes, at byte 124 of a v5 MAT file
 _MATRIX, _COMPRESSED = 14, 15  # types of elements of a v5 MAT file
-_NESTED = {"struct", "cell"}
 _V5_BYTES = {3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 17: 2, 18: 4}  # of a number, by the type of an element
 _V4_BYTES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # of a number, by its type in a v4 MAT file
 _OBJECTS = "; objects such as timeseries and timetable only MATLAB can open: save s.time = ts.Time; s.force = ts.Data"
@@ -78,7 +428,7 @@ def _from_mat(path: Path) -> Iterator[Item]:
         _count_v4(path)
     listing = _listing(path)
     # math.prod, since the sizes of a damaged file overflow the integers of numpy
-    refuse_large(sum(8 * math.prod(shape) for _, shape, kind in listing if kind in _NUMERIC_CLASSES), path.name)
+    refuse_large(sum(8 * math.prod(shape) for _, shape, kind in listing if kind in _NUMERIC), path.name)
     return apart(path, ".") if any(kind in _NESTED for _, _, kind in listing) else flat(loaded(path), ".")
 
 
@@ -95,7 +445,7 @@ def loaded(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat  # noqa: PLC0415
 
     listing = _listing(path)
-    wanted = [name for name, _, kind in listing if kind in _NUMERIC_CLASSES or kind in _NESTED or kind == "char"]
+    wanted = [name for name, _, kind in listing if kind in _NUMERIC | _NESTED | {"char"}]
     with _sizes_told(path):
         found = loadmat(path, variable_names=wanted, simplify_cells=True) if wanted else {}
     return {name: found.get(name) for name, _, _ in listing}
@@ -130,7 +480,7 @@ def _count_v4(path: Path) -> None:
                 return  # damaged; scipy says how
             stream.seek(size, 1)
             found += 1
-            _refuse_many(found, MAX_PARTS, "variables", path.name)
+            _refuse_many(found, limits.MAX_PARTS, "variables", path.name)
             head = stream.read(20)
 
 
@@ -143,19 +493,19 @@ class _Walk:
     """The elements of a v5 MAT file, gone through and counted before scipy unpacks and builds them."""
 
     def __init__(self, path: Path, order: str) -> None:
-        self.path, self.order, self.length = path, order, path.stat().st_size
+        self.path, self.tag = path, struct.Struct(f"{order}II")  # type and size of an element
         self.total = self.nested = self.numbers = 0
 
     def through(self) -> None:
         """Go through the variables; each may be compressed."""
         with self.path.open("rb") as stream:
             stream.seek(128)
-            found = 0
+            found, length = 0, self.path.stat().st_size
             while len(tag := stream.read(8)) == 8:
                 found += 1
-                _refuse_many(found, MAX_PARTS, "variables", self.path.name)
-                kind, size = struct.unpack(f"{self.order}II", tag)
-                left = self.length - stream.tell()
+                _refuse_many(found, limits.MAX_PARTS, "variables", self.path.name)
+                kind, size = self.tag.unpack(tag)
+                left = length - stream.tell()
                 if size > left:  # it would hide those behind it
                     raise RecordingError(
                         f"{self.path.name}: the element at byte {stream.tell() - 8} claims {size} bytes, the file has "
@@ -171,7 +521,7 @@ class _Walk:
     def _elements(self, pieces: "_Pieces") -> None:
         """Go through what a compressed element holds, to its end."""
         while len(tag := pieces.read(8)) == 8:
-            kind, size = struct.unpack(f"{self.order}II", tag)
+            kind, size = self.tag.unpack(tag)
             if kind == _MATRIX:
                 self._matrix(pieces, size, 1)
             else:
@@ -180,11 +530,11 @@ class _Walk:
     def _matrix(self, pieces: "_Pieces", size: int, depth: int) -> None:
         """Go through the parts of a matrix; those of structs and cells are matrices themselves."""
         self.nested += 1
-        _refuse_many(self.nested, MAX_NESTED, "cells and fields", self.path.name)
-        _refuse_many(depth, MAX_DEPTH, "structs or cells within one another", self.path.name)
+        _refuse_many(self.nested, limits.MAX_NESTED, "cells and fields", self.path.name)
+        _refuse_many(depth, limits.MAX_DEPTH, "structs or cells within one another", self.path.name)
         end = pieces.at + size
         while pieces.at < end and len(tag := pieces.read(8)) == 8:
-            kind, count = struct.unpack(f"{self.order}II", tag)
+            kind, count = self.tag.unpack(tag)
             if kind >> 16:  # a small element, whose data stand in the tag
                 continue
             if count > end - pieces.at:
@@ -237,7 +587,7 @@ class _Pieces:
 
 def _pieces(stream: IO[bytes], size: int) -> Iterator[bytes]:
     """So many bytes of a file, in pieces."""
-    while size > 0 and (piece := stream.read(min(size, CHUNK_BYTES))):
+    while size > 0 and (piece := stream.read(min(size, limits.CHUNK_BYTES))):
         size -= len(piece)
         yield piece
 
@@ -248,7 +598,7 @@ def _unpacked(stream: IO[bytes], size: int) -> Iterator[bytes]:
     for packed in _pieces(stream, size):
         left = packed
         while left:
-            if piece := unpacker.decompress(left, CHUNK_BYTES):
+            if piece := unpacker.decompress(left, limits.CHUNK_BYTES):
                 yield piece
             left = unpacker.unconsumed_tail
 

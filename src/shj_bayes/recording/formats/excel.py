@@ -10,26 +10,12 @@ from typing import Any
 from xml.parsers import expat
 
 from shj_bayes.errors import RecordingError, did_you_mean, shown
-from shj_bayes.recording.columns import by_header
-from shj_bayes.recording.dialect import NoNumbersError
-from shj_bayes.recording.formats.format import Format
+from shj_bayes.recording import limits
+from shj_bayes.recording.columns import candidates
 from shj_bayes.recording.formats.text import table_from_lines
-from shj_bayes.recording.groups import grouped
-from shj_bayes.recording.limits import (
-    CHUNK_BYTES,
-    MAX_BYTES,
-    MAX_COLUMNS,
-    MAX_NAME,
-    MAX_PARTS,
-    MAX_RATIO,
-    MAX_ROW_BYTES,
-    MAX_SHEET_ROWS,
-    MAX_SHEETS,
-    MAX_TABLE_CELLS,
-    MIN_SAMPLES,
-)
 from shj_bayes.recording.recording import Finding
-from shj_bayes.recording.tables import Table
+from shj_bayes.recording.rows import NoNumbersError
+from shj_bayes.recording.tables import Format, Table, grouped
 from shj_bayes.recording.units import ROLES
 
 _ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
@@ -49,9 +35,14 @@ def read_excel(path: Path, sha256: str, sheet: str | None) -> Table:
     book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
     try:
         names = list(book.sheetnames)
-        asked = names if sheet is None else [_asked(sheet, names, path.name)]
+        asked = [name for name in names if sheet in (None, name)]
+        if sheet is not None and not asked:
+            asked = [name for name in names if name.lower() == sheet.strip().lower()][:1]
+            if not asked:
+                known = f"{did_you_mean(sheet, names)}; sheets are {', '.join(names[:8])}"
+                raise RecordingError(f"{path.name}: there is no sheet {sheet!r}{known}")
         tables: dict[str, Table] = {}
-        left = [MAX_TABLE_CELLS]
+        left = [limits.MAX_TABLE_CELLS]
         for name in asked:
             if not hasattr(book[name], "iter_rows"):  # a chart sheet
                 continue
@@ -65,18 +56,9 @@ def read_excel(path: Path, sha256: str, sheet: str | None) -> Table:
     finally:
         book.close()
     if not tables:
-        said = ", ".join((names if sheet is None else asked)[:8])
+        said = ", ".join(asked[:8])
         raise RecordingError(f"{path.name}: no sheet holds rows of two or more numbers; sheets are {said}")
     return next(iter(tables.values())) if len(names) == 1 else _best(tables, path.name)
-
-
-def _asked(sheet: str, names: list[str], book: str) -> str:
-    """Name of the sheet that was asked for."""
-    found = [name for name in names if name == sheet] or [n for n in names if n.lower() == sheet.strip().lower()]
-    if not found:
-        known = ", ".join(names[:8])
-        raise RecordingError(f"{book}: there is no sheet {sheet!r}{did_you_mean(sheet, names)}; sheets are {known}")
-    return found[0]
 
 
 def _best(tables: dict[str, Table], book: str) -> Table:
@@ -104,16 +86,12 @@ def _best(tables: dict[str, Table], book: str) -> Table:
 
 def _claim(table: Table) -> tuple[bool, int, int]:
     """Say how much speaks for a sheet: as many rows as a recording has, channels that are named, and named exactly."""
-    named = exact = 0
-    for role in ROLES:
-        said: list[Finding] = []
-        try:
-            found = by_header(table, role, said) is not None
-        except RecordingError:  # several could be it
-            named += 1
-            continue
-        named, exact = named + found, exact + (found and not said)
-    return max(c.values.size for c in table.columns) >= MIN_SAMPLES, named, exact
+    found = [candidates(table, role) for role in ROLES]
+    named, exact = (
+        sum(bool(columns) for columns, _ in found),
+        sum(exact and len(columns) == 1 for columns, exact in found),
+    )
+    return max(c.values.size for c in table.columns) >= limits.MIN_SAMPLES, named, exact
 
 
 def _bounded(path: Path) -> None:
@@ -123,24 +101,26 @@ def _bounded(path: Path) -> None:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             total = sum(entry.file_size for entry in entries)
-            if total > MAX_BYTES:
+            if total > limits.MAX_BYTES:
                 raise RecordingError(
                     f"{path.name} unpacks to {total / 1024**2:.0f} MiB; "
-                    f"allowed are {MAX_BYTES // 1024**2} MiB; save one sheet as CSV"
+                    f"allowed are {limits.MAX_BYTES // 1024**2} MiB; save one sheet as CSV"
                 )
-            if total > MAX_RATIO * size + CHUNK_BYTES or len(entries) > MAX_PARTS:
+            if total > limits.MAX_RATIO * size + limits.CHUNK_BYTES or len(entries) > limits.MAX_PARTS:
                 raise RecordingError(
                     f"{path.name} has {len(entries)} parts that unpack to {total / size:.0f} times its size; allowed "
-                    f"are {MAX_PARTS} parts and {MAX_RATIO} times; that is no workbook; save one sheet as CSV"
+                    f"are {limits.MAX_PARTS} parts and {limits.MAX_RATIO} times; that is no workbook; save one sheet "
+                    "as CSV"
                 )
             sheets = 0
             for entry in entries:
                 if entry.filename.lower().endswith((".xml", ".rels", ".vml")):
                     _refuse_doctype(archive, entry, path.name)
                     sheets += _looked_through(archive, entry, path.name)
-            if sheets > MAX_SHEETS:
+            if sheets > limits.MAX_SHEETS:
                 raise RecordingError(
-                    f"{path.name} names more than {MAX_SHEETS} sheets; save the one that holds the recording as CSV"
+                    f"{path.name} names more than {limits.MAX_SHEETS} sheets; save the one that holds the recording "
+                    "as CSV"
                 )
     except zipfile.BadZipFile as error:
         raise RecordingError(f"{path.name} is not an XLSX workbook ({error}); save it again as .xlsx") from error
@@ -181,16 +161,16 @@ def _looked_through(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str)
     """Refuse a part with a longer row or text than any sheet has, which a reader builds whole; count its sheets."""
     sheets, since = 0, 0
     with archive.open(entry) as stream:
-        while piece := stream.read(CHUNK_BYTES):
+        while piece := stream.read(limits.CHUNK_BYTES):
             sheets += len(_SHEET.findall(piece))
             starts = [match.start() for match in _ROW.finditer(piece)]
             edges = [-since, *starts, len(piece)]
             longest = max(b - a for a, b in pairwise(edges))
             since = len(piece) - edges[-2]
-            if longest > MAX_ROW_BYTES:
+            if longest > limits.MAX_ROW_BYTES:
                 raise RecordingError(
-                    f"{name}: its part {entry.filename} has a row or text of more than {MAX_ROW_BYTES // 1024**2} MiB; "
-                    "that is no recording; save one sheet as CSV"
+                    f"{name}: its part {entry.filename} has a row or text of more than "
+                    f"{limits.MAX_ROW_BYTES // 1024**2} MiB; that is no recording; save one sheet as CSV"
                 )
     return sheets
 
@@ -202,13 +182,13 @@ def _lines(sheet: Any, book: str, left: list[int]) -> Iterator[str]:
     last row; openpyxl then hands out one and the same empty row a million times.
     """
     last: Any = None
-    for row in sheet.iter_rows(max_row=MAX_SHEET_ROWS, max_col=MAX_COLUMNS, values_only=True):
+    for row in sheet.iter_rows(max_row=limits.MAX_SHEET_ROWS, max_col=limits.MAX_COLUMNS, values_only=True):
         if row is last:
             continue
         last = row
         left[0] -= len(row)
         if left[0] < 0:
-            raise RecordingError(f"{book}: more than {MAX_TABLE_CELLS} cells; save the recording alone, as CSV")
+            raise RecordingError(f"{book}: more than {limits.MAX_TABLE_CELLS} cells; save the recording alone, as CSV")
         filled = [i for i, cell in enumerate(row) if cell is not None]
         if filled:
             yield "\t".join(_cell(cell) for cell in row[: filled[-1] + 1])
@@ -220,7 +200,7 @@ def _cell(value: object) -> str:
         return ""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return repr(float(value))
-    return " ".join(str(value)[:MAX_NAME].split())  # one long text may stand in every cell
+    return " ".join(str(value)[: limits.MAX_NAME].split())  # one long text may stand in every cell
 
 
 FORMATS = (Format("xlsx", (".xlsx",), read_excel, sheets=True),)

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError, shown
-from shj_bayes.recording.dialect import PLAIN
-from shj_bayes.recording.formats.format import Format
-from shj_bayes.recording.heads import split_header
 from shj_bayes.recording.limits import MAX_BRACKETS, MAX_CELL, MAX_JSON_BYTES, MAX_TABLE_CELLS
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.tables import Column, Table, as_floats, bounded_columns, left_out
+from shj_bayes.recording.rows import PLAIN, split_header
+from shj_bayes.recording.tables import Column, Format, Table, as_floats, bounded_columns, left_out
 
 _SHAPES = '[{"time_s": 0, ...}, ...], {"time_s": [0, ...], ...} or [[0, ...], ...]'
 _INDEX = "index"  # of the rows, as pandas writes it
+_Cells = list[tuple[str, list[Any]]]  # names and cells of columns
 
 
 def read_records(path: Path, sha256: str) -> Table:
@@ -33,12 +32,16 @@ def read_records(path: Path, sha256: str) -> Table:
         )
     content = _parsed(path)
     beside = content if isinstance(content, dict) else {}
-    names, lists = _table(content, path.name)
+    table = _columns(content, path.name)
+    if table is None:  # of an object also those of the first value that is a table itself
+        table = next((found for value in beside.values() if (found := _columns(value, path.name)) is not None), None)
+    if table is None:
+        raise RecordingError(f"{path.name}: found no table of numbers in this JSON; write it as {_SHAPES}")
     given = beside.get("units")
     units: dict[str, Any] = given if isinstance(given, dict) else {}
     columns, skipped = list[Column](), list[str]()
     text = 0
-    for name, cells in zip(names, lists, strict=True):
+    for name, cells in table:
         values, words = _numbers(cells)
         if np.any(np.isfinite(values)) or not name:
             plain, unit = split_header(name)
@@ -53,7 +56,7 @@ def read_records(path: Path, sha256: str) -> Table:
     if beside.get("simulated") is True or any("simulated" in v.lower() for v in beside.values() if isinstance(v, str)):
         findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
     scalars = {key: value for key, value in beside.items() if isinstance(value, float)}
-    return Table(path.name, "json", sha256, tuple(columns), any(names), scalars, tuple(findings))
+    return Table(path.name, "json", sha256, tuple(columns), any(name for name, _ in table), scalars, tuple(findings))
 
 
 def _parsed(path: Path) -> Any:
@@ -88,76 +91,60 @@ def _parsed(path: Path) -> Any:
         return [first, *map(parse, lines[1:])]
 
 
-def _table(content: Any, name: str) -> tuple[list[str], list[list[Any]]]:
-    """Names and cells of the columns; of an object also those of the first value that is a table itself."""
-    found = _columns(content, name)
-    if found is None and isinstance(content, dict):
-        found = next((table for value in content.values() if (table := _columns(value, name)) is not None), None)
-    if found is None:
-        raise RecordingError(f"{name}: found no table of numbers in this JSON; write it as {_SHAPES}")
-    return found
-
-
-def _columns(content: Any, name: str) -> tuple[list[str], list[list[Any]]] | None:
+def _columns(content: Any, name: str) -> _Cells | None:
     """Columns of one of the shapes, without an index that only counts the rows; None for anything else."""
+
+    def counts(cells: list[Any]) -> bool:
+        return cells[0] in (0.0, 1.0) and all(cell == cells[0] + i for i, cell in enumerate(cells))
+
     found = _shape(content, name)
-    if found is None:
-        return None
-    kept = [i for i, (key, cells) in enumerate(zip(*found, strict=True)) if key != _INDEX or not _counts(cells)]
-    return [found[0][i] for i in kept], [found[1][i] for i in kept]
+    return None if found is None else [(key, cells) for key, cells in found if key != _INDEX or not counts(cells)]
 
 
-def _counts(cells: list[Any]) -> bool:
-    """Whether cells are 0, 1, 2 ... or 1, 2, 3 ..."""
-    return cells[0] in (0.0, 1.0) and all(cell == cells[0] + i for i, cell in enumerate(cells))
-
-
-def _shape(content: Any, name: str) -> tuple[list[str], list[list[Any]]] | None:
+def _shape(content: Any, name: str) -> _Cells | None:
     """Columns of one of the shapes."""
     if isinstance(content, dict):
         return _of_object(content, name)
     if not isinstance(content, list) or len(content) < 2:
         return None
     if all(isinstance(record, dict) for record in content):
-        keys = bounded_columns(list(dict.fromkeys(key for record in content for key in record)), name)
-        _refuse_wide(len(keys), len(content), name)
-        return (keys, [[record.get(key) for record in content] for key in keys]) if keys else None
+        keys = _bounded(list(dict.fromkeys(key for record in content for key in record)), len(content), name)
+        return [(key, [record.get(key) for record in content]) for key in keys] or None
     if all(isinstance(row, list) for row in content):
-        names = bounded_columns([""] * max(map(len, content)), name)
-        _refuse_wide(len(names), len(content), name)
-        return names, [[row[i] if i < len(row) else None for row in content] for i in range(len(names))]
+        names = _bounded([""] * max(map(len, content)), len(content), name)
+        return [(key, [row[i] if i < len(row) else None for row in content]) for i, key in enumerate(names)]
     return None
 
 
-def _of_object(content: dict[str, Any], name: str) -> tuple[list[str], list[list[Any]]] | None:
+def _of_object(content: dict[str, Any], name: str) -> _Cells | None:
     """Columns under their names, or names and rows apart, or by the index."""
-    names, rows = content.get("columns"), content.get("data")
+    names, rows, index = content.get("columns"), content.get("data"), content.get(_INDEX)
     if isinstance(names, list) and isinstance(rows, list) and all(isinstance(key, str) for key in names):
         found = _shape(rows, name) if all(isinstance(row, list) for row in rows) else None
-        if found is not None and len(found[0]) == len(names):
-            index = content.get(_INDEX)
-            counted = isinstance(index, list) and len(index) == len(rows)
-            return ([*names, _INDEX], [*found[1], list(index or [])]) if counted else (names, found[1])
+        if found is not None and len(found) == len(names):
+            counted = [(_INDEX, index)] if isinstance(index, list) and len(index) == len(rows) else []
+            return [*((key, cells) for key, (_, cells) in zip(names, found, strict=True)), *counted]
     if (found := _by_index(content, name)) is not None:
         return found
-    lists = {key: value for key, value in content.items() if isinstance(value, list) and len(value) > 1}
-    lists = {key: cells for key, cells in lists.items() if not any(isinstance(c, dict | list) for c in cells)}
-    return (bounded_columns(list(lists), name), list(lists.values())) if lists else None
+    lists = [(key, value) for key, value in content.items() if isinstance(value, list) and len(value) > 1]
+    lists = [(key, cells) for key, cells in lists if not any(isinstance(c, dict | list) for c in cells)]
+    bounded_columns([key for key, _ in lists], name)
+    return lists or None
 
 
-def _by_index(content: dict[str, Any], name: str) -> tuple[list[str], list[list[Any]]] | None:
+def _by_index(content: dict[str, Any], name: str) -> _Cells | None:
     """Rows, or columns beside anything else, that are objects by the index, whose names are numbers."""
     nests = {key: value for key, value in content.items() if isinstance(value, dict) and len(value) > 1}
     columns = {key: value for key, value in nests.items() if all(map(_is_number, value))}
     if not columns and 1 < len(nests) == len(content) and all(map(_is_number, nests)):
         found = _shape(list(nests.values()), name)
-        return None if found is None else ([*found[0], _INDEX], [*found[1], list(map(float, nests))])
+        return None if found is None else [*found, (_INDEX, list(map(float, nests)))]
     if len(columns) < 2:
         return None
-    names = bounded_columns([*columns, _INDEX], name)
     index = list(dict.fromkeys(key for value in columns.values() for key in value))
-    _refuse_wide(len(names), len(index), name)
-    return names, [*([value.get(key) for key in index] for value in columns.values()), list(map(float, index))]
+    _bounded([*columns, _INDEX], len(index), name)
+    cells = ((key, [value.get(at) for at in index]) for key, value in columns.items())
+    return [*cells, (_INDEX, list(map(float, index)))]
 
 
 def _is_number(text: str) -> bool:
@@ -165,12 +152,13 @@ def _is_number(text: str) -> bool:
     return len(text) <= MAX_CELL and PLAIN["."].fullmatch(text) is not None and "d" not in text.lower()
 
 
-def _refuse_wide(width: int, length: int, name: str) -> None:
-    """Refuse a table that would be mostly empty cells, before they are laid out."""
-    if width * length > MAX_TABLE_CELLS:
+def _bounded(names: list[str], n_rows: int, name: str) -> list[str]:
+    """Refuse a table that is too wide, or would be mostly empty cells, before they are laid out."""
+    if len(bounded_columns(names, name)) * n_rows > MAX_TABLE_CELLS:
         raise RecordingError(
-            f"{name}: {length} rows and {width} columns; allowed are {MAX_TABLE_CELLS} cells; export fewer, or CSV"
+            f"{name}: {n_rows} rows and {len(names)} columns; allowed are {MAX_TABLE_CELLS} cells; export fewer, or CSV"
         )
+    return names
 
 
 def _numbers(cells: list[Any]) -> tuple[FloatArray, int]:

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.formats.format import Format
-from shj_bayes.recording.groups import grouped, same_clock
-from shj_bayes.recording.heads import split_header
 from shj_bayes.recording.limits import MAX_PARTS
 from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.tables import Column, Table, as_floats, left_out, refuse_large
+from shj_bayes.recording.rows import split_header
+from shj_bayes.recording.tables import Column, Format, Table, as_floats, grouped, left_out, refuse_large, same_clock
 
 _MARK = "/"  # between group and channel
 
@@ -39,7 +37,13 @@ def read_tdms(path: Path, sha256: str, sheet: str | None) -> Table:
         channels = [c for c in channels if c.dtype.kind in "fiuM"]
         refuse_large(sum(8 * len(channel) for channel in channels), path.name)
         clocks, words = _clocks([channel for channel in channels if channel.dtype.kind != "M"])
-        columns = [_column(of, values, clocks.get(of.path)) for of, values in _values(channels)]
+        columns = []
+        for of, values in _values(channels):
+            plain, own = split_header(str(of.name))
+            unit = str(of.properties.get("unit_string") or of.properties.get("NI_UnitDescription") or "").strip()
+            stated = "s" if of.dtype.kind == "M" else unit or own
+            clock = clocks.get(of.path)
+            columns.append(Column(plain, as_floats(values), stated, str(of.name), 0, str(of.group_name), clock))
         cut = file.file_status.incomplete_final_segment
         steps = {float(c.properties["wf_increment"]) for c in channels if "wf_increment" in c.properties}
     found, told = grouped(columns, path.name, _MARK, sheet)
@@ -104,14 +108,6 @@ def _values(channels: list[Any]) -> Iterator[tuple[Any, Any]]:
     for channel in channels:
         values = stamps.get(channel.path)
         yield channel, channel[:] if values is None else (values - first) / np.timedelta64(1, "s")
-
-
-def _column(of: Any, values: Any, clock_s: FloatArray | None) -> Column:
-    """One channel."""
-    name, own = split_header(str(of.name))
-    unit = str(of.properties.get("unit_string") or of.properties.get("NI_UnitDescription") or "").strip()
-    stated = "s" if of.dtype.kind == "M" else unit or own
-    return Column(name, as_floats(values), stated, str(of.name), 0, str(of.group_name), clock_s)
 
 
 FORMATS = (Format("tdms", (".tdms",), read_tdms, sheets=True),)

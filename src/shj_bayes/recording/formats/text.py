@@ -11,19 +11,19 @@ import zlib
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator
-from itertools import chain, islice
+from dataclasses import replace
+from itertools import chain, islice, pairwise
 from pathlib import Path
-from typing import IO
+
+import numpy as np
 
 from shj_bayes.errors import RecordingError
-from shj_bayes.recording.dialect import LOOK, Dialect, find_dialect
-from shj_bayes.recording.formats.format import Format
-from shj_bayes.recording.heads import head_of
-from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE
-from shj_bayes.recording.numerals import numbers
-from shj_bayes.recording.recording import Finding
-from shj_bayes.recording.tables import Table, bounded_columns
-from shj_bayes.recording.timed import timed
+from shj_bayes.recording.clock import Stamps
+from shj_bayes.recording.columns import roles_named
+from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE, SAME_INSTANT
+from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.rows import LOOK, TextRows, Wave, find_dialect, head_of
+from shj_bayes.recording.tables import Column, Format, Table, bounded_columns, seconds_of
 
 # hyphens, dashes and minus signs before a number or in its exponent; marks without width
 _MINUS = re.compile("(?:(?<!\\w)|(?<=[0-9][eEdD]))[\u2010-\u2015\u2212\ufe58\ufe63\uff0d](?=[.,]?[0-9])")
@@ -36,8 +36,7 @@ def read_text(path: Path, sha256: str) -> Table:
     encoding = find_encoding(path)
     said = "Latin-1" if encoding == "cp1252" else encoding
     notes = [] if encoding.startswith("utf-8") else [Finding("encoding", "note", f"text read as {said}")]
-    with _opened(path) as raw, io.TextIOWrapper(raw, encoding, "replace" if encoding == "cp1252" else "strict") as text:
-        return table_from_lines(_lines(text, path.name), path.name, sha256, "csv", tuple(notes))
+    return table_from_lines(_lines(path, encoding), path.name, sha256, "csv", tuple(notes))
 
 
 def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, notes: tuple[Finding, ...] = ()) -> Table:
@@ -45,38 +44,33 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
 
     `kind` is the format of the table, `notes` what was met before.
     """
-    rows = _Rows(lines, name)
-    stream = iter(rows)
+    text = _Lines(lines, name)
+    stream = iter(text)
     first = list(islice(stream, 2 * LOOK))
     dialect = find_dialect(first, name)
     head = head_of(first[: dialect.first], dialect)
-    if not any(head.names) and rows.comments:  # numpy and gnuplot write the header as a comment
-        head = head_of([line.lstrip("#% ") for line in rows.comments], dialect)
-    if not any(head.names):
-        _refuse_split_numbers(first[: dialect.first], dialect, name)
-    bounded_columns(head.names, name)
-    read = numbers(chain(first[dialect.first :], stream), dialect, head, name, rows.line_of)
-    findings = read.findings
-    if any("simulated" in line.lower() for line in rows.comments):
-        findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
-    if dialect.decimal == ",":
-        findings.append(Finding("decimal-comma", "assumed", "a comma is read as the decimal sign (0,5 is one half)"))
-    columns, more = timed(read, head, name)
-    return Table(name, kind, sha256, columns, has_header=any(head.names), findings=(*notes, *findings, *more))
-
-
-def _refuse_split_numbers(above: list[str], dialect: Dialect, name: str) -> None:
-    """Refuse rows of twice as many cells as the header has: each number was taken apart at its decimal comma."""
-    width = len(dialect.cells(above[-1])) if above else 0
-    if dialect.separator == "," and 2 * width == dialect.width:
+    if not any(head.names) and text.comments:  # numpy and gnuplot write the header as a comment
+        head = head_of([line.lstrip("#% ") for line in text.comments], dialect)
+    above = len(dialect.cells(first[dialect.first - 1])) if dialect.first else 0
+    if not any(head.names) and dialect.separator == "," and 2 * above == dialect.width:  # numbers taken apart
         raise RecordingError(
-            f"{name}: the header has {width} cells and the rows of numbers {dialect.width}, so commas seem to be the "
+            f"{name}: the header has {above} cells and the rows of numbers {dialect.width}, so commas seem to be the "
             "decimal sign and to stand between the columns; export with semicolons between the columns, or with "
             "decimal points"
         )
+    bounded_columns(head.names, name)
+    rows = TextRows(dialect, head, name, text.line_of)
+    rows.read(chain(first[dialect.first :], stream))
+    findings = [*notes, *rows.findings()]
+    if any("simulated" in line.lower() for line in text.comments):
+        findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
+    if dialect.decimal == ",":
+        findings.append(Finding("decimal-comma", "assumed", "a comma is read as the decimal sign (0,5 is one half)"))
+    columns = _with_times(rows, findings)
+    return Table(name, kind, sha256, tuple(columns), has_header=any(head.names), findings=tuple(findings))
 
 
-class _Rows:
+class _Lines:
     """Lines that may be rows; the first comments go into a list."""
 
     def __init__(self, lines: Iterable[str], name: str) -> None:
@@ -91,7 +85,8 @@ class _Rows:
             text = line if line[:1].isdigit() else line.lstrip()
             if text and not text.startswith(("#", "%")):
                 n_rows += 1
-                yield line if line.isascii() else _typed(line)
+                # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.
+                yield line if line.isascii() else _MINUS.sub("-", line.translate(_INVISIBLE))
                 continue
             self.passed.append(n_rows)
             if len(self.passed) - n_rows > MAX_EMPTY:
@@ -107,32 +102,24 @@ class _Rows:
         return row + 1 + bisect_right(self.passed, row)
 
 
-def _typed(line: str) -> str:
-    """Line in which a minus before a number is a hyphen, whatever a typesetter made of it, and nothing is invisible."""
-    return _MINUS.sub("-", line.translate(_INVISIBLE))
-
-
 def find_encoding(path: Path) -> str:
     """Codec of a text file, plain or gzipped: UTF-8, -16 or -32 by marks or zeros, else Latin-1 as Windows writes it.
 
     The file is read once to its end.
     """
-    with _opened(path) as raw:
-        head = raw.read(_HEAD)
-        encoding = _by_head(head, path.name)
-        decoder = codecs.getincrementaldecoder(encoding)()
-        piece = head
-        try:
-            while piece:
-                decoder.decode(piece)
-                piece = raw.read(CHUNK_BYTES)
-            decoder.decode(b"", final=True)
-        except UnicodeDecodeError as error:
-            if encoding not in ("utf-8", "utf-8-sig"):
-                raise RecordingError(
-                    f"{path.name} begins as {encoding} but is damaged ({error.reason}); export it again, as UTF-8"
-                ) from error
-            return "cp1252"
+    pieces = _pieces(path)
+    first = next(pieces, b"")
+    encoding = _by_head(first[:_HEAD], path.name)
+    decoder = codecs.getincrementaldecoder(encoding)()
+    try:
+        for piece in chain([first], pieces, [b""]):
+            decoder.decode(piece, final=not piece)
+    except UnicodeDecodeError as error:
+        if encoding not in ("utf-8", "utf-8-sig"):
+            raise RecordingError(
+                f"{path.name} begins as {encoding} but is damaged ({error.reason}); export it again, as UTF-8"
+            ) from error
+        return "cp1252"
     return encoding
 
 
@@ -152,61 +139,135 @@ def _by_head(head: bytes, name: str) -> str:
     return "utf-16-le" if zeros_odd > zeros_even else "utf-16-be"
 
 
-class _Bounded(io.RawIOBase):
-    """An unpacked stream that is stopped early when it grows beyond any recording, or is damaged."""
-
-    def __init__(self, raw: IO[bytes], unpacked: IO[bytes] | gzip.GzipFile, name: str) -> None:
-        self.raw, self.stream, self.name, self.total = raw, unpacked, name, 0
-
-    def readable(self) -> bool:
-        """Say that it can be read."""
-        return True
-
-    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]
-        """Pass on the next piece."""
-        try:
-            piece = self.stream.read(min(len(buffer), CHUNK_BYTES))
-        except (OSError, EOFError, zlib.error) as error:
-            what = "gzip file is damaged" if self.name.lower().endswith(".gz") else "file cannot be read to its end"
-            raise RecordingError(f"{self.name}: the {what} ({error}); copy or compress it again") from error
-        self.total += len(piece)
-        if self.total > MAX_BYTES:
-            raise RecordingError(
-                f"{self.name} unpacks to more than {MAX_BYTES // 1024**2} MiB; that is no recording; "
-                f"export fewer channels or rows"
-            )
-        buffer[: len(piece)] = piece
-        return len(piece)
-
-    def close(self) -> None:
-        """Close what it reads from as well."""
-        self.stream.close()
-        self.raw.close()
-        super().close()
+def _pieces(path: Path) -> Iterator[bytes]:
+    """Bytes of a file, unpacked, in pieces; stopped early where they grow beyond any recording, or are damaged."""
+    packed, total = path.suffix.lower() == ".gz", 0
+    with path.open("rb") as raw:
+        stream = gzip.GzipFile(fileobj=raw) if packed else raw
+        while True:
+            try:
+                piece = stream.read(CHUNK_BYTES)
+            except (OSError, EOFError, zlib.error) as error:
+                what = "gzip file is damaged" if packed else "file cannot be read to its end"
+                raise RecordingError(f"{path.name}: the {what} ({error}); copy or compress it again") from error
+            total += len(piece)
+            if total > MAX_BYTES:
+                raise RecordingError(
+                    f"{path.name} unpacks to more than {MAX_BYTES // 1024**2} MiB; that is no recording; "
+                    f"export fewer channels or rows"
+                )
+            if not piece:
+                return
+            yield piece
 
 
-def _opened(path: Path) -> io.BufferedReader:
-    raw = path.open("rb")
-    unpacked = gzip.GzipFile(fileobj=raw) if path.suffix.lower() == ".gz" else raw
-    return io.BufferedReader(_Bounded(raw, unpacked, path.name), 1 << 16)
-
-
-def _lines(text: io.TextIOWrapper, name: str) -> Iterator[str]:
-    """Lines without their ends, each of a bounded length."""
+def _lines(path: Path, encoding: str) -> Iterator[str]:
+    """Lines of a file without their ends, each of a bounded length."""
+    decoder = codecs.getincrementaldecoder(encoding)("replace" if encoding == "cp1252" else "strict")
+    text = io.IncrementalNewlineDecoder(decoder, translate=True)
     number, held = 0, ""
-    while piece := text.read(CHUNK_BYTES):
-        *whole, held = (held + piece).split("\n")
+    for piece in chain(_pieces(path), [b""]):
+        *whole, held = (held + text.decode(piece, final=not piece)).split("\n")
         longest = max(map(len, (*whole, held)))
         if longest > MAX_LINE:
             at = number + 1 + next(i for i, line in enumerate((*whole, held)) if len(line) == longest)
             raise RecordingError(
-                f"{name}: line {at} has more than {MAX_LINE} characters; a row of a recording has some dozens; "
+                f"{path.name}: line {at} has more than {MAX_LINE} characters; a row of a recording has some dozens; "
                 f"export it as a table with one row for each sample"
             )
         number += len(whole)
         yield from whole
     if held:
         yield held
+
+
+def _with_times(rows: TextRows, findings: list[Finding]) -> list[Column]:
+    """Columns of what was read, with one time where all channels have the same, and what to say."""
+    columns, stamps = list[Column](), [column.stamps for column in rows.columns]
+    dates = [one for one in stamps if one is not None and not one.n_clocks]
+    for i, (column, label) in enumerate(zip(rows.columns, rows.labels, strict=True)):
+        values, unit, written, own = column.joined(), rows.head.units[i], rows.head.written[i], stamps[i]
+        if own is not None:
+            beside = dates[0] if len(dates) == 1 and not own.known else None
+            values, unit, said = own.joined(label, written, beside)
+            findings += said if own.n_clocks else []
+        columns.append(Column(label, values, unit, written, column.n_words))
+    timed = _with_waves(columns, rows, findings)
+    each_its_own = len(timed) < len(columns)
+    return timed if each_its_own else _one_time(timed, stamps, rows.file, findings)
+
+
+def _with_waves(columns: list[Column], rows: TextRows, findings: list[Finding]) -> list[Column]:
+    """Columns of a LabVIEW file whose ``X_Value`` is empty, with the times that start and interval give."""
+    waves = rows.head.waves
+    if not any(wave.step_s > 0 for wave in waves) or np.isfinite(columns[0].values).any():
+        return columns
+    edges = [0, *(row for row, _ in rows.heads), columns[0].values.size]
+    heads = [rows.head, *(one for _, one in rows.heads)]
+    clocks = []
+    for i in range(len(columns) - 1):
+        own = [one.waves[i] if i < len(one.waves) else Wave("", 0.0, 0.0) for one in heads]
+        starts = Stamps()
+        starts.add(wave.started for wave in own)
+        pieces = [
+            start + wave.first_s + wave.step_s * np.arange(b - a)
+            for start, wave, (a, b) in zip(np.nan_to_num(starts.absolute()), own, pairwise(edges), strict=True)
+        ]
+        clocks.append(np.concatenate(pieces))
+    first = min(float(clock[0]) for clock in clocks)
+    if any(not np.allclose(clock, clocks[0], rtol=0, atol=1e-9) for clock in clocks):
+        return [replace(column, clock_s=clock - first) for column, clock in zip(columns[1:], clocks, strict=True)]
+    shown = f"{columns[0].label}: {waves[0].step_s:g} s"
+    findings.append(Finding("time-from-step", "assumed", f"time is made from the constant interval of {shown}"))
+    return [replace(columns[0], name="X_Value", values=clocks[0] - first, unit="s"), *columns[1:]]
+
+
+def _one_time(columns: list[Column], stamps: list[Stamps | None], name: str, findings: list[Finding]) -> list[Column]:
+    """Columns without the times that say the same as another one, as beside each channel of a data logger.
+
+    Where times beside the channels differ, each channel keeps its own.
+    """
+    named = {i: seconds_of(column) for i, column in enumerate(columns) if "time" in roles_named(column.name)}
+    clocks = {i: clock for i, clock in named.items() if clock is not None}
+    if len(clocks) < 2:
+        return columns
+    times = list(clocks)
+    # numbers rather than stamps, and of these the finer
+    best = min(times, key=lambda i: (stamps[i] is not None, -np.unique(columns[i].values).size))
+    same = [i for i in times if i != best and _agree((clocks[best], stamps[best]), (clocks[i], stamps[i]))]
+    paired = times[0] == 0 and times[-1] < len(columns) - 1 and bool(np.all(np.diff(times) > 1))
+    if paired and len(same) < len(times) - 1:
+        if any(stamps[i] is not None for i in times):
+            shown = ", ".join(f"{columns[i].label} for {columns[i + 1].name}" for i in times)
+            raise RecordingError(f"{name}: the channels have time stamps of their own ({shown}); export one for all")
+        known = {i: np.isfinite(columns[i].values) for i in times}  # a channel goes as far as its time
+        return [
+            replace(column, values=column.values[known[i]], clock_s=clocks[i][known[i]])
+            for i, end in pairwise([*times, len(columns)])
+            for column in columns[i + 1 : end]
+        ]
+    if same:
+        shown = ", ".join(columns[i].label for i in same)
+        message = f"{shown}: the same times as {columns[best].label}, which is read"
+        findings.append(Finding("times-agree", "note", message, len(same)))
+    return [column for i, column in enumerate(columns) if i not in same]
+
+
+def _agree(one: tuple[FloatArray, Stamps | None], other: tuple[FloatArray, Stamps | None]) -> bool:
+    """Whether two times are the same; seconds and time stamps to the last digit of the coarser, from their first on."""
+    (a, first), (b, second) = one, other
+    if first is not None and second is not None:
+        if next(iter(first.known), "") != next(iter(second.known), ""):
+            return False
+        a, b = first.absolute(), second.absolute()
+    both = np.isfinite(a) & np.isfinite(b)
+    if np.count_nonzero(both) < max(2, 0.99 * np.count_nonzero(np.isfinite(a) | np.isfinite(b))):
+        return False
+    a, b = a[both], b[both]
+    steps = [float(np.median(moves[moves > 0])) if np.any(moves > 0) else 0.0 for moves in (np.diff(a), np.diff(b))]
+    if (first is None) != (second is None):
+        return bool(np.max(np.abs(a - a[0] - b + b[0])) <= 1.01 * max(steps))
+    return bool(np.max(np.abs(a - b)) <= SAME_INSTANT * steps[0])
 
 
 FORMATS = (Format("csv", (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm"), read_text, gzipped=True),)

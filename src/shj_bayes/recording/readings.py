@@ -1,4 +1,4 @@
-"""Rows that are no readings, and readings that are held."""
+"""Single samples of a channel: empty cells, held readings, spikes, clipping, standing still."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,106 @@ import numpy as np
 from shj_bayes.recording import limits
 from shj_bayes.recording.clock import step_spread
 from shj_bayes.recording.motion import IntArray
-from shj_bayes.recording.noise import noise_of, resolution_of
-from shj_bayes.recording.recording import BoolArray, FloatArray
+from shj_bayes.recording.recording import BoolArray, Finding, FloatArray, noise_of, resolution_of
+
+
+def runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """Half-open index ranges over which a mask is True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, list[Finding]]:
+    """Rows of displacement and force (NaN where empty) to keep: without empty ends, and holes too long to be filled."""
+    empty = np.isnan(channels[0]) | np.isnan(channels[1])
+    keep = np.ones(empty.size, dtype=np.bool_)
+    ends = holes = 0
+    for a, b in runs(empty):
+        if a == 0 or b == empty.size:
+            keep[a:b], ends = False, ends + b - a
+        elif b - a > limits.FILL_RUN:
+            keep[a:b], holes = False, holes + b - a
+    findings = []
+    if ends:
+        findings.append(Finding("empty-ends", "repaired", f"{ends} rows without numbers at the ends left out", ends))
+    if holes:
+        message = f"{holes} rows left out, in holes of more than {limits.FILL_RUN} rows; each hole is now a gap in time"
+        findings.append(Finding("holes", "warning", message, holes))
+    return keep, findings
+
+
+def fill(
+    time_s: FloatArray, values: FloatArray, name: str, no_reading: BoolArray
+) -> tuple[FloatArray, BoolArray, list[Finding]]:
+    """Bridge short runs of cells without a reading (NaN) of a channel by a straight line.
+
+    `no_reading` are those among them that held a number, which has been said. Values without NaN, which samples are no
+    evidence, all of shape (n_samples,), and findings.
+    """
+    filled = np.isnan(values)
+    count, empty = int(np.count_nonzero(filled)), int(np.count_nonzero(filled & ~no_reading))
+    if count in (0, values.size):
+        return values, filled, []
+    bridged = np.where(filled, np.interp(time_s, time_s[~filled], values[~filled]), values)
+    share = count / values.size
+    if share > limits.BAD_CELL_SHARE:
+        message = (
+            f"{name}: {count} cells are empty or no readings ({share:.2%}); allowed are {limits.BAD_CELL_SHARE:.0%}; "
+            "export the test anew, or take these rows out of the file (steps of time may differ)"
+        )
+        return bridged, filled, [Finding("empty-cells", "unusable", message, count)]
+    message = (
+        f"{name}: {empty} empty cells ({empty / values.size:.2%}) bridged by straight lines and not used as evidence"
+    )
+    return bridged, filled, [Finding("empty-cells", "repaired", message, empty)] if empty else []
+
+
+def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
+    """Find samples at which a channel stands still at its own extreme while the other moves: it cannot go further.
+
+    Exactly equal runs at the extreme only: a plateau of friction carries noise, a rounded channel has equal runs at
+    every level, and a noise-free plateau is approached gradually. Arrays have shape (n_samples,).
+    """
+    found = np.zeros(values.size, dtype=np.bool_)
+    extent, motion = float(np.ptp(values)), float(np.ptp(other))
+    if extent <= 0.0 or motion <= 0.0:
+        return found
+    equal = [(a, b + 1) for a, b in runs(np.diff(values) == 0.0) if b + 1 - a >= limits.CLIP_RUN]
+    for level in (float(values.min()), float(values.max())):
+        at = [(a, b) for a, b in equal if values[a] == level]
+        there, elsewhere = sum(b - a for a, b in at), sum(b - a for a, b in equal) - sum(b - a for a, b in at)
+        opposite = sum(b - a for a, b in equal if values[a] in (values.min(), values.max()) and values[a] != level)
+        if there < max(2 * limits.CLIP_RUN, limits.CLIP_SHARE * values.size) or elsewhere - opposite > 0.2 * there:
+            continue
+        entry = [abs(values[a] - values[a - 1]) / extent for a, _ in at if a > 0]
+        moved = sum(float(np.ptp(other[a:b])) for a, b in at) / len(at)
+        if entry and float(np.median(entry)) > 1e-4 and moved > limits.CLIP_MOTION * motion:
+            found |= values == level
+    return found
+
+
+def stopped(force_kN: FloatArray, displacement_mm: FloatArray) -> BoolArray:
+    """Find samples at which the force holds one value while the device moves: its channel has stopped.
+
+    Long runs of exactly equal values within the range, in a channel that hardly repeats a value elsewhere. Arrays have
+    shape (n_samples,).
+    """
+    found = np.zeros(force_kN.size, dtype=np.bool_)
+    extremes, motion = (force_kN.min(), force_kN.max()), float(np.ptp(displacement_mm))
+    equal = [(a, b + 1) for a, b in runs(np.diff(force_kN) == 0.0) if b + 1 - a >= limits.CLIP_RUN]
+    long = [
+        (a, b)
+        for a, b in equal
+        if b - a >= limits.STOPPED_RUN
+        and force_kN[a] not in extremes
+        and float(np.ptp(displacement_mm[a:b])) > limits.CLIP_MOTION * motion
+    ]
+    # A rounded channel, and a plateau without noise, repeat values in every half-cycle.
+    if sum(b - a for a, b in equal) > 1.2 * sum(b - a for a, b in long) or len(long) > limits.STOPS:
+        return found
+    for a, b in long:
+        found[a:b] = True
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,25 +179,19 @@ def _ages(rows: FloatArray, period: float) -> FloatArray:
     return np.where((late > 0.02) & (late < 1.0), late, 0.0) if even else np.zeros(rows.size)
 
 
-@dataclass(frozen=True, eq=False)
-class NoReadings:
-    """Cells that are no readings, and jumps of the displacement from which it does not come back."""
+def not_readings(
+    time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray
+) -> tuple[BoolArray, BoolArray, list[int]]:
+    """Find what is no reading in two channels, shape (n_rows,), NaN where empty; times increase strictly.
 
-    # displacement, force: shape (n_rows,)
-    displacement: BoolArray
-    force: BoolArray
-    jumps: tuple[int, ...] = ()  # rows after which the displacement goes on elsewhere while the force goes on
-
-
-def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray) -> NoReadings:
-    """Find what is no reading in two channels, shape (n_rows,), NaN where empty; times increase strictly."""
+    Cells of displacement and force that are no readings, shape (n_rows,), and the rows after which the displacement
+    goes on elsewhere while the force goes on.
+    """
     channels = displacement_mm, force_kN
     # A force may well begin and end at 0 with a jump; a displacement does not.
-    zero_x, zero_f = (
-        _sentinels(displacement_mm, limits.SPIKE_RANGE, True),
-        _sentinels(force_kN, limits.SPIKE_FORCE, False),
+    bad = np.array(
+        [_sentinels(channels[0], limits.SPIKE_RANGE, True), _sentinels(channels[1], limits.SPIKE_FORCE, False)]
     )
-    bad = np.array([zero_x, zero_f])
     jumps: list[int] = []
     # Of points picked off a figure the next may be anywhere.
     rounds = 0 if time_s.size < limits.MIN_SAMPLES or step_spread(time_s) > 1.0 else limits.SPIKE_ROUNDS
@@ -119,7 +211,7 @@ def not_readings(time_s: FloatArray, displacement_mm: FloatArray, force_kN: Floa
             bad[k] |= _same_value(values, bad[k])
         if np.count_nonzero(bad) == before:
             break
-    return NoReadings(bad[0], bad[1], tuple(jumps))
+    return bad[0], bad[1], jumps
 
 
 class _Course:
@@ -282,8 +374,7 @@ def _left_by_jumps(values: FloatArray, here: BoolArray, share: float, *, ends: b
     touched = here[1:] | here[:-1]
     usual = 0.0 if touched.all() else 1.5 * float(np.percentile(np.abs(np.diff(values))[~touched], 99))
     core = float(np.diff(np.percentile(values[~here], [2, 98]))[0])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(np.int8)))
-    first, last = edges[::2], edges[1::2]
+    first, last = np.transpose(runs(here))
     level = values[first[0]]
     before, after = values[np.maximum(first - 1, 0)], values[np.minimum(last, values.size - 1)]
     if ends:

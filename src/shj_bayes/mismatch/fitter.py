@@ -1,0 +1,202 @@
+"""What hypotheses are fitted under: the recordings, a noise, and the classes that are looked for."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from scipy.special import logsumexp
+
+from shj_bayes.inference.squares import start_values
+from shj_bayes.mismatch.classes import FORMS, ODDS, Candidate, Class, Variant, size_weights
+from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis, columns_of, same_twice, without
+from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
+from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
+from shj_bayes.mismatch.screen import screen
+from shj_bayes.mismatch.state import State, find_noise, settle
+from shj_bayes.model.curve import SIZES
+from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.parameters import FloatArray
+
+WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
+FLAT = 1e3  # of Fy: a constant force as large as any
+
+
+@dataclass(frozen=True, eq=False)
+class Fitter:
+    """Fits hypotheses to the recordings of a device under one noise.
+
+    Attributes
+    ----------
+    scene : Scene
+        The recordings.
+    looked : sequence of Candidate
+        What is looked for, with columns at the base law: they change little from model to model, and only choose what
+        is fitted.
+    metric : Metric
+        Noise and discrepancy, found beside everything that is looked for.
+    hidden : frozenset of str
+        Mechanisms whose formulas are not tried.
+    floor : float
+        Log weight, nats, below which a fit is given up on its way.
+    """
+
+    scene: Scene
+    looked: Sequence[Candidate]
+    metric: Metric
+    hidden: frozenset[str] = frozenset()
+    floor: float = -math.inf
+    _screened: dict[Hypothesis, list[Candidate]] = field(init=False, default_factory=dict)
+
+    @cached_property
+    def classes(self) -> dict[str, Class]:
+        """Classes that are looked for, by their ids."""
+        return {c.of.id: c.of for c in self.looked}
+
+    @property
+    def constant(self) -> Candidate | None:
+        """A constant force; None where it is not looked for."""
+        return next((c for c in self.looked if c.of.id == CONSTANT), None)
+
+    def curves(self, of: str) -> list[Candidate]:
+        """Curves of a class, by its id."""
+        return [c for c in self.looked if c.of.id == of and c.variant.curve is not None]
+
+    def model_of(self, members: Iterable[Candidate]) -> DeviceModel:
+        """Model that holds given classes."""
+        added = tuple(member.variant.effect for member in members)
+        return self.scene.device.with_effects((*self.scene.device.effects, *added))
+
+    def fitted(self, members: tuple[Candidate, ...], start: FloatArray, floor: float = -math.inf) -> Hypothesis | None:
+        """Fit a hypothesis from a start; None where there is no fit.
+
+        The fit is given up on its way where the log weight will not reach `floor`.
+        """
+        try:
+            state = settle(self.scene, self.metric, self.model_of(members), start, max(self.floor, floor))
+            # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
+            np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.gaussian.inner)
+            weight = state.evidence + len(members) * ODDS
+            weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
+        except np.linalg.LinAlgError:
+            return None
+        if any(self._follows_cycles(state, member) for member in members):
+            return None
+        return Hypothesis(members, state, weight) if math.isfinite(weight) else None
+
+    def _follows_cycles(self, state: State, member: Candidate) -> bool:
+        """Whether a formula or a wave over a clock does the same in each cycle."""
+        curve, effect = member.variant.curve, member.variant.effect
+        if not is_over_a_clock(member.of) or (curve is not None and curve.period is None):
+            return False
+        law = state.model.law_values(state.z)
+        return follows_cycles(self.scene, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names})
+
+    def _about_size(self, state: State, place: int, member: Candidate) -> float:
+        """Log evidence that a class gains when its size and its smoothness are averaged over."""
+        extra = math.log(member.variant.weight)
+        curve = member.variant.curve
+        if curve is None:
+            return extra
+        own = columns_of(self.scene, state, place)
+        given = state.gaussian
+        its_own = np.isin(np.arange(state.z.size), own)
+        gains = [given.sized(np.where(its_own, size / curve.size, 1.0)).gain for size in SIZES]
+        return extra + float(logsumexp(np.array(gains) - given.gain + np.log(size_weights())))
+
+    def all_fitted(self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]]) -> list[Hypothesis]:
+        """Fit hypotheses, each from the start of a form; those with a fit, most probable first."""
+        ones = [self.fitted(members, form.start) for members, form in tried]
+        return sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
+
+    def best_fitted(
+        self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]], floor: float = -math.inf
+    ) -> Hypothesis | None:
+        """Fit hypotheses, each from the start of a form, from the best start on; the most probable one, if any."""
+        best = None
+        for members, form in sorted(tried, key=lambda one: -one[1].gain):
+            one = self.fitted(members, form.start, floor)
+            if one is not None and (best is None or one.log_weight > best.log_weight):
+                best, floor = one, max(floor, one.log_weight)
+        return best
+
+    def with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
+        """Fit a hypothesis under the noise that is most probable beside it, searched for from a start."""
+        none = np.zeros((h.state.residual.size, 0))
+        metric = Metric(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)
+        new = replace(self, metric=metric).fitted(h.members, h.state.z)
+        return replace(new, metric=metric) if new is not None else None
+
+    def screen(self, h: Hypothesis) -> list[Candidate]:
+        """Candidates to add to a hypothesis, the best of each class, best first."""
+        if h not in self._screened:
+            rest = [c for c in self.looked if c.of.id not in h.key]
+            free = {c.of.id: c.of for c in rest}.values()
+            again = [wave for of in free for wave in waves(self.scene, self.metric, h.state, of)]
+            apart = [c for c in (*rest, *again) if not any(same_twice(c, m) for m in h.members)]
+            self._screened[h] = screen(self.metric, h.state, apart)
+        return self._screened[h]
+
+    def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
+        """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
+        return self.forms_of(
+            h.members[place].of, *without(self.scene, h, place), (place, columns_of(self.scene, h.state, place)[0])
+        )
+
+    def forms_of(
+        self, of: Class, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
+    ) -> list[Candidate]:
+        """Formulas of a class, each from its best starts, beside other members and where their model is, `z`.
+
+        `at` is the place of the class among the members, and of its parameters among theirs; the last by default.
+        """
+        place, first = at or (len(members), z.size)
+        acts, nothing, out = (of.action, of.coordinate), np.zeros((self.scene.used.size, 0)), []
+        known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
+        for effect in known:
+            variant = Variant(None, effect, FORMS / max(len(known), 1))
+            form = Candidate(of, variant, z, nothing, self.scene.device)
+            model = self.model_of((*members[:place], form, *members[place:]))
+            values = start_values(effect)
+            if effect.parameters[0].either_sign:  # a size of either sign
+                values[0] = sorted({*values[0], *(-value for value in values[0])})
+            tails = [np.array(tail) for tail in product(*values)]
+            starts = np.array([np.insert(z, first, tail) for tail in tails])
+            with np.errstate(all="ignore"):
+                residual = self.scene.residual(model, starts)
+                heights = np.diag(self.metric.products(np.nan_to_num(residual.T, nan=1e6)))
+            best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else 2]
+            out += [replace(form, start=starts[i], model=model, gain=-0.5 * float(heights[i])) for i in best]
+        return out
+
+
+def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start: NoiseSetting | None) -> Metric:
+    """Noise beside everything that smooth functions of any coordinate can take up, at most that of a load cell.
+
+    What is larger is left to the classes until the end: beside several effects that no single class makes up for, a
+    large noise would take them all.
+    """
+    columns, seen = [], set()
+    for c in looked:
+        curve = c.variant.curve
+        smooth = curve is None or curve.length == max(0.15, min(v.curve.length for v in c.of.variants if v.curve))
+        kind = (c.of.id, curve is not None and curve.period is not None)
+        if kind in seen or not smooth:
+            continue
+        seen.add(kind)
+        columns.append(WIDE * c.columns)
+    columns.append(FLAT * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise
+    wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
+    return Metric(scene, find_noise(scene, state, wide, start, scene.noise_most_kN), state.slope)
+
+
+def noise_of_size(device: DeviceModel, size_kN: float) -> tuple[float, ...]:
+    """Noise parameters to begin with, unbounded: the size of a residual in every part."""
+    rough = {"sigma": size_kN, "sigma_white": size_kN, "sigma_slow": size_kN, "tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
+    return tuple(
+        float(np.clip(law.to_free(np.asarray(rough.get(law.name, law.quantile(0.5)))), -7.0, 7.0))
+        for law in device.laws_of_parameters[device.n_law :]
+    )
