@@ -33,21 +33,27 @@ from shj_bayes.inference.squares import LawOnly, descend
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
 from shj_bayes.inference.start import find_start
-from shj_bayes.margins.bounds import DEFAULT, NONE, delivered, outer
-from shj_bayes.margins.codes.catalogue import catalogue
-from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.quantities import counted_from, of_readings, pooled
+from shj_bayes.margins.basis import DEFAULT, NONE, DesignBasis, Environment, least_favourable, sliding_force_bounds
+from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
-from shj_bayes.margins.spread import DesignBasis, Environment, Sample, common_spread, of_set
-from shj_bayes.margins.trial import LEAST_ERROR, own_readings, try_all
-from shj_bayes.margins.virtual_test import Readings, read_off
+from shj_bayes.margins.spread import Sample, common_spread, of_set
+from shj_bayes.margins.virtual_test import (
+    LEAST_ERROR,
+    Readings,
+    counted_from,
+    of_readings,
+    own_readings,
+    pooled,
+    read_off,
+    virtual_tests,
+)
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import PLAIN
 from shj_bayes.population.predict import NewDevice
-from shj_bayes.population.priors import other_priors, population_prior
+from shj_bayes.population.quantities import other_priors, population_prior
 from shj_validation.proof.cases import Concealed, Key, stated_key
 from shj_validation.proof.device import Device
 from shj_validation.proof.make import make
@@ -183,7 +189,7 @@ def population(kind: str, seed: int, *, fitted: bool) -> Line:
         if i and not beliefs[state]:
             continue
         chosen = [replace(d, beliefs=(*d.beliefs[i : i + 1], *d.beliefs[:1]) if i else d.beliefs[:1]) for d in devices]
-        trials = try_all(chosen, None)
+        trials = virtual_tests(chosen, None)
         least = max(counted_from(own_readings(device)) for device in chosen)
         out["states"][state] = {
             "values": _listed([t.values for t in trials]),
@@ -259,13 +265,13 @@ def limits(state: Line, chosen: list[int]) -> dict[str, float]:
     by_prior = {DEFAULT: main} | {
         label: {q: other_priors(prior)[label] for q, prior in main.items()} for label in other_priors(main[POOLED[0]])
     }
-    newcomers = {
+    predictive_devices = {
         label: NewDevice(
             "set", n, {q: np.exp(draws_of_one_set(np.log(values[q]), errors[q], prior[q])) for q in POOLED}
         )
         for label, prior in by_prior.items()
     }
-    force = delivered(newcomers, n)
+    force = sliding_force_bounds(predictive_devices, n)
     parts = DesignBasis(force.third, "typical device", force, Environment(NONE, NONE, "not tested"))
     samples = {q: Sample(values[q], float(np.sqrt(np.mean(errors[q] ** 2)))) for q in (*SHOWN[LOW], *SHOWN[HIGH])}
     spreads = {q: of_set(sample, common_spread([sample])) for q, sample in samples.items()}
@@ -280,8 +286,8 @@ def limits(state: Line, chosen: list[int]) -> dict[str, float]:
         for q in (quantity,) if quantity else SHOWN[side]:
             if kind.startswith("new device"):
                 level = 0.05 if side == LOW else 0.95
-                ends = {label: float(np.quantile(d.draws[q], level)) for label, d in newcomers.items()}
-                value = outer(ends, side, n)
+                ends = {label: float(np.quantile(d.draws[q], level)) for label, d in predictive_devices.items()}
+                value = least_favourable(ends, side, n)
             else:
                 value = rows[kind, side, "force" if quantity else q]
                 value *= force.third if kind.startswith("phi") else 1.0

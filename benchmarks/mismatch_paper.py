@@ -15,7 +15,7 @@ from mismatch import look
 
 from shj_bayes.mismatch.diagnosis import DiagnosisResult
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.population.published import PublishedRow, published_rows
+from shj_bayes.population.device import PublishedRow, published_rows
 from shj_validation.trials import simulate
 
 RATE_HZ = 5.0

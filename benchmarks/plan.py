@@ -35,12 +35,17 @@ from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
-from shj_bayes.planning.foresight import quantity_of
-from shj_bayes.planning.known import Key as Set
-from shj_bayes.planning.known import Known, Subject, class_of, common_scales, know
-from shj_bayes.planning.plan import Question, make_plan
+from shj_bayes.planning.information import quantity_named, quantity_of
+from shj_bayes.planning.plan import make_plan
 from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Rig, Waveform, proposals, within
-from shj_bayes.planning.questions import quantity_named
+from shj_bayes.planning.rivals import (
+    DeviceUnderTest,
+    PretestPosterior,
+    class_of,
+    common_scales,
+    linearise,
+)
+from shj_bayes.planning.rivals import Key as Set
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key, development_keys, stated_key
 from shj_validation.proof.make import make
@@ -155,32 +160,34 @@ def _trial(key: Key, seed: int, number: int, question: str) -> dict[str, Any]:
     minutes = first.duration_s / 60.0
     rig = Rig(95.0, SPEED_MM_S, 1.3 * float(np.abs(first.force_kN).max()), minutes + 0.1, RATE_HZ)
     expert = Protocol("expert", within([ProtocolBlock(a, v, n, Waveform.SINE, r) for a, v, n, r in IMPROVED], rig))
-    candidates = proposals(rig, seed, (expert,))
+    proposed = proposals(rig, seed)
     runs = runs_of([first])
-    scales = common_scales(runs, candidates)
-    tested = Subject("device", runs, device, found.sets, DiagnoseOptions(quick=True).hidden(device))
-    known = know(tested, scales)
+    scales = common_scales(runs, rig, (*proposed, expert))
+    tested = DeviceUnderTest("device", runs, device, found.sets, DiagnoseOptions(quick=True).hidden(device))
+    known = linearise(tested, scales)
     quantity = None if question == "which" else quantity_named(known, question)
+    quantities = () if quantity is None else (quantity,)
     plan = make_plan(
-        [known], candidates, Question(question, () if quantity is None else (quantity,)), seed=number, rehearsals=0
+        [known], rig, proposed, (expert,), question=question, quantities=quantities, seed=number, rehearsals=0
     )
     if not plan.best:
         return out | {"outcome": "none"}
     out |= {"outcome": "counted", "tests": {}}
-    for name, r in zip(TESTS, (plan.best[0], *plan.compared), strict=True):
-        both, seen = [first, _second(key, r.protocol)], r.foreseen[0]
+    protocols, rows = (plan.best[0], proposed[0], expert), (plan.record.candidates[0], *plan.record.compared)
+    for name, protocol, r in zip(TESTS, protocols, rows, strict=True):
+        both = [first, _second(key, protocol)]
         one: dict[str, Any] = {
-            "protocol": r.protocol.name,
-            "minutes": r.protocol.duration_s / 60.0,
-            "foreseen": seen.of_truth,
-            "right_foreseen": seen.right,
+            "protocol": r.name,
+            "minutes": r.minutes,
+            "foreseen": r.probability_of_truth,
+            "right_foreseen": r.chance_right,
         }
         if quantity is None:
             one |= _diagnosed(both, device, truth).told()
         else:
             then = _weighed(tested, both, scales)
             one |= {
-                "sd_foreseen": seen.sd,
+                "sd_foreseen": r.sd,
                 "sd": quantity_of(then, quantity.unit, quantity.value).now(then)[1],
                 "sd_before": quantity.now(known)[1],
             }
@@ -228,35 +235,36 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
         recording = make(key)[0].recording
         runs = runs_of([recording])
         rig = Rig(95.0, SPEED_MM_S, 1.3 * float(np.abs(recording.force_kN).max()), minutes, RATE_HZ)
-        candidates = proposals(rig, 1)
+        proposed = proposals(rig, 1)
         rivals = ((class_of("velocity"), 0.5), (class_of("prying"), 0.5))
-        scales = common_scales(runs, candidates)
+        scales = common_scales(runs, rig, proposed)
         device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-        tested = Subject("device", runs, device, rivals, frozenset({"velocity"}), untold=True)
-        known = know(tested, scales)
+        tested = DeviceUnderTest("device", runs, device, rivals, frozenset({"velocity"}), untold=True)
+        known = linearise(tested, scales)
         gamma = quantity_named(known, "gamma")
         mean, sd = gamma.now(known)
         prying = 100 * known.probabilities.get(class_of("prying"), 0.0)
         print(f"prying of {100 * size:.1f} %: after Table 1 {prying:.1f} %, gamma {mean:.5f} +- {sd:.5f} s/mm")
-        plan = make_plan([known], candidates, Question("gamma", (gamma,)), rehearsals=0)
-        for r in (*plan.best[:1], *plan.compared):
-            then = _weighed(tested, [recording, _second(key, r.protocol)], scales)
-            named, seen = 100 * then.probabilities.get(class_of("prying"), 0.0), r.foreseen[0].sd
+        plan = make_plan([known], rig, proposed, question="gamma", quantities=(gamma,), rehearsals=0)
+        rows = zip((*plan.best[:1], proposed[0]), (*plan.record.candidates[:1], *plan.record.compared), strict=True)
+        for protocol, r in rows:
+            then = _weighed(tested, [recording, _second(key, protocol)], scales)
+            named = 100 * then.probabilities.get(class_of("prying"), 0.0)
             after = quantity_of(then, gamma.unit, gamma.value).now(then)[1]
             print(
-                f"  {r.protocol.name}, {r.protocol.duration_s / 60:.1f} min: prying {named:.1f} %, sd of gamma "
-                f"{after:.6f} s/mm (foreseen {seen:.6f})"
+                f"  {r.name}, {r.minutes:.1f} min: prying {named:.1f} %, sd of gamma "
+                f"{after:.6f} s/mm (foreseen {r.sd:.6f})"
             )
             print(
                 "   ",
-                ", ".join(f"{b.amplitude_mm:g} mm {b.speed_mm_s:.3g} mm/s {b.cycles}x" for b in r.protocol.blocks),
+                ", ".join(f"{b.amplitude_mm:g} mm {b.speed_mm_s:.3g} mm/s {b.cycles}x" for b in r.blocks),
             )
 
 
-def _weighed(tested: Subject, recordings: Sequence[Recording], scales: Mapping[str, Any]) -> Known:
+def _weighed(tested: DeviceUnderTest, recordings: Sequence[Recording], scales: Mapping[str, Any]) -> PretestPosterior:
     """Fit the rivals to both tests, in the ways that fit them both."""
     device = replace(tested.device, n_runs=len(recordings))
-    return know(replace(tested, runs=runs_of(recordings), device=device), scales)
+    return linearise(replace(tested, runs=runs_of(recordings), device=device), scales)
 
 
 def _second(key: Key, protocol: Protocol) -> Recording:

@@ -24,14 +24,25 @@ import numpy as np
 from scipy import stats
 from scipy.special import ndtr
 
-from shj_bayes.population.device import NO_TAGS
-from shj_bayes.population.hierarchy import Sweeps, fit_population, fit_quantity
-from shj_bayes.population.measurement import Likelihood, Rounded, of_draws, weighted
-from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.device import NO_TAGS, published_devices
+from shj_bayes.population.hierarchy import (
+    DeviceSet,
+    PopulationResult,
+    QuantityPosterior,
+    Sweeps,
+    fit_population,
+    fit_quantity,
+)
 from shj_bayes.population.predict import new_device
-from shj_bayes.population.priors import population_prior
-from shj_bayes.population.published import published_devices
-from shj_bayes.population.quantities import FloatArray, quantity
+from shj_bayes.population.quantities import (
+    FloatArray,
+    Likelihood,
+    Rounded,
+    of_draws,
+    population_prior,
+    quantity,
+    weighted,
+)
 
 FY = quantity("Fy")
 

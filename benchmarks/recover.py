@@ -22,7 +22,7 @@ from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.population.published import published_rows
+from shj_bayes.population.device import published_rows
 
 TARGET = 0.92
 NOISE = {"sigma_white": "sigma"}  # what the noise without memory is called in the truth

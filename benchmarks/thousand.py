@@ -30,12 +30,11 @@ import numpy as np
 from shj_bayes.app.campaign import run_campaign
 from shj_bayes.app.manifest import read_manifest
 from shj_bayes.margins.files import write_margins
-from shj_bayes.margins.quantities import TABLE
 from shj_bayes.margins.sheet import margins, pool
-from shj_bayes.margins.trial import Trial
+from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import Tags
-from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import write_csv
 from shj_bayes.report.margins_page import render_margins
@@ -210,7 +209,7 @@ def time_margins(n: int, n_sets: int = 20, seed: int = 1) -> None:
         scatter = np.exp(0.08 * rng.standard_normal() + 0.02 * rng.standard_normal(len(names)))
         values = {q: (0.85 if q == "ratio" else 80.0) * float(x) for q, x in zip(names, scatter, strict=True)}
         errors = dict.fromkeys(names, 0.01)
-        trials.append(Trial(f"d{i}", f"set {i % n_sets}", table, values, errors, errors, np.full(20, 0.01)))
+        trials.append(VirtualTestResult(f"d{i}", f"set {i % n_sets}", table, values, errors, errors, np.full(20, 0.01)))
     sets = {
         name: tuple(t.name for t in trials if t.set_name == name) for name in dict.fromkeys(t.set_name for t in trials)
     }

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
-from shj_bayes.planning.files import PlanRecord
+from shj_bayes.planning.plan import PlanRecord
 from shj_bayes.population.results import PopulationRecord
 from shj_bayes.results.campaign import CampaignRecord
 from shj_bayes.results.codec import fields_of, form_of

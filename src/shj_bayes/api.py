@@ -24,7 +24,7 @@ from shj_bayes.app.plan import plan_next
 from shj_bayes.errors import OptionError, ReportError, did_you_mean
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.options import DiagnoseOptions, FitOptions, PlanOptions
-from shj_bayes.planning.files import PlanRecord
+from shj_bayes.planning.plan import PlanRecord
 from shj_bayes.population.results import PopulationRecord
 from shj_bayes.recording.reader import read_frame
 from shj_bayes.recording.recording import Recording

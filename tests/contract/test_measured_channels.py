@@ -10,14 +10,14 @@ from scipy.ndimage import gaussian_filter1d
 import shj_bayes
 from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.margins.asked import following_of
+from shj_bayes.margins.history import measured_channels
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import Base, Contribution
 from shj_bayes.model.history import histories
-from shj_bayes.planning.known import common_scales, know, read_device
-from shj_bayes.planning.protocol import Candidates, Rig, table_1_protocol
+from shj_bayes.planning.protocol import Rig, table_1_protocol
+from shj_bayes.planning.rivals import common_scales, linearise, read_device
 from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording
@@ -124,8 +124,8 @@ def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) 
     paths, out = fitted
     record = store.read(FitRecord, out)
     assert list(record.channels) == ["measured_tension"]
-    specimen = read_specimen(out, "", "s", out)
-    (one,) = following_of(specimen)
+    specimen = read_specimen(out, record.device, "s", out)
+    (one,) = measured_channels(specimen)
     said = record.channels["measured_tension"]
     assert (one.unit, one.low, one.reference, one.high) == ("kN", said.low, said.reference, said.high)
     assert len(specimen.beliefs) == 2
@@ -137,22 +137,20 @@ def test_a_fit_is_read_again_with_its_channels(fitted: tuple[list[Path], Path]) 
 
 
 def test_a_plan_goes_on_from_such_a_fit(fitted: tuple[list[Path], Path]) -> None:
-    device = read_device(fitted[1], None).tested
+    device = read_device(fitted[1], None)
     assert [e.name for e in device.runs[0].recording.extras] == ["tension"]
     key = frozenset({"capacity over measured_tension"})
     rig = Rig(max_stroke_mm=100.0, max_speed_mm_s=20.0, max_force_kN=200.0, max_minutes=10.0, rate_Hz=5.0)
     protocol = table_1_protocol()
-    scales = common_scales(device.runs, Candidates(rig, (protocol,)))
+    scales = common_scales(device.runs, rig, (protocol,))
     base = replace(device.device, effects=())
-    known = know(replace(device, device=base, sets=((frozenset(), 0.1), (key, 0.9)), hidden=frozenset()), scales)
+    known = linearise(replace(device, device=base, sets=((frozenset(), 0.1), (key, 0.9)), hidden=frozenset()), scales)
     assert known.keys[0] == key
     time, motion = protocol.sampled(5.0)
     planned = known.placed(histories([time], [motion])[0])
     held = planned.measured["measured_tension"]
     assert np.ptp(held.at(planned.time_s)) == 0.0
-    assert np.isfinite(
-        known.beliefs[0].model.force(np.ones((1, len(known.beliefs[0].model.names))), planned, 0.0)
-    ).all()
+    assert np.isfinite(known.rivals[0].model.force(np.ones((1, len(known.rivals[0].model.names))), planned, 0.0)).all()
 
 
 def test_without_its_channel_a_curve_is_refused_with_what_to_do(

@@ -22,7 +22,7 @@ from shj_bayes.cli import EXAMPLES, main
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
 from shj_bayes.planning import plan
-from shj_bayes.planning.rehearsal import rehearse
+from shj_bayes.planning.information import simulate_outcomes
 from shj_bayes.report.browse import find_browser
 
 TOP = Path(__file__).resolve().parents[2]
@@ -112,7 +112,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory, short_populations: None, no_w
         for limit, loose in (("RHAT_LIMIT", 2.0), ("ESS_LIMIT", 100.0), ("TAU_LIMIT", 1.0)):
             patch.setattr(convergence, limit, loose)
         patch.setattr(
-            plan, "rehearse", lambda known, protocol, rate_Hz, n, *rest: rehearse(known, protocol, rate_Hz, 1, *rest)
+            plan,
+            "simulate_outcomes",
+            lambda known, protocol, rate_Hz, n, *rest: simulate_outcomes(known, protocol, rate_Hz, 1, *rest),
         )
         patch.chdir(folder)
         yield folder

@@ -17,9 +17,9 @@ from shj_bayes.app.manifest import read_manifest
 from shj_bayes.app.resume import earlier
 from shj_bayes.errors import ShjError
 from shj_bayes.inference import sampler as checkpoint
-from shj_bayes.margins.asked import from_file
+from shj_bayes.margins.history import from_file
 from shj_bayes.model.priors import read_priors
-from shj_bayes.population.fits import device_from_fit
+from shj_bayes.population.device import device_from_fit
 from shj_bayes.population.results import load_population
 from shj_bayes.recording.runs import check_recording
 from shj_bayes.report.campaign import render_campaign

@@ -20,8 +20,8 @@ from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.population.device import published_devices
 from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import write_population
 from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import FloatArray, Recording

@@ -8,17 +8,16 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.bounds import NONE, Bounds, Delivered, delivered
+from shj_bayes.margins.basis import NONE, Bounds, DesignBasis, Environment, SlidingForceBounds, sliding_force_bounds
 from shj_bayes.margins.codes import asce7, en15129
-from shj_bayes.margins.codes.catalogue import catalogue
-from shj_bayes.margins.codes.code import Given
+from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.codes.iso16269_6 import one_sided
 from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.spread import DesignBasis, Environment, Sample, between_sets, of_set
+from shj_bayes.margins.spread import Sample, between_sets, of_set
 from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.predict import NewDevice
 
-FORCE = Delivered(
+FORCE = SlidingForceBounds(
     third_low=70.0,
     third=80.0,
     third_high=92.0,
@@ -231,12 +230,12 @@ def test_delivered_force_is_read_off_the_design_quantities():
         "highest": 90,
         "ratio": 0.8,
     }
-    found = delivered(device(**{name: [value] * 9 for name, value in values.items()}), 9)
+    found = sliding_force_bounds(device(**{name: [value] * 9 for name, value in values.items()}), 9)
     assert (found.first_low, found.later_low, found.low, found.high) == (75, 60, 60, 90)
     assert (found.third_low, found.third, found.third_high) == (80, 80, 80)
     assert (found.typical.low, found.typical.high, found.ratio) == pytest.approx((0.75, 1.125, 0.8))
     one_run = {name: [80.0] for name in ("third", "least", "most", "lowest", "highest")}
-    assert delivered(device(**one_run), 9).later_low is None
+    assert sliding_force_bounds(device(**one_run), 9).later_low is None
 
 
 def test_few_devices_take_the_outermost_prior():
@@ -245,7 +244,7 @@ def test_few_devices_take_the_outermost_prior():
         label: NewDevice("A", 2, dict.fromkeys(names, np.array([value, value])))
         for label, value in {"default": 80.0, "alike": 70.0, "free": 95.0}.items()
     }
-    few, many = delivered(priors, 3), delivered(priors, 4)
+    few, many = sliding_force_bounds(priors, 3), sliding_force_bounds(priors, 4)
     assert (few.low, few.third, few.high) == (70, 80, 95)
     assert (many.low, many.third, many.high) == (80, 80, 80)
 

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from shj_bayes.margins.bounds import Bound
-from shj_bayes.margins.export import HELP, exponent_of_steel02, link_csv, python_script, tcl_script
-from shj_bayes.margins.monte_carlo import Drawn, draws_script
+from shj_bayes.margins.export import (
+    HELP,
+    Bound,
+    Drawn,
+    draws_script,
+    exponent_of_steel02,
+    link_csv,
+    python_script,
+    tcl_script,
+)
 from shj_bayes.model.law import force
 from shj_bayes.recording.motion import Block, exact_motion
 

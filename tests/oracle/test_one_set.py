@@ -8,8 +8,7 @@ import pytest
 from scipy import stats
 
 from shj_bayes.population.hierarchy import Sweeps, fit_quantity
-from shj_bayes.population.measurement import Likelihood
-from shj_bayes.population.priors import other_priors, population_prior
+from shj_bayes.population.quantities import Likelihood, other_priors, population_prior
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from one_set import AT, draws_of_one_set

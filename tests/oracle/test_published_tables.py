@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shj_bayes.population.published import published_devices, published_rows, read_table
+from shj_bayes.population.device import published_devices, published_rows, read_table
 from shj_validation.paper_claims import (
     coated_table,
     degradation_counts,

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.population.device import Tags
-from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.priors import other_priors, population_prior
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.quantities import other_priors, population_prior
 from shj_bayes.report.device import render_device
 
 LEVEL = {"K": np.log(18.0), "Fy": np.log(80.0), "ratio": np.log(0.8), "gamma": 0.01, "beta": np.log(10.0)}

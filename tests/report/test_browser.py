@@ -11,8 +11,8 @@ from made_campaign import make_campaign, population
 from made_diagnosis import write
 
 from shj_bayes.app.resume import design_margins
+from shj_bayes.population.device import PUBLISHED
 from shj_bayes.population.results import write_population
-from shj_bayes.population.tested import PUBLISHED
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis_page import render_diagnosis

@@ -9,7 +9,7 @@ from page_tools import Page, check_safe, folded
 
 from shj_bayes.app.design import band_text
 from shj_bayes.errors import ShjError
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import new_device_table
 from shj_bayes.report import sets
 from shj_bayes.report.campaign import render_campaign, render_tables

@@ -10,7 +10,7 @@ from page_tools import Page, check_safe
 
 from shj_bayes.errors import ReportError
 from shj_bayes.report.campaign import render_campaign
-from shj_bayes.report.campaign_physics import holders, statements, table
+from shj_bayes.report.campaign_physics import statements, table
 from shj_bayes.results.campaign import SetTogether, read_campaign
 from shj_bayes.results.codec import from_json
 from shj_bayes.results.store import write
@@ -84,7 +84,7 @@ def test_the_table_holds_what_is_not_excluded():
     assert content["sets"] == [{"name": "bare", "n": 4}]
     assert [c["words"] for c in content["classes"]] == ["sliding force over the distance slid"]
     cell = content["classes"][0]["cells"][0]
-    assert (len(holders(cell)), len(cell.of_devices), sum(cell.alone)) == (3, 4, 1)
+    assert (len(cell.holders), len(cell.of_devices), sum(cell.alone)) == (3, 4, 1)
     assert content["excluded"] == {"Sliding force": ["the speed"]}
 
 

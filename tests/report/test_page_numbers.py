@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from shj_bayes.model.law import force
+from shj_bayes.model.law import force, work_between
 from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.report import numbers, sets_page, words
 from shj_bayes.report.device import freed_words
@@ -37,10 +37,10 @@ def test_energy_of_an_elastoplastic_loop(elastoplastic: RunData) -> None:
     assert energy.measured_J[0] == pytest.approx(closed_form - FY * FY / (2 * K), rel=2e-3)
 
 
-def test_energy_between_is_the_area_of_a_triangle() -> None:
+def test_work_between_is_the_area_of_a_triangle() -> None:
     x = np.array([0.0, 1.0, 2.0, 3.0])
-    assert numbers.energy_between(2 * x, x, np.array([0.0, 3.0])) == pytest.approx([9.0])
-    assert numbers.energy_between(np.ones(4), x, np.array([0.5, 1.25, 3.0])) == pytest.approx([0.75, 1.75])
+    assert work_between(2 * x, x, np.array([0.0, 3.0])) == pytest.approx([9.0])
+    assert work_between(np.ones(4), x, np.array([0.5, 1.25, 3.0])) == pytest.approx([0.75, 1.75])
 
 
 def test_cycles_and_peak_speed(elastoplastic: RunData) -> None:
@@ -94,19 +94,19 @@ def made_run(force_of) -> RunData:
 
 
 def test_shape_of_cycles_is_that_of_the_loop_they_were_made_from() -> None:
-    """A rectangle has an equivalent damping of 2/pi; push and pull plateaus and the envelope are read off."""
+    """A rectangle has an equivalent damping of 2/pi; sliding forces in push and pull and the envelope are read off."""
     run = made_run(lambda x, sign: np.where(sign > 0, 50.0, -40.0) + (np.abs(x) > 39) * 10.0 * sign)
     energy = numbers.cycle_energy(run)
     shape = numbers.cycle_shape(run, energy, run.force_kN)
-    assert shape.push_plateau_kN == pytest.approx(np.full(shape.push_kN.size, 50.0))
-    assert shape.pull_plateau_kN == pytest.approx(np.full(shape.push_kN.size, -40.0))
+    assert shape.push_sliding_kN == pytest.approx(np.full(shape.push_kN.size, 50.0))
+    assert shape.pull_sliding_kN == pytest.approx(np.full(shape.push_kN.size, -40.0))
     assert (shape.push_kN.max(), shape.pull_kN.min()) == (60.0, -50.0)
     flat = made_run(lambda _, sign: 50.0 * np.where(sign >= 0, 1, -1))
     shape = numbers.cycle_shape(flat, numbers.cycle_energy(flat), flat.force_kN)
     assert shape.damping_percent == pytest.approx(np.full(shape.push_kN.size, 200 / np.pi), rel=0.01)
     elastic = made_run(lambda x, _: 2.0 * x)
     shape = numbers.cycle_shape(elastic, numbers.cycle_energy(elastic), elastic.force_kN)
-    assert np.isnan(shape.push_plateau_kN).all()  # nothing slides
+    assert np.isnan(shape.push_sliding_kN).all()  # nothing slides
     assert shape.damping_percent == pytest.approx(np.zeros(shape.push_kN.size), abs=0.5)
 
 

@@ -35,7 +35,7 @@ from shj_bayes.errors import (
     ShjError,
     system_words,
 )
-from shj_bayes.margins.asked import from_file
+from shj_bayes.margins.history import from_file
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.protocol import stated_limits
 from shj_bayes.recording import limits, rows

@@ -26,8 +26,8 @@ from shj_bayes.inference import store
 from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.diagnosis import DiagnosisResult
 from shj_bayes.options import FitOptions
+from shj_bayes.population.device import published_devices
 from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.published import published_devices
 from shj_bayes.population.results import load_population, safe_cell, write_population
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.device import render_device

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.population.hierarchy import fit_quantity
-from shj_bayes.population.measurement import Likelihood, Rounded
-from shj_bayes.population.priors import population_prior
-from shj_bayes.population.quantities import quantity
+from shj_bayes.population.quantities import Likelihood, Rounded, population_prior, quantity
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 FY = quantity("Fy")

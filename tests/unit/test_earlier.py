@@ -13,7 +13,7 @@ from shj_bayes.app.resume import Earlier, earlier
 from shj_bayes.errors import PopulationError, PriorError
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.population.posterior import ANY_SET, SCHEMA
+from shj_bayes.population.hierarchy import ANY_SET, SCHEMA
 from shj_bayes.recording.recording import Recording, Source
 
 BANDS = {

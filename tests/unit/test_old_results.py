@@ -11,8 +11,7 @@ from scipy import stats
 from shj_bayes.api import load
 from shj_bayes.errors import ShjError
 from shj_bayes.model.priors import LAWS
-from shj_bayes.population.device import DeviceEstimate
-from shj_bayes.population.fits import device_from_fit
+from shj_bayes.population.device import DeviceEstimate, device_from_fit
 from shj_bayes.report.device import render_device
 from shj_bayes.results import device as device_file
 from shj_bayes.results import store as store_file

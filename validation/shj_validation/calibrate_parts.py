@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.population.hierarchy import Sweeps, fit_quantity
-from shj_bayes.population.measurement import Likelihood
-from shj_bayes.population.priors import PopulationPrior, population_prior
+from shj_bayes.population.quantities import Likelihood, PopulationPrior, population_prior
 from shj_bayes.results.fit import Trust
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from shj_bayes.population.compare import permutation_test
-from shj_bayes.population.published import DEVICE_TABLES, Claim, Holding, PublishedRow, published_rows
+from shj_bayes.population.device import DEVICE_TABLES, Claim, Holding, PublishedRow, published_rows
 from shj_bayes.population.quantities import FloatArray
 from shj_validation.contrasts import two_way_anova
 

@@ -26,7 +26,7 @@ from shj_bayes.app.manifest import Device, Manifest
 from shj_bayes.app.resume import MARGINS, PAGE, POPULATION, CommandResult, campaign_inputs, kept_result
 from shj_bayes.errors import CampaignError, ShjError, did_you_mean, plain_text, shown, system_words
 from shj_bayes.options import DIAGNOSES, DiagnoseOptions
-from shj_bayes.population.published import Claim
+from shj_bayes.population.device import Claim
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.results.campaign import (
     WITH_SET,

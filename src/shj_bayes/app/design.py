@@ -13,14 +13,22 @@ from shj_bayes._util.files import need_population, shipped, write_text
 from shj_bayes.app.campaign import WRITES, Outcome
 from shj_bayes.app.resume import POPULATION, design_margins
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import LEEWAY, asked_for, left_out_words
-from shj_bayes.margins.bounds import bounds
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.curves import CurveContrast, compare_curves
-from shj_bayes.margins.export import link_csv, loops, python_script, tcl_script, write_loops
+from shj_bayes.margins.export import (
+    bounds,
+    draw_devices,
+    draws_csv,
+    draws_script,
+    link_csv,
+    loops,
+    python_script,
+    tcl_script,
+    write_loops,
+)
 from shj_bayes.margins.files import CHOSEN, design_table, write_margins
 from shj_bayes.margins.files import to_json as sheet_record
-from shj_bayes.margins.monte_carlo import draw_devices, draws_csv, draws_script
+from shj_bayes.margins.history import LEEWAY, left_out_words, loading_history
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import (
     Specimen,
@@ -30,17 +38,13 @@ from shj_bayes.margins.specimen import (
     specimens_of_table,
     words_of,
 )
-from shj_bayes.margins.trial import try_all
+from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
-from shj_bayes.population.compare import ROPE, Comparison, compare
-from shj_bayes.population.fits import device_from_fit, tested_by_fit
-from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
+from shj_bayes.population.compare import ROPE, Comparison, compare, members, strata_of
+from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
-from shj_bayes.population.published import Claim, published_devices
 from shj_bayes.population.results import load_population, record_of, write_population
-from shj_bayes.population.selectors import members, strata_of
-from shj_bayes.population.tested import PUBLISHED, common
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins
 from shj_bayes.report.sets import SHOWN, curve_words, name_of, pairs
@@ -230,11 +234,11 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
     request = replace(request, sets=tuple(named))
     campaign, specimens, words = read_devices(folder, result, request.sets)
-    asked = asked_for(request, specimens) if specimens else None
-    trials = try_all(specimens, asked, extrapolate=request.extrapolate)
-    sheet = margins(pool(trials, result, progress=progress), trials, request, asked=asked, words=words)
+    asked = loading_history(request, specimens) if specimens else None
+    tests = virtual_tests(specimens, asked, extrapolate=request.extrapolate)
+    sheet = margins(pool(tests, result, progress=progress), tests, request, asked=asked, words=words)
     speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
-    loop_bands = loops(sheet.trials, speed) if len(sheet.trials) <= MOST_DRAWN else ()
+    loop_bands = loops(sheet.tests, speed) if len(sheet.tests) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
     write_loops(loop_bands, folder)
     name = campaign.name if campaign else TABLES_NAME
@@ -268,8 +272,8 @@ def export_analysis(
     amplitude = tested if amplitude_mm is None else amplitude_mm
     if not 0 < amplitude <= LEEWAY * tested:
         raise PopulationError(f"an amplitude of {amplitude:g} mm was not tested; tested was up to {tested:.4g} mm")
-    trials = try_all(specimens, None)
-    design = pool(trials, result, progress=progress)
+    tests = virtual_tests(specimens, None)
+    design = pool(tests, result, progress=progress)
     drawn = bounds(design, result, amplitude)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME
@@ -277,7 +281,7 @@ def export_analysis(
     place = folder / "opensees" if out is None else out
     place.mkdir(parents=True, exist_ok=True)
     cycle = f"{amplitude:.3g} mm"
-    left_out = left_out_words([trial.following for trial in trials])
+    left_out = left_out_words([test.channels for test in tests])
     files = {
         "connection_materials.py": python_script(drawn, amplitude, source, left_out),
         "connection_materials.tcl": tcl_script(drawn, source, left_out),
@@ -288,7 +292,7 @@ def export_analysis(
         files["connection_draws.csv"] = draws_csv(devices, speed)
     for name, text in files.items():
         write_text(place / name, text)
-    drawn_loops = write_loops(loops(trials, speed) if len(trials) <= MOST_DRAWN else (), place)
+    drawn_loops = write_loops(loops(tests, speed) if len(tests) <= MOST_DRAWN else (), place)
     return (*(place / name for name in files), *((drawn_loops,) if drawn_loops else ()))
 
 

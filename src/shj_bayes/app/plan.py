@@ -9,25 +9,23 @@ import numpy as np
 from shj_bayes._util.files import alone_in
 from shj_bayes.app.resume import CommandResult
 from shj_bayes.errors import PlanError
-from shj_bayes.margins.asked import from_file
+from shj_bayes.margins.history import from_file
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import PlanOptions
-from shj_bayes.planning.files import PlanRecord, force_record, plan_record, write_plan
-from shj_bayes.planning.known import (
-    Known,
-    Stored,
-    Subject,
+from shj_bayes.planning.information import FORCE, WHICH, quantity_named
+from shj_bayes.planning.plan import Plan, PlanRecord, force_record, make_plan, write_plan
+from shj_bayes.planning.protocol import LIMITS, Protocol, Rig, proposals, stated_limits, table_1_protocol
+from shj_bayes.planning.rivals import (
+    DeviceUnderTest,
+    PretestPosterior,
     before_any_test,
     class_of,
     common_scales,
     further_devices,
-    know,
+    linearise,
     read_device,
 )
-from shj_bayes.planning.plan import FORCE, WHICH, Plan, Question, make_plan
-from shj_bayes.planning.protocol import LIMITS, Candidates, Protocol, Rig, proposals, stated_limits, table_1_protocol
-from shj_bayes.planning.questions import quantity_named
 from shj_bayes.report.plan_page import plan_text, render_plan
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.store import has, read
@@ -52,40 +50,39 @@ def plan_next(
     line for each step. `PlanError` if a folder, a limit or a question cannot be used.
     """
     limits = stated_limits(rig, {name: getattr(asked, name) for name in LIMITS})
-    stored = [_read(folder) for folder in folders]
+    tested = [_read(folder) for folder in folders]
     if asked.question == FORCE:
-        further = further_devices([s.Fy[0] for s in stored], [s.Fy[1] for s in stored])
-        record = force_record(further, tuple(s.tested.name for s in stored), asked.seed)
-        return _written(out, record, None)
-    tested = [s.tested for s in stored]
+        further = further_devices([one.Fy[0] for one in tested], [one.Fy[1] for one in tested])
+        return _written(out, force_record(further, tuple(one.name for one in tested), asked.seed), None)
     base = DeviceModel(1, read_priors(asked.priors))
-    candidates = proposals(
-        _rig(tested, base, limits), asked.seed, tuple(_protocol(Path(path), tell) for path in asked.histories)
-    )
-    known = _known(tested, base, candidates, asked.among, tell)
+    limited = _rig(tested, base, limits)
+    proposed = proposals(limited, asked.seed)
+    given = tuple(_protocol(Path(path), tell) for path in asked.histories)
+    known = _known(tested, base, limited, (*proposed, *given), asked.among, tell)
     undecided = any(len(k.keys) > 1 for k in known)
     word = asked.question or (WHICH if undecided else DEFAULT_QUESTION)
-    question = Question(word, () if word == WHICH else tuple(quantity_named(k, word) for k in known))
-    plan = make_plan(known, candidates, question, seed=asked.seed, tell=tell)
-    return _written(out, plan_record(plan), plan)
+    quantities = () if word == WHICH else tuple(quantity_named(k, word) for k in known)
+    plan = make_plan(known, limited, proposed, given, question=word, quantities=quantities, seed=asked.seed, tell=tell)
+    return _written(out, plan.record, plan)
 
 
 def _known(
-    tested: Sequence[Subject],
+    tested: Sequence[DeviceUnderTest],
     base: DeviceModel,
-    candidates: Candidates,
+    rig: Rig,
+    protocols: Sequence[Protocol],
     among: Sequence[str],
     tell: Callable[[str], None],
-) -> list[Known]:
+) -> list[PretestPosterior]:
     """Give what is known of each device, or of a new one where none was tested."""
     if not tested:
         if among:
             raise PlanError("--among needs the folder of a device; from priors alone all mechanisms are compared")
-        return [before_any_test(base, common_scales((), candidates))]
+        return [before_any_test(base, common_scales((), rig, protocols))]
     if among:
         rivals = tuple((class_of(word), 1.0 / len(among)) for word in among)
         tested = [replace(one, sets=rivals, untold=True) for one in tested]
-    return [know(one, common_scales(one.runs, candidates), tell) for one in tested]
+    return [linearise(one, common_scales(one.runs, rig, protocols), tell) for one in tested]
 
 
 def _written(out: Path, record: PlanRecord, plan: Plan | None) -> CommandResult:
@@ -94,13 +91,13 @@ def _written(out: Path, record: PlanRecord, plan: Plan | None) -> CommandResult:
     return CommandResult(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
 
 
-def _read(folder: Path) -> Stored:
+def _read(folder: Path) -> DeviceUnderTest:
     if not folder.is_dir():
         raise PlanError(f"{folder} is not a folder of results; run shj-bayes diagnose first, or plan from --priors")
     return read_device(folder, read(DiagnosisRecord, folder) if has(DiagnosisRecord, folder) else None)
 
 
-def _rig(tested: Sequence[Subject], base: DeviceModel, limits: Mapping[str, float]) -> Rig:
+def _rig(tested: Sequence[DeviceUnderTest], base: DeviceModel, limits: Mapping[str, float]) -> Rig:
     """Limits as they are given, else what every test so far reached; from priors alone, what Table 1 needs."""
     runs = [run for one in tested for run in one.runs]
     if runs:

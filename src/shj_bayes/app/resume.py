@@ -262,7 +262,7 @@ def _of_device(folder: Path) -> Earlier:
 
 
 def _of_set(folder: Path, chosen: str) -> Earlier:
-    from shj_bayes.population.posterior import ANY_SET  # noqa: PLC0415
+    from shj_bayes.population.hierarchy import ANY_SET  # noqa: PLC0415
     from shj_bayes.population.results import PopulationRecord  # noqa: PLC0415  (needs half of scipy)
 
     record = read(PopulationRecord, folder)

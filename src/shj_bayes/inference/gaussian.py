@@ -95,6 +95,17 @@ class Gaussian:
         """Give the same with some of the columns alone."""
         return Gaussian(self.square, self.along[columns], self.inner[columns][:, columns], self.constant)
 
+    def informed(self, columns: FloatArray) -> Gaussian:
+        """Give the same with further data that its mean foretold, of such columns, shape (n, p)."""
+        seen = columns @ self.mean
+        along = self.along + columns.T @ seen
+        return Gaussian(self.square + float(seen @ seen), along, self.inner + columns.T @ columns, self.constant)
+
+    def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
+        """Draw coefficients, each less its mean, shape (p, n)."""
+        standard = rng.standard_normal((self.along.size, n))
+        return np.asarray(solve_triangular(self._root[0], standard, lower=True, trans="T", check_finite=False))
+
     def given(self, d: int) -> Gaussian:
         """Give what is left to the columns behind the first `d` once the coefficients of these are integrated out."""
         first = self.some(slice(d))

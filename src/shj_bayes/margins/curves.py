@@ -18,14 +18,25 @@ from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Effect, combine
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.population.compare import ROPE_SPEED, shift_of
-from shj_bayes.population.correlation import correlation_draws
-from shj_bayes.population.hierarchy import MAIN_PRIOR, Sweeps, fit_quantity
-from shj_bayes.population.measurement import Likelihood
-from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.priors import PopulationPrior, other_priors, population_prior
-from shj_bayes.population.quantities import LEVELS, Band, stream
-from shj_bayes.population.selectors import Stratum, members, strata_of
+from shj_bayes.population.compare import ROPE_SPEED, Stratum, members, shift_of, strata_of
+from shj_bayes.population.hierarchy import (
+    MAIN_PRIOR,
+    DeviceSet,
+    PopulationResult,
+    QuantityPosterior,
+    Sweeps,
+    fit_quantity,
+)
+from shj_bayes.population.predict import correlation_draws
+from shj_bayes.population.quantities import (
+    LEVELS,
+    Band,
+    Likelihood,
+    PopulationPrior,
+    other_priors,
+    population_prior,
+    stream,
+)
 
 SPEED = "speed"
 COMPARED = tuple(name for name, one in coordinates().items() if name == "travel" or not one.of_base)

@@ -1,9 +1,17 @@
-"""Files for structural analysis: link elements, OpenSees materials, loops."""
+"""Files for structural analysis: link elements, OpenSees materials, loops, and new devices for Monte Carlo analysis.
+
+Stiffness and plateau forces of a drawn device are drawn together, as the tested devices tie them; with few devices of
+its own a set takes the prior of the spread under which new devices differ most. Steel02 carries the loop at the tested
+speed. A friction model of a bearing element (VelDependent) carries the speed law as well: from the force at rest to
+that at the tested speed as the device's own gamma has it, then on to an end, because no law is known beyond the test:
+mu = muFast - (muFast - muSlow) exp(-r |v|) with r = 1/v, which gives 1.58 of the tested change at high speed.
+"""
 
 import json
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -11,15 +19,83 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy import optimize
-from scipy.integrate import trapezoid
 from scipy.special import hyp2f1
 
 from shj_bayes._util.files import write_text
-from shj_bayes.margins.bounds import Bound
-from shj_bayes.margins.trial import Trial
-from shj_bayes.population.predict import N_POINTS, LoopBand
-from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins.basis import (
+    DEFAULT,
+    least_favourable,
+    own_devices,
+    predictive_devices,
+    priors_that_count,
+    sliding_force_bounds,
+)
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE
+from shj_bayes.margins.virtual_test import VirtualTestResult
+from shj_bayes.model.law import BETA_RANGE, work_between
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
+from shj_bayes.population.predict import N_POINTS, LoopBand, new_device, sets_suffice
+from shj_bayes.population.quantities import HIGHEST, LEVELS, LOWEST, FloatArray, band_of
 from shj_bayes.population.results import safe_cell
+
+LOWER, UPPER = "lower", "upper"
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One rate-free definition of a connection."""
+
+    set_name: str  # the set, or "(any set)"
+    bound: str  # "lower", "middle", "upper": which of the three analyses it is for
+    # K_kN_mm to beta: stiffness, sliding force, sharpness of the knee of Eq. (1).
+    K_kN_mm: float
+    force_kN: float
+    beta: float
+    # stiffness_kN_mm, damping: effective stiffness and damping of the amplitude stated
+    stiffness_kN_mm: float
+    damping: float
+    n_devices: int  # tested devices
+
+    def __post_init__(self) -> None:
+        """Refuse what no analysis can take."""
+        numbers = (self.K_kN_mm, self.force_kN, self.beta)
+        if not (np.isfinite(numbers).all() and min(numbers) > 0):
+            raise PopulationError(
+                f"{self.set_name}, {self.bound}: stiffness {self.K_kN_mm:g} kN/mm, force {self.force_kN:g} kN and "
+                f"sharpness {self.beta:g} must be above zero; test more devices of this set, or leave it out"
+            )
+
+
+def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm: float) -> tuple[Bound, ...]:
+    """Draw up three bounds of every set, from its pooled design quantities and parameters (for the sharpness).
+
+    Lower: 5 % of the smallest plateau of all runs. Middle: 50 % of the mean plateau of the first run. Upper: 95 % of
+    the largest force of all runs. Stiffness 5, 50 and 95 %; sharpness its middle. Effective stiffness and damping are
+    those of an elastic-plastic loop of the amplitude: F / A and (2/pi)(1 - F / (K A)).
+    """
+    out = []
+    # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.
+    untested = (ANY_SET,) if sets_suffice(len(design.sets)) else ()
+    for name in (*design.set_names, *untested):
+        devices = predictive_devices(design, name)
+        own = own_devices(design, name, (LOWEST, HIGHEST, "K"))
+        force = sliding_force_bounds(devices, own)
+        middle = float(np.median(devices[DEFAULT].draws["plateau"]))
+        bands = {label: device.band("K") for label, device in devices.items()}
+        fit = parameters.fit("beta")
+        level = fit.hyper[:, 0] if name == ANY_SET else fit.mu[:, parameters.index(name)]
+        beta = float(np.clip(np.exp(np.median(level)), *BETA_RANGE))
+        for i, (bound, side, value) in enumerate(
+            ((LOWER, LOW, force.low), (MIDDLE, MIDDLE, middle), (UPPER, HIGH, force.high))
+        ):
+            stiffness = least_favourable({label: band[i] for label, band in bands.items()}, side, own)
+            slip = min(value / (stiffness * amplitude_mm), 1.0)
+            damping = (2.0 / math.pi) * (1.0 - slip)
+            n = devices[DEFAULT].n_devices
+            out.append(Bound(name, bound, stiffness, value, beta, value / amplitude_mm, damping, n))
+    return tuple(out)
+
 
 LARGEST_EXPONENT = 20.0
 """Programs with a Wen link refuse, or stumble over, sharper knees than this."""
@@ -158,18 +234,18 @@ def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = (
 LOOPS_CSV = "loops.csv"
 
 
-def loops(trials: Sequence[Trial], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
+def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
     """Draw the loop bands of every set, run by run; its widest cycle is cut to what all its devices went through."""
     out = []
-    for name in dict.fromkeys(trial.set_name for trial in trials):
-        own = [trial for trial in trials if trial.set_name == name]
-        for run in range(min(len(trial.loops) for trial in own)):
-            cycles = [trial.loops[run] for trial in own]
+    for name in dict.fromkeys(test.set_name for test in tests):
+        own = [test for test in tests if test.set_name == name]
+        for run in range(min(len(test.loops) for test in own)):
+            cycles = [test.loops[run] for test in own]
             low = max(float(x.min()) for cycle in cycles for x, _ in cycle)
             high = min(float(x.max()) for cycle in cycles for x, _ in cycle)
             grid = np.linspace(low, high, N_POINTS)
             push, pull = (np.concatenate([_at(grid, *cycle[i]) for cycle in cycles]) for i in (0, 1))
-            energy = trapezoid(push - pull, grid, axis=1)
+            energy = work_between(push - pull, grid, (0, grid.size - 1))[:, 0]
             bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0))
             head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
             out.append(LoopBand(*head, *bands, band_of(energy), len(own)))
@@ -203,3 +279,85 @@ def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:
         parts.append(pd.DataFrame(columns))
     write_text(path, pd.concat(parts).to_csv(index=False, lineterminator="\n"))
     return path
+
+
+MOST = 10_000
+"""Devices that may be drawn of a set."""
+MIDDLE_SPEED = math.pi / 6.0 + math.sqrt(3.0) / 4.0
+"""Mean speed over the middle half of the stroke of a sine, as a share of its peak: the plateau force is read there."""
+CHANGE = (0.5, 2.0)
+"""Force at the tested speed over that at rest is held inside this range: a gamma that no data limit may reach zero."""
+HEADS = ("set", "device", "K_kN_mm", "force_kN", "force_2_kN", "R_steel02", "share_at_rest", "rate_s_mm")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A new device of a set."""
+
+    set_name: str
+    number: int  # from 1
+    K_kN_mm: float  # stiffness
+    # force_kN, force_2_kN: mean plateau force of the first and of the second run at the tested speed; the second is the
+    # first where no second run was tested
+    force_kN: float
+    force_2_kN: float
+    sharpness: float  # R of Steel02
+    share_at_rest: float  # force at rest over that at the tested speed
+
+
+def draw_devices(
+    design: PopulationResult, parameters: PopulationResult, n: int, speed_mm_s: float
+) -> tuple[Drawn, ...]:
+    """Draw `n` new devices of every tested set; `PopulationError` if so many cannot be drawn.
+
+    `design` are the pooled design quantities, `parameters` the pooled parameters of the law: sharpness, and gamma where
+    the fits have it. The speed is the peak speed of the tests.
+    """
+    available = next(iter(design.posteriors.values())).mu.shape[0]
+    if not 1 <= n <= min(MOST, available):
+        raise PopulationError(f"{n} devices were asked for; allowed are 1 to {min(MOST, available)} of each set")
+    out = []
+    for name in design.set_names:
+        by_prior = predictive_devices(design, name)
+        own = own_devices(design, name, ("plateau", "K"))
+        width = {
+            p: float(np.diff(np.log(by_prior[p].band("plateau")[::2]))[0])
+            for p in priors_that_count(tuple(by_prior), own)
+        }
+        prior = max(width, key=lambda label: width[label])
+        device = by_prior[prior].draws
+        law = new_device(parameters, name, prior).draws
+        first, second = device["plateau"], device.get("plateau_2", device["plateau"])
+        of_design = np.linspace(0, first.size - 1, n).astype(np.int64)
+        of_law = np.linspace(0, law["beta"].size - 1, n).astype(np.int64)
+        sharpness = np.array([exponent_of_steel02(beta) for beta in np.clip(law["beta"][of_law], *BETA_RANGE).tolist()])
+        gamma = law["gamma"][of_law] if "gamma" in law else np.zeros(n)
+        at_rest = 1.0 / np.clip(1.0 + gamma * MIDDLE_SPEED * speed_mm_s, *CHANGE)
+        columns = (device["K"][of_design], first[of_design], second[of_design], sharpness, at_rest)
+        out += [Drawn(name, i + 1, *(float(c[i]) for c in columns)) for i in range(n)]
+    return tuple(out)
+
+
+def draws_csv(drawn: Sequence[Drawn], speed_mm_s: float) -> str:
+    """Drawn devices as CSV: one line a device, columns as in ``HEADS``."""
+    rate = 1.0 / (MIDDLE_SPEED * speed_mm_s)
+    rows = [(safe_cell(d.set_name), *astuple(d)[1:], rate) for d in drawn]
+    return pd.DataFrame(rows, columns=list(HEADS)).to_csv(index=False, lineterminator="\n", float_format="%.6g")
+
+
+def draws_script(
+    drawn: Sequence[Drawn], amplitude_mm: float, speed_mm_s: float, source: str, left_out: Sequence[str] = ()
+) -> str:
+    """Script for OpenSeesPy: a table of devices, functions that define one, and a check that runs a cycle of each.
+
+    `speed_mm_s` is the peak speed of the tests, `source` says where the devices come from, and `left_out` what they do
+    not carry besides, one sentence each.
+    """
+    rows = "\n".join(
+        f"    ({json.dumps(d.set_name)}, {d.number}): ({d.force_kN:.6g}, {d.force_2_kN:.6g}, {d.K_kN_mm:.6g}, "
+        f"{d.sharpness:.6g}, {d.share_at_rest:.6g}),"
+        for d in drawn
+    )
+    rate = f"{1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}"
+    notes = (NOTES[0], *NOTES[2:4], *map(plain, left_out))
+    return filled("connection_draws", rows, notes, amplitude_mm, source, rate=rate)

@@ -13,11 +13,11 @@ from typing import Any
 import pandas as pd
 
 from shj_bayes._util.files import replacing, write_text
-from shj_bayes.margins.quantities import TABLE
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Key, Margin
 from shj_bayes.margins.sheet import Sheet
 from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.margins.virtual_test import TABLE
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.results import safe_cell
 
 SCHEMA = "shj-bayes/margins/1"
@@ -71,9 +71,9 @@ def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
 def device_table(sheet: Sheet) -> pd.DataFrame:
     """All design quantities of every tested device and run: predicted by its best model, and measured."""
     rows = [
-        (trial.set_name, trial.name, run, name, TABLE[name][0], *values, TABLE[name][1])
-        for trial in sheet.trials
-        for run, table in enumerate(trial.table, start=1)
+        (test.set_name, test.name, run, name, TABLE[name][0], *values, TABLE[name][1])
+        for test in sheet.tests
+        for run, table in enumerate(test.table, start=1)
         for name, values in table.items()
     ]
     heads = ["set", "device", "run", "quantity", "unit", "q05", "q50", "q95", "measured", "meaning"]

@@ -3,41 +3,61 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins import asked as following
-from shj_bayes.margins import bounds as bands
-from shj_bayes.margins.agreement import agreement
-from shj_bayes.margins.asked import LoadingHistory, published_factors
-from shj_bayes.margins.bounds import newcomers
-from shj_bayes.margins.codes.catalogue import catalogue
-from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.row import BANDS, DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
+from shj_bayes.margins.basis import (
+    DEFAULT,
+    FORCES,
+    DesignBasis,
+    PredictiveDevices,
+    design_basis,
+    least_favourable,
+    own_devices,
+    predictive_devices,
+    priors_that_count,
+)
+from shj_bayes.margins.codes.code import Given, catalogue
+from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
+from shj_bayes.margins.row import BANDS, DESIGN, FACTORS, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.spread import (
     NOT_NORMAL,
-    DesignBasis,
     Sample,
     between_sets,
     common_spread,
     of_set,
-    parts_of,
     samples,
 )
-from shj_bayes.margins.trial import Trial
+from shj_bayes.margins.virtual_test import VirtualTestResult
+from shj_bayes.model.parameters import base_of
 from shj_bayes.options import PLAIN, MarginOptions
-from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.posterior import ANY_SET, PopulationResult, QuantityPosterior
+from shj_bayes.population.device import RangeTested
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.quantities import LOWEST, MOST, THIRD_CYCLE, FloatArray
-from shj_bayes.population.tested import RangeTested
+from shj_bayes.population.quantities import quantity as described
 
 UNEQUAL = 2.0
 """Sets spread unequally when the widest of them is surely (95 %) more than this many times the tightest."""
 POOLED = "partially pooled model, decision 0004"
 OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
+
+
+SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
+PURPOSE = {
+    LOW: "lower bound: displacement and drift demand, slip at service loads",
+    MIDDLE: "best estimate: first analysis",
+    HIGH: "upper bound: forces on beam, column, welds and bolts",
+}
+DEGRADATION = "degradation"
+LOSS = {
+    LOW: "least loss of sliding force to count on",
+    MIDDLE: "best estimate of the loss of sliding force after a first earthquake",
+    HIGH: "greatest loss of sliding force to allow for in a second earthquake",
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +74,7 @@ class Sheet:
     n_sets: int  # sets that were tested
     warnings: tuple[str, ...]  # what to mind, one sentence each
     diagnoses: tuple[str, ...] = ()  # what the diagnoses found, device by device
-    trials: tuple[Trial, ...] = field(repr=False, default=())  # the devices of the sets that it holds
+    tests: tuple[VirtualTestResult, ...] = field(repr=False, default=())  # the devices of the sets that it holds
 
     @property
     def untested(self) -> str:
@@ -68,17 +88,17 @@ class Sheet:
         return {row.key: row for row in self.rows}
 
 
-def pool(trials: Sequence[Trial], result: PopulationResult, *, progress: bool = False) -> PopulationResult:
+def pool(tests: Sequence[VirtualTestResult], result: PopulationResult, *, progress: bool = False) -> PopulationResult:
     """Pool the design quantities of devices after their virtual test, with tags and seed of `result`."""
-    if not trials:
+    if not tests:
         raise PopulationError("no device gives all of K, Fy, beta and gamma; there are no margins without them")
     tags = {group.name: group.tags for group in result.sets}
-    devices = [trial.estimate(tags[trial.set_name]) for trial in trials]
+    devices = [test.estimate(tags[test.set_name]) for test in tests]
     design = replace(fit_population(devices, seed=result.seed, progress=progress, brief=True), tested=result.tested)
-    return _carried(design, trials) if any(trial.carried for trial in trials) else design
+    return _carried(design, tests) if any(test.carried for test in tests) else design
 
 
-def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationResult:
+def _carried(design: PopulationResult, tests: Sequence[VirtualTestResult]) -> PopulationResult:
     """Add the error that a model had in its own test to the level of each set.
 
     It is common to all devices of a rig: as one more error of each device it would average out.
@@ -88,7 +108,7 @@ def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationRes
         rng = np.random.default_rng([design.seed, *label.encode(), *fit.name.encode()])
         mu = fit.mu.copy()
         for i, name in enumerate(design.set_names):
-            gaps = [t.model_errors[fit.name] for t in trials if t.set_name == name and fit.name in t.model_errors]
+            gaps = [t.model_errors[fit.name] for t in tests if t.set_name == name and fit.name in t.model_errors]
             if gaps:
                 mu[:, i] += float(np.sqrt(np.mean(np.square(gaps)))) * rng.standard_normal(mu.shape[0])
         return replace(fit, mu=mu)
@@ -104,7 +124,7 @@ def _carried(design: PopulationResult, trials: Sequence[Trial]) -> PopulationRes
 
 def margins(
     design: PopulationResult,
-    trials: Sequence[Trial],
+    tests: Sequence[VirtualTestResult],
     request: MarginOptions = PLAIN,
     *,
     asked: LoadingHistory | None = None,
@@ -117,11 +137,11 @@ def margins(
     n_sets = len(design.sets)
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
     spoken = request.sets or ((*design.set_names, ANY_SET) if sets_suffice(n_sets) else design.set_names)
-    own = tuple(trial for trial in trials if ANY_SET in spoken or trial.set_name in spoken)
+    own = tuple(test for test in tests if ANY_SET in spoken or test.set_name in spoken)
     rows = tuple(_rows(design, own, request))
     compared = agreement([row for row in rows if row.set_name in spoken])
-    laws = next((trial.laws for trial in own if len(trial.laws) > 1), ())
-    followed = following.words_of([trial.following for trial in own], own_test=asked is None)
+    laws = next((test.laws for test in own if len(test.laws) > 1), ())
+    followed = channel_words([test.channels for test in own], own_test=asked is None)
     read = () if asked is None else asked.found
     warnings = (
         *read,
@@ -134,42 +154,74 @@ def margins(
     return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
 
 
-def _rows(result: PopulationResult, trials: Sequence[Trial], request: MarginOptions) -> Iterator[Margin]:
+def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request: MarginOptions) -> Iterator[Margin]:
     by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
     for name in request.sets or (*result.set_names, ANY_SET):
-        devices = newcomers(result, name)
-        parts = parts_of(result, name, devices, request.nominal_kN)
-        given = _given(name, by_set, common, parts, request)
+        devices = predictive_devices(result, name)
+        basis = design_basis(result, name, devices, request.nominal_kN)
+        given = _given(name, by_set, common, basis, request)
         yield from _first(given)
-        found = list(bands.of_set(result, name, devices, given.devices))
+        found = list(bands_of_set(result, name, devices, given.devices))
         found += [row for code in catalogue() for row in code.rows(given)]
         yield from found
         yield from (_degradation(row) for row in found if row.quantity == "ratio" and row.method != BANDS)
         if name != ANY_SET:
-            yield from _spreads(result, name, [t for t in trials if t.set_name == name])
+            yield from _spreads(result, name, [t for t in tests if t.set_name == name])
+
+
+def bands_of_set(
+    result: PopulationResult, set_name: str, devices: PredictiveDevices, n_devices: Mapping[str, int]
+) -> Iterator[Margin]:
+    """Bands of a new device of a set: the default prior of the spread, with few devices the outermost of all.
+
+    `n_devices` are those behind each quantity.
+    """
+    for quantity in (*devices[DEFAULT].draws, DEGRADATION):
+        of_ratio = quantity == DEGRADATION
+        source = "ratio" if of_ratio else quantity
+        if source not in devices[DEFAULT].draws:
+            continue
+        own = own_devices(result, set_name, (source,))
+        count = priors_that_count(tuple(devices), own)
+        for side, level in SIDES.items():
+            by_prior = {
+                label: float(np.quantile(1.0 - device.draws[source] if of_ratio else device.draws[source], level))
+                for label, device in devices.items()
+            }
+            listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in by_prior.items())
+            note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"
+            head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side)
+            number = (least_favourable(by_prior, side, own), described(source).unit, n_devices.get(source, 0), math.nan)
+            origin = (
+                "predictive distribution, decision 0004",
+                f"{100 * level:.0f} % quantile over draws of set level and spread",
+                f"{devices[DEFAULT].draws[source].size} draws; {listed}",
+                (LOSS if of_ratio else PURPOSE)[side],
+            )
+            yield Margin(*head, *number, *origin, note if len(count) > 1 and side != MIDDLE else "")
 
 
 def _first(given: Given) -> Iterator[Margin]:
     """Give the one number for drift and the one for capacity design."""
-    force = given.parts.force
+    force = given.basis.force
     n = given.devices.get(LOWEST, 0)
     for kind, side, value, what in (
         (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs"),
         (CAPACITY, HIGH, force.high, "95 % of the largest force of all runs"),
     ):
-        purpose = bands.PURPOSE[side]
+        purpose = PURPOSE[side]
         origin = ("predictive distribution, decision 0006", what, force.words, purpose)
         yield Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin)
 
 
-def _spreads(result: PopulationResult, name: str, trials: Sequence[Trial]) -> Iterator[Margin]:
+def _spreads(result: PopulationResult, name: str, tests: Sequence[VirtualTestResult]) -> Iterator[Margin]:
     """Where the width of a band comes from: device to device, within a device, model."""
     index = result.index(name)
     for q, fit in result.posteriors.items():
-        within = [trial.errors[q] for trial in trials if q in trial.errors]
-        gaps = np.array([trial.model_errors[q] for trial in trials if q in trial.model_errors])
-        cycles = np.concatenate([np.empty(0), *(trial.cycle_errors for trial in trials)])
+        within = [test.errors[q] for test in tests if q in test.errors]
+        gaps = np.array([test.model_errors[q] for test in tests if q in test.model_errors])
+        cycles = np.concatenate([np.empty(0), *(test.cycle_errors for test in tests)])
         between, least = float(np.median(fit.tau[:, index])), math.nan
         if within:
             least = float(np.sqrt(np.mean(np.square(within))))
@@ -202,19 +254,19 @@ def _given(
     name: str,
     by_set: Mapping[str, dict[str, Sample]],
     common: Mapping[str, tuple[float, int]],
-    parts: DesignBasis,
+    basis: DesignBasis,
     request: MarginOptions,
 ) -> Given:
     """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
     if name != ANY_SET:
         own = by_set[name]
         spreads = {q: of_set(sample, common[q]) for q, sample in own.items()}
-        return Given(name, own, spreads, {q: s.n for q, s in own.items()}, parts, request)
+        return Given(name, own, spreads, {q: s.n for q, s in own.items()}, basis, request)
     together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
     clustered = {q: between_sets(of_sets) for q, of_sets in together.items() if of_sets}
     own = {q: sample for q, (sample, _) in clustered.items()}
     spreads = {q: ways for q, (_, ways) in clustered.items()}
-    return Given(name, own, spreads, {q: sum(s.n for s in together[q]) for q in clustered}, parts, request)
+    return Given(name, own, spreads, {q: sum(s.n for s in together[q]) for q in clustered}, basis, request)
 
 
 def _degradation(row: Margin) -> Margin:
@@ -222,13 +274,13 @@ def _degradation(row: Margin) -> Margin:
     side = {LOW: HIGH, HIGH: LOW, MIDDLE: MIDDLE}[row.side]
     return replace(
         row,
-        quantity=bands.DEGRADATION,
+        quantity=DEGRADATION,
         side=side,
         value=1.0 - row.value,
         formula=f"1 - ratio; {row.formula}",
         inputs=f"of the ratio: {row.inputs}",
         note=row.note.replace(NOT_NORMAL, "more than all: the normal law does not suit so wide a spread"),
-        purpose=bands.LOSS[side],
+        purpose=LOSS[side],
     )
 
 
@@ -294,4 +346,61 @@ def _few_devices(result: PopulationResult, spoken: Sequence[str]) -> Iterator[st
         yield (
             f"{which} on one or two devices. The smallest and largest of two hold 90 % "
             "of all devices with a confidence of only 1 %: two devices are not a band."
+        )
+
+
+SLACK = 0.02
+"""Share of the typical value by which two numbers may differ before they count as contradicting: noise of draws."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What was compared, and what contradicts."""
+
+    words: str  # what was compared with what, in one sentence
+    contradictions: tuple[str, ...]  # one sentence each, with both numbers; empty where everything agrees
+
+
+def agreement(rows: Sequence[Margin]) -> Agreement:
+    """Compare the bounds of every set with each other and with the bands of a new device."""
+    names = list(dict.fromkeys(row.set_name for row in rows))
+    found = [text for name in names for text in _disagreements(name, [row for row in rows if row.set_name == name])]
+    sets = f"{len(names)} set{'s' * (len(names) != 1)}"
+    words = (
+        f"Compared in {sets}: each lower bound force (ASCE 7, LBDP) with the 5 % ends, and each upper bound "
+        "force (ASCE 7, UBDP) with the 95 % ends, of the smallest plateau, mean plateau, third cycle and largest force "
+        "of every run; lower with upper bounds; low, middle and high value of every other margin. "
+        + (f"{len(found)} contradict." if found else "None contradict.")
+    )
+    return Agreement(words, tuple(found))
+
+
+def _disagreements(name: str, rows: Sequence[Margin]) -> Iterator[str]:
+    forces = [row for row in rows if row.method == FACTORS and row.unit == "kN"]  # that codes bound by factors
+    lower, upper = ([row for row in forces if row.side == side] for side in (LOW, HIGH))
+    scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
+    ends = [row for row in rows if row.method == BANDS and base_of(row.quantity) in FORCES]
+    for bound in lower:
+        for end in (*(e for e in ends if e.side == LOW), *upper):
+            yield from _above(name, bound, end, scale)
+    for bound in upper:
+        for end in ends:
+            if end.side == HIGH:
+                yield from _above(name, end, bound, scale)
+    ladder: dict[tuple[str, str], dict[str, Margin]] = {}
+    for row in rows:
+        kind = "new device" if row.method == BANDS else row.kind
+        ladder.setdefault((row.quantity, kind), {})[row.side] = row
+    for steps in ladder.values():
+        ordered = [steps[side] for side in (LOW, MIDDLE, HIGH) if side in steps]
+        for a, b in pairwise(ordered):
+            yield from _above(name, a, b, abs(a.value))
+
+
+def _above(name: str, lesser: Margin, greater: Margin, scale: float) -> Iterator[str]:
+    """Say so where what should be the lesser lies above; NaN, which stands for no value, contradicts nothing."""
+    if lesser.value > greater.value + SLACK * scale:
+        yield (
+            f"CONTRADICTION, {name}: {lesser.kind} ({lesser.quantity}, {lesser.value:.4g} {lesser.unit}) lies above "
+            f"{greater.kind} ({greater.quantity}, {greater.value:.4g} {greater.unit}). Use neither before it is settled"
         )

@@ -12,15 +12,14 @@ from shj_bayes.errors import InferenceError, PopulationError, ReportError, shown
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.law import BETA_RANGE
-from shj_bayes.model.measured import Measured
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
-from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES
-from shj_bayes.recording.motion import Motion, alternating, exact_motion, table_1
-from shj_bayes.results.device import model_of, read_group
+from shj_bayes.recording.motion import Motion, exact_motion, table_1
+from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import NOTHING_MISSING, DiagnosisRecord, DiagnosisVerdict
-from shj_bayes.results.fit import ChannelScale, FitRecord
+from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import diagnosis_in, has, read
 
 Key = tuple[str, str]
@@ -138,63 +137,41 @@ class Specimen:
         return tuple(history.on_scales_of(self.histories[-1], motion.displacement_mm) for history in drawn)
 
 
+def drive(
+    model: DeviceModel, theta: FloatArray, histories: Sequence[History], start_force_kN: Sequence[float] = ()
+) -> tuple[FloatArray, ...]:
+    """Force of every draw of a device, shape (m, d), in consecutive runs, each of shape (m, n_samples), kN.
+
+    Each run starts with the force given, or unloaded.
+    """
+    starts = start_force_kN or (0.0,) * len(histories)
+    forces = tuple(model.force(theta, history, start) for history, start in zip(histories, starts, strict=True))
+    if not all(np.isfinite(force).all() for force in forces):
+        raise PopulationError("the model of a device gives no finite force for this history; check its posterior")
+    return forces
+
+
 def read_specimen(folder: Path, name: str, set_name: str, found: Path | None = None) -> Specimen:
     """Read a tested device from the folder of its fit, and of the fit that its diagnosis ended in (`found`), if any."""
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
-        record = read(FitRecord, folder)
-        if name not in ("", record.device):
+        fit = DeviceResult.read(folder)
+        if name != fit.record.device:
             raise PopulationError(
-                f"{folder.name} holds the fit of {shown(record.device)}, not of {shown(name)}; put the folders "
+                f"{folder.name} holds the fit of {shown(fit.record.device)}, not of {shown(name)}; put the folders "
                 "of the devices back, or run shj-bayes campaign again"
             )
-        data = read_group(folder, "constant_data")
-        # Fits of the first schema hold the measured force with what was observed.
-        force = data["force"] if "force" in data else read_group(folder, "observed_data")["force"]
-        beliefs = [_belief(folder, record)]
-        if found is not None:
-            beliefs.insert(0, _belief(found, read(FitRecord, found)))
-        numbers = [int(run) for run in np.unique(data["run"])]
-        parts = [data["run"] == run for run in numbers]
-        motions = [
-            _motion(data["displacement_mm"][p], data["speed_mm_s"][p], data["half_cycle_of_sample"][p]) for p in parts
-        ]
-        times = [np.asarray(data["time_s"][p], dtype=np.float64) for p in parts]
-        further = [
-            {name: _measured(said, time, data[name][p]) for name, said in record.channels.items()}
-            for time, p in zip(times, parts, strict=True)
-        ]
-        starts = tuple(entry.start_force_kN for entry in record.inputs)
-        measured = tuple(np.asarray(force[p], dtype=np.float64) for p in parts)
-    return Specimen(name, set_name, tuple(beliefs), histories(times, motions, further), starts, measured)
+        fits = (fit,) if found is None else (DeviceResult.read(found), fit)
+        starts = tuple(entry.start_force_kN for entry in fit.record.inputs)
+        return Specimen(name, set_name, tuple(map(_belief, fits)), fit.histories, starts, fit.measured_kN)
 
 
-def _belief(folder: Path, record: FitRecord) -> Belief:
-    model, draws = model_of(record), read_group(folder, "posterior")
-    total = draws["Fy"].size
+def _belief(fit: DeviceResult) -> Belief:
+    total = fit.draws["Fy"].size
     chosen = np.linspace(0, total - 1, min(N_DRAWS, total)).astype(np.int64)
     # Noise parameters do not move the force; a fit of an earlier version may name them otherwise.
-    columns = [draws[name].ravel()[chosen] if name in draws else np.zeros(chosen.size) for name in model.names]
-    stored = read_group(folder, "log_likelihood")
-    likely = {}
-    if {"force_of_half_cycle", "run", "number"} <= set(stored):
-        values = stored["force_of_half_cycle"].reshape(total, -1)[chosen]
-        places = zip(stored["run"].tolist(), stored["number"].tolist(), strict=True)
-        likely = {(int(run), int(number)): values[:, i] for i, (run, number) in enumerate(places)}
-    return Belief(model, np.stack(columns, axis=1).astype(np.float64), likely)
-
-
-def _measured(said: ChannelScale, time_s: FloatArray, values: FloatArray) -> Measured:
-    """Further channel of a run as a fit stored it, on the scale that its curves are stated on."""
-    return Measured(said.unit, time_s - time_s[0], values, said.low, said.high, said.reference)
-
-
-def _motion(x: FloatArray, speed: FloatArray, half: FloatArray) -> Motion:
-    """Motion of a run from its stored channels; turning points are the outermost samples beside each reversal."""
-    start = np.append(np.flatnonzero(np.diff(half, prepend=-1)), x.size)
-    direction = alternating(start.size - 1, int(np.sign(x[start[1] - 1] - x[0]) or 1))
-    beside = np.stack([x[start[1:-1] - 1], x[start[1:-1]]])
-    turning = np.where(direction[1:] < 0, beside.max(axis=0), beside.min(axis=0))
-    return Motion(x, speed, start, np.concatenate([x[:1], turning]), direction)
+    columns = [fit.draws[name][chosen] if name in fit.draws else np.zeros(chosen.size) for name in fit.model.names]
+    likely = {place: values[chosen] for place, values in fit.likelihood_of_half_cycles.items()}
+    return Belief(fit.model, np.stack(columns, axis=1).astype(np.float64), likely)
 
 
 def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:

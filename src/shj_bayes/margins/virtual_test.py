@@ -1,19 +1,27 @@
-"""A virtual test: a device's model driven through a displacement history, and what is read off its force.
+"""Virtual tests: the force of every device in a displacement history, what is read off it, and what was measured.
 
-The same reading serves a predicted force and a measured one, so that the two can be held against each other.
+The same reading serves a predicted force and a measured one, so that the two can be held against each other. Each
+device gives one value of each design quantity with its own uncertainty. A quantity that bounds the force from below is
+the least of what the device showed, of what its best model predicts and of what the law alone predicts, one that bounds
+it from above the largest; typical quantities are those of the best model brought to what was measured. So neither a
+wrong model nor a missing one makes a bound less safe than the recordings themselves.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.model.device import DeviceModel
+from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, load_cases, measured_channels
+from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes.model.parameters import FloatArray, base_of, run_name
+from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
+from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Likelihood, Measurement, band_of
 from shj_bayes.recording.motion import Motion
 
 MIDDLE = 0.25
@@ -88,15 +96,304 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
     return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, *out.values())
 
 
-def drive(
-    model: DeviceModel, theta: FloatArray, histories: Sequence[History], start_force_kN: Sequence[float] = ()
-) -> tuple[FloatArray, ...]:
-    """Force of every draw of a device, shape (m, d), in consecutive runs, each of shape (m, n_samples), kN.
+ALIKE = 0.01
+"""Share by which amplitudes of one block may differ."""
+THIRD = 2
+SIDE = {LEAST: LOW, LOWEST: LOW, MOST: HIGH, HIGHEST: HIGH}
+"""Side on which a quantity, of any run, must not be wrong; all others are typical values."""
+TABLE = {
+    "least": ("kN", "smallest plateau force (mean over the middle half of the stroke)"),
+    "least_cycle": ("1", "half-cycle in which it comes, counted over those that slide fully"),
+    "most": ("kN", "largest force anywhere in the run"),
+    "plateau": ("kN", "mean plateau force"),
+    "first": ("kN", "plateau force of the first cycle"),
+    "third": ("kN", "plateau force of the third cycle"),
+    "last": ("kN", "plateau force of the last cycle"),
+    "push": ("kN", "mean plateau force while displacement grows"),
+    "pull": ("kN", "mean plateau force while displacement falls"),
+    "end": ("kN", "force at the end of the largest stroke"),
+    "energy": ("kJ", "energy of a cycle of the largest amplitude"),
+    "stiffness": ("kN/mm", "effective stiffness of that cycle, end force over amplitude"),
+    "damping": ("1", "effective damping of that cycle, (2/pi) E / (k_eff (2A)^2)"),
+    "loss_per_m": ("1/m", "share of the plateau force lost per metre of sliding, over the run"),
+}
+"""All that is read of a run: unit and meaning."""
 
-    Each run starts with the force given, or unloaded.
+
+def counted_from(readings: Sequence[Readings]) -> float:
+    """Smallest amplitude from which on every half-cycle slides fully; infinity where none does, mm."""
+    amplitude = np.concatenate([r.amplitude_mm[r.complete] for r in readings])
+    for flat in (FLAT, UNEVEN):
+        slides = np.concatenate([r.sliding(flat)[r.complete] for r in readings])
+        stuck = amplitude[~slides].max(initial=0.0)
+        able = amplitude[slides & (amplitude > stuck * (1.0 + ALIKE))]
+        if able.size:
+            return float(able.min())
+    return np.inf
+
+
+def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, FloatArray]:
+    """Design quantities of one run, each of shape (m,), with names and units as in ``TABLE``.
+
+    Half-cycles count from an amplitude on; `PopulationError` if none of them slides fully.
     """
-    starts = start_force_kN or (0.0,) * len(histories)
-    forces = tuple(model.force(theta, history, start) for history, start in zip(histories, starts, strict=True))
-    if not all(np.isfinite(force).all() for force in forces):
-        raise PopulationError("the model of a device gives no finite force for this history; check its posterior")
-    return forces
+    large = readings.amplitude_mm >= least_amplitude_mm * (1.0 - ALIKE)
+    counted = np.flatnonzero(readings.complete & large)
+    if not counted.size:
+        raise PopulationError(
+            "no half-cycle of this history slides fully, so no sliding force can be read off it; give one with larger "
+            "strokes"
+        )
+    plateau = readings.plateau_kN[:, counted]
+    direction, travel = readings.direction[counted], readings.travel_m[counted]
+    cycles = np.stack([plateau[:, i : i + 2].mean(axis=1) for i in range(0, counted.size, 2)], axis=1)
+    amplitude = readings.amplitude_mm[counted]
+    widest = counted[amplitude >= amplitude.max() * (1.0 - ALIKE)]
+    end, stroke = readings.end_kN[:, widest].mean(axis=1), 2.0 * float(readings.amplitude_mm[widest].mean())
+    energy = 2.0 * readings.work_kJ[:, widest].mean(axis=1)
+    stiffness = 2.0 * end / stroke
+    log, apart = np.log(np.maximum(plateau, 1e-9)), travel - travel.mean()
+    squares = float(apart @ apart)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        damping = (2.0 / np.pi) * 1000.0 * energy / (stiffness * stroke**2)
+    return {
+        "least": plateau.min(axis=1),
+        "least_cycle": plateau.argmin(axis=1) + 1.0,
+        "most": np.nanmax(readings.largest_kN, axis=1),
+        "plateau": plateau.mean(axis=1),
+        "first": cycles[:, 0],
+        "third": cycles[:, min(THIRD, cycles.shape[1] - 1)],
+        "last": cycles[:, -1],
+        "push": _mean(plateau[:, direction > 0]),
+        "pull": _mean(plateau[:, direction < 0]),
+        "end": end,
+        "energy": energy,
+        "stiffness": stiffness,
+        "damping": damping,
+        "loss_per_m": -(log @ apart) / squares if squares > 0 else np.zeros(plateau.shape[0]),
+    }
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    return values.mean(axis=1) if values.shape[1] else np.full(values.shape[0], np.nan)
+
+
+def pooled(runs: Sequence[dict[str, FloatArray]]) -> Iterator[tuple[str, FloatArray]]:
+    """Quantities of all runs that go into the population: name and draws, shape (m,)."""
+    yield LOWEST, np.min([run[LEAST] for run in runs], axis=0)
+    yield HIGHEST, np.max([run[MOST] for run in runs], axis=0)
+    for number, values in enumerate(runs, start=1):
+        for base in TABLE:
+            name = base if number == 1 else f"{base}_{number}"
+            if name in DESIGN:
+                yield name, values[base]
+        if number > 1:
+            yield run_name("ratio", number), values["plateau"] / runs[0]["plateau"]
+
+
+LEAST_ERROR = 1e-3
+"""Least standard deviation of the logarithm with which a value is taken to be known."""
+Runs = tuple[Readings, ...]
+Values = dict[str, FloatArray]
+Loop = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualTestResult:
+    """A device after its virtual test."""
+
+    name: str
+    set_name: str
+    # per run and quantity of ``quantities.TABLE``: 5, 50 and 95 % of the best model's draws, and the measured value
+    # (NaN where none)
+    table: tuple[dict[str, tuple[float, float, float, float]], ...]
+    values: Mapping[str, float]  # pooled quantities: value of this device, natural unit
+    # standard deviation of the logarithm with which it is known: that of whatever gave the value, a model or the
+    # recording
+    errors: Mapping[str, float]
+    model_errors: Mapping[str, float]  # logarithm of measured over predicted, in its own test; empty without recordings
+    # shape (n,): the same of the plateau force of each half-cycle that slides, predicted without it
+    cycle_errors: FloatArray
+    # per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n)
+    loops: tuple[Loop, ...] = field(repr=False, default=())
+    laws: tuple[str, ...] = ("tested",)  # laws of what was not tested; "tested" alone where all was
+    # whether the history is another one than that of its own test, so that the error of the model is carried over
+    carried: bool = False
+    channels: tuple[MeasuredChannel, ...] = ()  # further channels that its force follows
+
+    def __post_init__(self) -> None:
+        """Refuse a value without a logarithm."""
+        wrong = {name: value for name, value in self.values.items() if not (np.isfinite(value) and value > 0)}
+        if wrong:
+            raise PopulationError(
+                f"{self.set_name}, {self.name}: {', '.join(f'{k} = {v:.4g}' for k, v in wrong.items())} in the virtual "
+                "test; a force or energy must be above zero. Look at the fit of this device"
+            )
+
+    def estimate(self, tags: Tags = NO_TAGS) -> DeviceEstimate:
+        """As a device of a population."""
+        known = {
+            name: Measurement(
+                float(np.log(value)),
+                Likelihood(False, np.log([value]), np.array([self.errors[name]]), np.ones(1)),
+            )
+            for name, value in self.values.items()
+        }
+        return DeviceEstimate(self.name, self.set_name, known, tags)
+
+
+def virtual_tests(
+    specimens: Sequence[Specimen], asked: LoadingHistory | None, *, extrapolate: bool = False
+) -> tuple[VirtualTestResult, ...]:
+    """Put every device through the virtual test: the history asked for, None for the test that each went through.
+
+    `PopulationError` if the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
+    """
+    driven = [_driven(s, load_cases(asked, s, extrapolate=extrapolate)) for s in specimens]
+    first = [next(iter(found.values()))[0] for found, _ in driven]
+    common = max((a for a in map(counted_from, first) if np.isfinite(a)), default=np.inf)
+    least = [_from(readings, common) for readings in first]
+    own, own_least = first, least
+    if asked is not None:
+        own = [own_readings(s) for s in specimens]
+        own_least = [max(map(counted_from, own))] * len(own)
+    each = zip(specimens, driven, least, own, own_least, strict=True)
+    return tuple(_result(*of_one, carried=asked is not None) for of_one in each)
+
+
+def _driven(
+    specimen: Specimen, histories: Mapping[LoadCase, tuple[History, ...]]
+) -> tuple[dict[LoadCase, list[Runs]], tuple[Loop, ...]]:
+    """Drive a device: readings by course and model, and the widest cycle of the best model."""
+    found: dict[LoadCase, list[Runs]] = {}
+    loops: tuple[Loop, ...] = ()
+    for course, runs in histories.items():
+        found[course] = []
+        starts = specimen.start_force_kN if runs is specimen.histories else ()
+        for belief in specimen.beliefs:
+            forces = drive(belief.model, belief.theta, runs, starts)
+            found[course].append(tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)))
+            loops = loops or tuple(_widest(h, f) for h, f in zip(runs, forces, strict=True))
+    return found, loops
+
+
+def _widest(history: History, force: FloatArray) -> Loop:
+    """Cut a complete cycle of the largest amplitude out of a run, with a quarter of the draws."""
+    motion = history.motion
+    stroke = np.abs(np.diff(motion.turning_mm))
+    wide = np.flatnonzero((stroke[:-1] >= 0.99 * stroke.max()) & (stroke[1:] >= 0.99 * stroke.max()))
+    first = int(wide[-1]) if wide.size else int(np.argmax(stroke))
+    branches = []
+    for h in (first, min(first + 1, motion.n_half - 1)):
+        part = slice(motion.start[h], motion.start[h + 1])
+        branches.append((motion.displacement_mm[part], force[::4, part]))
+    up = 0 if motion.direction[first] > 0 else 1
+    return branches[up], branches[1 - up]
+
+
+def own_readings(specimen: Specimen) -> Runs:
+    """Read the force that the best model of a device gives in its own test."""
+    belief, runs = specimen.beliefs[0], specimen.histories
+    forces = drive(belief.model, belief.theta, runs, specimen.start_force_kN)
+    return tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True))
+
+
+def _from(first: Runs, common: float) -> float:
+    """Amplitude from which half-cycles count: common to all devices, unless this one has none as wide."""
+    widest = max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for r in first)
+    return common if widest >= 0.99 * common else counted_from(first)
+
+
+def _result(
+    specimen: Specimen,
+    driven: tuple[Mapping[LoadCase, list[Runs]], tuple[Loop, ...]],
+    least: float,
+    own: Runs,
+    own_least: float,
+    *,
+    carried: bool,
+) -> VirtualTestResult:
+    """Hold a driven device against what was measured in its own test, of which its best model gives `own`."""
+    found, loops = driven
+    by_course = {one: [dict(pooled(_quantities(runs, least))) for runs in models] for one, models in found.items()}
+    tables = _quantities(next(iter(found.values()))[0], least)
+    seen: list[Values] = [{}] * len(tables)
+    gap: dict[str, float] = {}
+    cycles, noise = np.empty(0), 0.0
+    if specimen.measured_kN:
+        measured = tuple(
+            read_off(force[None], h.motion, h.travel_m, measured=True)
+            for force, h in zip(specimen.measured_kN, specimen.histories, strict=True)
+        )
+        of_test = _quantities(measured, own_least)
+        seen = seen if carried else of_test
+        predicted = {q: float(np.median(v)) for q, v in pooled(_quantities(own, own_least))}
+        gap = {q: float(np.log(v[0] / predicted[q])) for q, v in pooled(of_test) if v[0] > 0 and predicted[q] > 0}
+        cycles, noise = _cycle_errors(measured, own, own_least, specimen.beliefs[0])
+    n = max(cycles.size, 1)
+    values, errors = {}, {}
+    belief = specimen.beliefs[0]
+    shares = {"plateau": n, "energy": n, "ratio": n / 2, "third": 2}
+    for q in by_course[next(iter(by_course))][0]:
+        typical = [[_middle_and_sd(model[q]) for model in models] for models in by_course.values()]
+        best = [models[0] for models in typical]
+        # In its own test that is the measured value, of which no model is unsure.
+        ours = 1.0 if carried else 0.0
+        brought = [(x * float(np.exp(gap[q])), ours * sd) for x, sd in best] if q in gap else []
+        side = SIDE.get(base_of(q))
+        if side:
+            values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *brought])
+        else:
+            values[q], sd = (float(x) for x in np.median(brought or best, axis=0))
+        reading = noise / np.sqrt(max(shares.get(base_of(q), 1), 1))
+        errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
+    stiffness = np.log(belief.theta[:, belief.model.index("K")])
+    values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
+    table = tuple(map(_summary, tables, seen))
+    laws = tuple(dict.fromkeys(course.law for course in found))
+    told = (specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
+    return VirtualTestResult(*told, measured_channels(specimen))
+
+
+def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:
+    """Median, and half the width of the middle 68 % of the logarithm: one wild draw of 64 is no error of the others."""
+    low, middle, high = np.quantile(np.maximum(draws, 1e-9), (0.1587, 0.5, 0.8413))
+    return float(middle), 0.5 * float(np.log(high / low))
+
+
+def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, float]]:
+    """5, 50 and 95 % of every quantity of a run, and its measured value."""
+    return {name: (*band_of(run[name]), float(seen[name][0]) if name in seen else np.nan) for name in TABLE}
+
+
+def _quantities(runs: Runs, least: float) -> list[Values]:
+    return [of_readings(readings, least) for readings in runs]
+
+
+def _cycle_errors(measured: Runs, predicted: Runs, least: float, belief: Belief) -> tuple[FloatArray, float]:
+    """Log of measured over predicted plateau of every half-cycle that counts, and how much of it is noise.
+
+    Each half-cycle is predicted without it: draws are weighted with the inverse of its likelihood. The noise is that of
+    the difference between half-cycles of the same direction that follow each other: what the model misses changes
+    slowly from one to the next.
+    """
+    errors, apart = [], []
+    for run, (seen, said) in enumerate(zip(measured, predicted, strict=True), start=1):
+        counted = np.flatnonzero(seen.complete & (seen.amplitude_mm >= 0.99 * least))
+        left_out = [_without(said.plateau_kN[:, h], belief.likely.get((run, int(h)))) for h in counted]
+        ratio = seen.plateau_kN[0, counted] / np.array(left_out)
+        error = np.log(np.maximum(ratio, 1e-3))
+        errors.append(error)
+        apart.append(error[2:] - error[:-2])
+    steps = np.concatenate(apart)
+    noise = float(np.median(np.abs(steps)) / (0.6745 * np.sqrt(2.0))) if steps.size else 0.0
+    return np.concatenate(errors), noise
+
+
+def _without(plateau_kN: FloatArray, likely: FloatArray | None) -> float:
+    """Mean of a prediction over the draws as they would be without the half-cycle; weights are truncated."""
+    if likely is None:
+        return float(np.median(plateau_kN))
+    weight = np.exp(np.min(likely) - likely)
+    weight = np.minimum(weight, weight.mean() * np.sqrt(weight.size))
+    return float(np.average(plateau_kN, weights=weight))

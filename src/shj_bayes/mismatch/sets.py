@@ -18,7 +18,7 @@ class is taken with each other class of the combination at the share that was fo
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,11 +27,12 @@ from scipy.special import logsumexp
 
 from shj_bayes.mismatch.classes import DOUBT, MATTERS, PRESENT
 from shj_bayes.mismatch.moves import PROMISING
+from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.results.diagnosis import EvidenceRecord
+from shj_bayes.results.campaign import SharedDependence
+from shj_bayes.results.diagnosis import ClassId, EvidenceRecord
 
 ALONE = PRESENT * 0.5 / (1.0 - PRESENT)  # of a device whose set has not what it has; see the module
-LIKELY = 0.5  # a device is given what more probably than not it has
 NODES = (8, 100)  # of Gauss and Legendre for theta: exact for up to 2 n - 1 devices
 NEGLIGIBLE = 1e-4  # probability of a combination below which it is left out of sums
 Combination = frozenset[str]
@@ -39,53 +40,38 @@ Combination = frozenset[str]
 
 @dataclass(frozen=True, eq=False)
 class DeviceEvidence:
-    """What a device says of every class."""
+    """What a device says of every class; `ValueError` if the parts of its record do not belong together."""
 
-    classes: tuple[str, ...]  # ids of what was looked for in it
-    holds: NDArray[np.bool_]  # shape (m, n): sets of classes that were weighed
-    nats: FloatArray  # shape (m,): log weight of each: evidence times the prior odds of its classes
-    log_odds: float  # of a class before the test, as they stand in the weights
-    # effect that stands for each class in the model that its diagnosis ended in
-    own: Mapping[str, str] = field(default_factory=dict)
-    written: Mapping[str, str] = field(default_factory=dict)  # effect that would stand for each of the other classes
-    # size_percent, change_percent: size of each, and where it is a curve its change from one end of its coordinate to
-    # the other, per cent of Fy
-    size_percent: Mapping[str, float] = field(default_factory=dict)
-    change_percent: Mapping[str, float] = field(default_factory=dict)
+    record: EvidenceRecord
+
+    def __post_init__(self) -> None:
+        """Refuse weights that are not those of its sets."""
+        n, sets, nats = len(self.record.classes), self.record.sets, self.record.nats
+        if any(place >= n for places in sets for place in places):
+            raise ValueError(f"a set names class {max(map(max, filter(None, sets)))} of {n}")
+        if len(nats) != len(sets) or not np.all(np.isfinite(nats)) or () not in sets:
+            raise ValueError("sets of classes and their weights do not belong together")
+
+    @cached_property
+    def holds(self) -> NDArray[np.bool_]:
+        """Which classes each set holds, shape (m, n)."""
+        return np.array([[i in places for i in range(len(self.record.classes))] for places in self.record.sets])
 
     @cached_property
     def _bare(self) -> FloatArray:
         """Log evidence of each set, without prior odds, shape (m,)."""
-        return np.asarray(self.nats - self.log_odds * self.holds.sum(axis=1))
+        return np.asarray(np.array(self.record.nats) - self.record.log_odds * self.holds.sum(axis=1))
 
     def log_factor(self, name: str, log_odds: Mapping[str, float]) -> float:
         """Log Bayes factor of a class, with every other class at its odds; 0 where the device says nothing of it."""
-        if name not in self.classes:
+        classes = self.record.classes
+        if name not in classes:
             return 0.0
-        place = self.classes.index(name)
-        odds = np.array([0.0 if other == name else log_odds[other] for other in self.classes])
-        weights, has = self._bare + self.holds @ odds, self.holds[:, place]
+        odds = np.array([0.0 if other == name else log_odds[other] for other in classes])
+        weights, has = self._bare + self.holds @ odds, self.holds[:, classes.index(name)]
         if not has.any():
             return 0.0
         return float(logsumexp(weights[has]) - logsumexp(weights[~has]))
-
-
-@dataclass(frozen=True)
-class SharedDependence:
-    """A class, and how probable it is in a set."""
-
-    id: str  # the class
-    probability: float  # that the set has it
-    devices: tuple[float, ...]  # that each device has it, given the evidence of all
-    alone: tuple[bool, ...]  # whether the diagnosis of each device found it
-    rivals: tuple[str, ...] = ()  # classes that may stand in its place
-    # the set has it, or a rival, with 95 %, and it is large enough to be followed: models of its devices hold it
-    enters: bool = False
-
-    @property
-    def holders(self) -> tuple[bool, ...]:
-        """Which devices have it, more probably than not."""
-        return tuple(p >= LIKELY for p in self.devices)
 
 
 @dataclass(frozen=True)
@@ -94,22 +80,6 @@ class Common:
 
     shared: tuple[SharedDependence, ...]  # every class, most probable first
     combinations: tuple[tuple[Combination, float], ...]  # what the set has, with probabilities, most probable first
-
-
-def device_evidence(record: EvidenceRecord) -> DeviceEvidence:
-    """Evidence of a device as arrays; `ValueError` if its parts do not belong together."""
-    holds = np.zeros((len(record.sets), len(record.classes)), dtype=bool)
-    for row, places in zip(holds, record.sets, strict=True):
-        if any(place >= len(record.classes) for place in places):
-            raise ValueError(f"a set names class {max(places)} of {len(record.classes)}")
-        row[list(places)] = True
-    nats, empty = np.array(record.nats), ~holds.any(axis=1)
-    if nats.shape != empty.shape or not np.all(np.isfinite(nats)) or not empty.any():
-        raise ValueError("sets of classes and their weights do not belong together")
-    return DeviceEvidence(
-        record.classes, holds, nats, record.log_odds, record.own, record.written, record.size_percent,
-        record.change_percent,
-    )  # fmt: skip
 
 
 def log_shared(log_factors: FloatArray) -> tuple[float, float]:
@@ -145,7 +115,7 @@ class _Weighing:
 
     def __init__(self, devices: Sequence[DeviceEvidence]) -> None:
         self.devices = devices
-        self.names = sorted({name for device in devices for name in device.classes})
+        self.names = sorted({name for device in devices for name in device.record.classes})
         self.weights: dict[Combination, float] = {frozenset(): 0.0}
         self.odds: dict[Combination, dict[str, float]] = {frozenset(): dict.fromkeys(self.names, _log_odds(ALONE))}
         self._gains: dict[tuple[Combination, str], tuple[float, float]] = {}
@@ -212,12 +182,25 @@ def common_to(devices: Sequence[DeviceEvidence]) -> Common:
         rivals = _rivals(listed, best, name) if name in best else ()
         # Nothing less than the best combination explains the devices as well: it holds this class, or a rival.
         sure = name in best and sum(p for key, p in listed if key <= best - {name}) < DOUBT
-        holders = [device for device, p in zip(devices, each, strict=True) if p >= LIKELY]
-        sizes = [device.size_percent.get(name, 0.0) for device in holders]
+        action, coordinate = ClassId.read(name)
+        known, own = next(iter(coordinates_of(coordinate)), None), [device.record for device in devices]
+        one = SharedDependence(
+            action=action,
+            coordinate=coordinate,
+            unit=known.unit if known else "1",
+            probability=held,
+            enters=False,
+            rivals=rivals,
+            of_devices=tuple(each.tolist()),
+            alone=tuple(name in record.own for record in own),
+            effects=tuple(record.own.get(name) or record.written.get(name, "") for record in own),
+            size_percent=tuple(record.size_percent.get(name) for record in own),
+            change_percent=tuple(record.change_percent.get(name) for record in own),
+        )
+        sizes = [one.size_percent[i] or 0.0 for i in one.holders]
         large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING * MATTERS
-        alone = tuple(name in device.own for device in devices)
-        shared.append(SharedDependence(name, held, tuple(each.tolist()), alone, rivals, sure and large))
-    order = sorted(shared, key=lambda one: (-one.probability, one.id))
+        shared.append(replace(one, enters=sure and large))
+    order = sorted(shared, key=lambda one: (-one.probability, str(one.id)))
     return Common(tuple(order), tuple(likely))
 
 

@@ -1,14 +1,13 @@
 """Diagnoses of a campaign taken together: read, added up by set and over all devices, and what follows for models."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from shj_bayes.errors import InferenceError, ReportError
-from shj_bayes.mismatch.sets import Common, DeviceEvidence, SharedDependence, common_to, device_evidence
-from shj_bayes.model.coordinates import coordinates_of
-from shj_bayes.results.campaign import ClassOfSet, SetTogether
-from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
+from shj_bayes.mismatch.sets import Common, DeviceEvidence, common_to
+from shj_bayes.results.campaign import SetTogether
+from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.store import read
 
 DIGITS = 6  # of probabilities in files
@@ -41,40 +40,29 @@ class Together:
         """
         out = {}
         for place, device in enumerate(self.devices):
-            entering = [one for one in self.common.shared if one.enters and one.holders[place]]
-            own, written = device.evidence.own, device.evidence.written
-            added = tuple(written[one.id] for one in entering if one.id not in own and one.id in written)
-            if added or (not device.sampled and any(one.id in own for one in entering)):
+            entering = [one for one in self.common.shared if one.enters and place in one.holders]
+            found = [one for one in entering if one.alone[place]]
+            added = tuple(one.effects[place] for one in entering if not one.alone[place] and one.effects[place])
+            if added or (not device.sampled and found):
                 out[device.folder] = (*device.modelled, *added)
         return out
 
     @property
     def record(self) -> SetTogether:
         """As it stands in ``campaign.json``."""
-        folders = tuple(device.folder for device in self.devices)
-        return SetTogether(set=self.set_name, devices=folders, classes=tuple(map(self._class, self.common.shared)))
-
-    def _class(self, one: SharedDependence) -> ClassOfSet:
-        action, coordinate = ClassId.read(one.id)
-        known = next(iter(coordinates_of(coordinate)), None)
-        measured = next((d.units[coordinate] for d in self.devices if coordinate in d.units), "1")
-        return ClassOfSet(
-            action=action,
-            coordinate=coordinate,
-            unit=known.unit if known else measured,
-            probability=round(one.probability, DIGITS),
-            enters=one.enters,
-            rivals=one.rivals,
-            of_devices=tuple(round(p, DIGITS) for p in one.devices),
-            alone=one.alone,
-            effects=tuple(self._effect(device, one.id) for device in self.devices),
-            size_percent=tuple(device.evidence.size_percent.get(one.id) for device in self.devices),
-            change_percent=tuple(device.evidence.change_percent.get(one.id) for device in self.devices),
+        units: dict[str, str] = {}
+        for device in self.devices[::-1]:
+            units |= device.units
+        classes = tuple(
+            replace(
+                one,
+                unit=units.get(one.coordinate, one.unit),
+                probability=round(one.probability, DIGITS),
+                of_devices=tuple(round(p, DIGITS) for p in one.of_devices),
+            )
+            for one in self.common.shared
         )
-
-    def _effect(self, device: DiagnosedDevice, name: str) -> str:
-        """Effect that stands for a class in the model of a device, or would."""
-        return device.evidence.own.get(name) or device.evidence.written.get(name, "")
+        return SetTogether(set=self.set_name, devices=tuple(d.folder for d in self.devices), classes=classes)
 
 
 def together(devices: Iterable[tuple[str, DiagnosedDevice]]) -> tuple[Together, ...]:
@@ -101,9 +89,7 @@ def read_diagnosed(place: Path, folder: str) -> DiagnosedDevice:
         if record.evidence is None:
             raise ValueError("there is none")
         units = {one.coordinate: one.unit or "1" for one in record.channels}
-        return DiagnosedDevice(
-            folder, device_evidence(record.evidence), tuple(record.modelled), not record.quick, units
-        )
+        return DiagnosedDevice(folder, DeviceEvidence(record.evidence), tuple(record.modelled), not record.quick, units)
     except (ReportError, ValueError) as error:
         raise InferenceError(
             f"the evidence in its diagnosis.json cannot be read ({error}); delete that file and run again"

@@ -1,6 +1,7 @@
 """The velocity-augmented Menegotto-Pinto law: Eq. (1) with Eq. (2) of the paper, and its continuous variant."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from shj_bayes.errors import ModelError, did_you_mean
 from shj_bayes.model import kernel
@@ -76,3 +77,16 @@ def _check(name: str, unit: str, values: FloatArray, low: float, high: float) ->
         allowed = f"above {low:g}" if high == np.inf and low == 0 else f"{low:g} to {high:g}"
         suffix = f" {unit}" if unit else ""
         raise ModelError(f"{name} = {bad:g}{suffix}: allowed is {allowed}{suffix}")
+
+
+def work_between(force_kN: FloatArray, displacement_mm: FloatArray, marks: ArrayLike) -> FloatArray:
+    """Work of a force, its integral over the displacement, between neighbouring marks, by the trapezoidal rule: J.
+
+    Force of shape (..., n), kN, and displacement of shape (n,), mm, give shape (..., n_marks - 1); marks are sample
+    numbers, fractional ones, too.
+    """
+    piece = 0.5 * (force_kN[..., 1:] + force_kN[..., :-1]) * np.diff(displacement_mm)
+    total = np.concatenate([np.zeros((*piece.shape[:-1], 1)), np.cumsum(piece, axis=-1)], axis=-1)
+    at = np.asarray(marks, dtype=np.float64)
+    whole = np.minimum(np.floor(at).astype(int), displacement_mm.size - 2)
+    return np.asarray(np.diff(total[..., whole] + (at - whole) * piece[..., whole], axis=-1))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -96,33 +97,27 @@ class Protocol:
     blocks: tuple[ProtocolBlock, ...] = ()  # empty where samples are given
     samples: tuple[FloatArray, Motion] | None = None  # times (s) from 0, and motion about the middle of the stroke
 
-    @property
+    @cached_property
     def duration_s(self) -> float:
         """Duration, s."""
-        if self.samples is not None:
-            return float(self.samples[0][-1])
-        return sum(block.duration_s for block in self.blocks)
+        return float(self.samples[0][-1]) if self.samples else sum(block.duration_s for block in self.blocks)
 
-    @property
+    @cached_property
     def largest_mm(self) -> float:
         """Largest displacement to either side of the middle, mm."""
-        if self.samples is not None:
+        if self.samples:
             return float(np.abs(self.samples[1].displacement_mm).max())
         return max(block.amplitude_mm for block in self.blocks)
 
-    @property
+    @cached_property
     def fastest_mm_s(self) -> float:
         """Largest speed, mm/s."""
-        if self.samples is not None:
-            return float(self.samples[1].speed_mm_s.max())
-        return max(block.speed_mm_s for block in self.blocks)
+        return float(self.samples[1].speed_mm_s.max()) if self.samples else max(b.speed_mm_s for b in self.blocks)
 
-    @property
+    @cached_property
     def travel_m(self) -> float:
         """Distance moved, m."""
-        if self.samples is not None:
-            return float(self.samples[1].travel_mm[-1]) / 1000.0
-        return sum(block.travel_m for block in self.blocks)
+        return float(self.samples[1].travel_mm[-1]) / 1000.0 if self.samples else sum(b.travel_m for b in self.blocks)
 
     def sampled(self, rate_Hz: float) -> tuple[FloatArray, Motion]:
         """Give times (s) and exact motion at a sampling rate.
@@ -214,7 +209,7 @@ class Rig:
         )
 
 
-LIMITS = tuple(field.name for field in fields(Rig))
+LIMITS = tuple(BOUNDS)
 
 
 def stated_limits(path: Path | None, given: Mapping[str, float | None]) -> dict[str, float]:
@@ -230,17 +225,15 @@ def read_rig(path: Path) -> dict[str, float]:
     """Limits of a ``rig.toml``, as far as it states them; `PlanError` with the key at fault."""
     table: dict[str, Any] = read_toml(path, SCHEMA, MAX_TOML, PlanError)[0]
     out = {}
-    for key, value in table.items():
-        if key in ("schema", "name"):
-            continue
+    for key in (key for key in table if key not in ("schema", "name")):
         if key not in LIMITS:
             raise PlanError(
                 f"{path.name}: '{shown(key)}' is not a limit; known are {', '.join(LIMITS)}{did_you_mean(key, LIMITS)}"
             )
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise PlanError(f"{path.name}: {key} = {shown(value)}; a number is needed")
-        _refuse_beyond(key, value)
-        out[key] = float(value)
+        if isinstance(table[key], bool) or not isinstance(table[key], int | float):
+            raise PlanError(f"{path.name}: {key} = {shown(table[key])}; a number is needed")
+        _refuse_beyond(key, table[key])
+        out[key] = float(table[key])
     return out
 
 
@@ -250,33 +243,10 @@ def _refuse_beyond(name: str, value: float) -> None:
         raise PlanError(f"rig: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}; state another")
 
 
-DRAWN = 8
-
-
-@dataclass(frozen=True)
-class Candidates:
-    """Where a search for the next test begins."""
-
-    rig: Rig
-    first: tuple[Protocol, ...]  # proposed ones, Table 1 first
-    given: tuple[Protocol, ...] = ()  # those of the user, shown beside the best whatever they give
-
-    @property
-    def all(self) -> tuple[Protocol, ...]:
-        """Every protocol, the proposed ones first."""
-        return (*self.first, *self.given)
-
-
-def proposals(rig: Rig, seed: int, given: tuple[Protocol, ...] = ()) -> Candidates:
-    """Propose protocols, and put those of the user beside them; the same seed proposes the same."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
-    return Candidates(rig, tuple(first_protocols(rig, rng, DRAWN)), given)
-
-
 AMPLITUDES = (0.08, 0.15, 0.25, 0.5, 0.75, 1.0)  # of the largest displacement
 SPEEDS = (0.03, 0.1, 0.25, 0.5, 1.0)  # of the largest speed
 RESTS_S = (10.0, 30.0, 60.0, 180.0)
-MOST_BLOCKS = 10
+MOST_BLOCKS, DRAWN = 10, 8
 MOST_REPEATS = 200  # of a design, however long the rig may run
 SAMPLES = 36.0  # of a cycle, at least: reversals between few samples are not found again
 TRIANGLES, RESTING = 0.3, 0.2  # shares of drawn blocks
@@ -307,11 +277,12 @@ DESIGNS: dict[str, tuple[tuple[float, float, int, Waveform, float], ...]] = {
 }  # fmt: skip
 
 
-def first_protocols(rig: Rig, rng: np.random.Generator, n_drawn: int) -> list[Protocol]:
-    """Give Table 1 again, the designs as far as the time allows, and `n_drawn` drawn protocols.
+def proposals(rig: Rig, seed: int, n_drawn: int = DRAWN) -> tuple[Protocol, ...]:
+    """Propose Table 1 again, the designs as far as the time allows, and `n_drawn` drawn protocols.
 
     Table 1 comes first, whether the rig's time allows it or not: it is what the others are compared with.
     """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
     out = [table_1_protocol(rig.max_stroke_mm, rig.max_speed_mm_s)]
     for name, rows in DESIGNS.items():
         blocks = [ProtocolBlock(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, n, w, r) for a, v, n, w, r in rows]
@@ -327,7 +298,7 @@ def first_protocols(rig: Rig, rng: np.random.Generator, n_drawn: int) -> list[Pr
             drawn.append(_block(rig, rng))
         if kept := within(drawn, rig):
             out.append(Protocol("drawn", kept))
-    return out
+    return tuple(out)
 
 
 def changed(protocol: Protocol, rig: Rig, rng: np.random.Generator) -> Protocol | None:

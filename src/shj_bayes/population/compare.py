@@ -1,10 +1,11 @@
-"""Two sets compared: classical tests, their power, differences, and the words for them."""
+"""Two sets, or two kinds of sets, compared: tests, their power, differences, and the words for them."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -12,15 +13,87 @@ import pandas as pd
 from scipy.special import chdtri, fdtrc, ndtr, stdtr, stdtrit
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.priors import ASSUMED
-from shj_bayes.population.quantities import QUANTITIES, Band, FloatArray, band_of
-from shj_bayes.population.selectors import Stratum, strata_of
+from shj_bayes.population.device import Tags
+from shj_bayes.population.hierarchy import PopulationResult
+from shj_bayes.population.quantities import ASSUMED, QUANTITIES, Band, FloatArray, band_of
+
+Kind = tuple[Callable[[Tags], bool], Callable[[Tags], Tags]]
+"""Which sets belong, and their tags without what is compared: sets with the same rest form a stratum."""
+Stratum = tuple[list[int], list[int]]
+"""Positions of the sets on both sides; all else is alike."""
+BARE = {"", "none", "bare", "uncoated", "plain", "blasted", "machined", "polished", "mill scale", "as rolled"}
+"""Words for a surface without a coating; ``sweep blasted`` and the like are too."""
+WORDS = "coated, uncoated, corroded, uncorroded, or a coverage such as '70 %'"
+
+
+def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, str, tuple[Stratum, ...]]:
+    """Find the sets to compare: two sets by name, or two kinds of sets.
+
+    Gives both sides by name, and the positions of their sets, stratum by stratum; all else is alike within a stratum.
+    `PopulationError` if a set is unknown, both are the same, or no two sets differ in what is compared alone.
+    """
+    kinds = _kind(result, first), _kind(result, second)
+    if kinds[0] is None and kinds[1] is None:
+        i, j = result.index(first), result.index(second)
+        if i == j:
+            raise PopulationError(f"a set cannot be compared with itself ({first!r}); name two different sets")
+        return result.set_names[i], result.set_names[j], (([i], [j]),)
+    if kinds[0] is None or kinds[1] is None:
+        raise PopulationError(f"compare two sets, or two kinds of sets ({WORDS}); got {first!r} and {second!r}")
+    sides: list[dict[Tags, list[int]]] = [{}, {}]
+    for i, group in enumerate(result.sets):
+        for side, kind in zip(sides, kinds, strict=True):
+            assert kind is not None
+            if kind[0](group.tags):
+                side.setdefault(kind[1](group.tags), []).append(i)
+    found = tuple((a, sides[1][rest]) for rest, a in sides[0].items() if rest in sides[1])
+    if not found or any(set(a) & set(b) for a, b in found):
+        raise PopulationError(
+            f"no two sets differ in '{first}' against '{second}' alone; the tags of the sets (material, coating, "
+            "coverage_percent, corroded in the manifest) say what each is; or name two sets: "
+            f"{', '.join(map(repr, result.set_names[:12]))}"
+        )
+    return first, second, found
+
+
+def is_bare(coating: str) -> bool:
+    """Whether a coating is none: bare steel, whatever was done to its surface."""
+    words = re.sub(r"[\s_-]+", " ", coating.strip().casefold())
+    return words in BARE or words.endswith(" blasted")
+
+
+def members(result: PopulationResult, strata: tuple[Stratum, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the sets on both sides of a comparison, in the order of the population."""
+    first, second = (
+        tuple(result.set_names[i] for i in sorted({i for stratum in strata for i in stratum[side]})) for side in (0, 1)
+    )
+    return first, second
+
+
+def _kind(result: PopulationResult, words: str) -> Kind | None:
+    """Read a kind of sets from words; None for the name of a set, which goes first."""
+    folded = words.strip().casefold()
+    if folded in {name.casefold() for name in result.set_names}:
+        return None
+    if folded in ("corroded", "uncorroded", "not corroded"):
+        wanted = folded == "corroded"
+        return (lambda tags: tags.corroded is wanted), (lambda tags: replace(tags, corroded=False))
+    if folded in ("coated", "uncoated", "not coated"):
+        bare = folded != "coated"
+        return (lambda tags: is_bare(tags.coating) is bare), (
+            lambda tags: replace(tags, coating="", coverage_percent=None)
+        )
+    match = re.fullmatch(r"(?:coverage\s*)?(\d+(?:\.\d+)?)\s*%?", folded)
+    if match:
+        percent = float(match[1])
+        return (lambda tags: tags.coverage_percent == percent), (lambda tags: replace(tags, coverage_percent=None))
+    return None
+
 
 LEVEL, POWER = 0.05, 0.8
 MOST = 10_000
 N_SPREADS = 200
-"""Quantiles of the posterior of the spread that stand for it."""
+"""Equally probable values that stand for the posterior of the spread."""
 _SHARE, _WEIGHT = np.polynomial.legendre.leggauss(200)
 _SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
 
@@ -64,14 +137,8 @@ def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) ->
     return high
 
 
-def representative(draws: FloatArray) -> FloatArray:
-    """Equally probable values that stand for many draws."""
-    return np.asarray(np.quantile(draws, (np.arange(N_SPREADS) + 0.5) / N_SPREADS))
-
-
 MOST_ARRANGEMENTS = 500_000
 N_RANDOM = 20_000
-LEVEL = 0.05
 _NODES = (np.arange(4000) + 0.5) / 4000
 _SAME = 1e-9
 Pair = tuple[FloatArray, FloatArray]
@@ -388,7 +455,7 @@ def _contrast(
     # Planned with the spread of the sets if all spread nearly alike: two devices that happen to agree promise a spread
     # that the next two will not keep.
     planned = result.fit(name, "alike" if "alike" in result.other_priors else "default").tau[:, [*first, *second]]
-    spreads = representative(np.sqrt(np.mean(planned**2, axis=1)))
+    spreads = np.quantile(np.sqrt(np.mean(planned**2, axis=1)), (np.arange(N_SPREADS) + 0.5) / N_SPREADS)
     edge = math.log1p(rope) if q.logarithmic else region[1]
     apart = [q.natural(fit.mu[:, a].mean(axis=1)) - q.natural(fit.mu[:, b].mean(axis=1)) for a, b in strata]
     away = [

@@ -1,15 +1,22 @@
-"""One device of a set, and what is known about it."""
+"""Devices of a population: what is known of each, from fits, from rounded numbers and from the paper's tables."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
-from shj_bayes.errors import PopulationError
-from shj_bayes.population.measurement import Measurement, Rounded, of_draws, ratio_of
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes._util.files import damage_told, shipped
+from shj_bayes.errors import PopulationError, ShjError
+from shj_bayes.model.law import variant_named
+from shj_bayes.model.priors import Prior
+from shj_bayes.population.quantities import QUANTITIES, FloatArray, Measurement, Rounded, of_draws, ratio_of
+from shj_bayes.results.device import DeviceResult
 
 
 @dataclass(frozen=True)
@@ -118,3 +125,205 @@ def sets_of(devices: Sequence[DeviceEstimate]) -> dict[str, tuple[DeviceEstimate
             )
         group.append(device)
     return {name: tuple(group) for name, group in grouped.items()}
+
+
+@dataclass(frozen=True)
+class RangeTested:
+    """Range of amplitudes and speeds that every device of a population went through."""
+
+    # smallest_mm, largest_mm: amplitudes (half strokes), mm
+    smallest_mm: float
+    largest_mm: float
+    # slowest_mm_s, fastest_mm_s: smallest and largest peak speed of a cycle, mm/s; within a stroke every speed from 0
+    # to the peak occurs
+    slowest_mm_s: float
+    fastest_mm_s: float
+    # reversal rule of the law that the devices were fitted with ("published" or "continuous")
+    variant: str = "published"
+    source: str = ""  # where the range comes from
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that are empty or not finite."""
+        numbers = (self.smallest_mm, self.largest_mm, self.slowest_mm_s, self.fastest_mm_s)
+        ordered = 0 < self.smallest_mm <= self.largest_mm and 0 < self.slowest_mm_s <= self.fastest_mm_s
+        if not (np.isfinite(numbers).all() and ordered):
+            raise PopulationError(
+                f"tested range {self.smallest_mm:g} to {self.largest_mm:g} mm, {self.slowest_mm_s:g} to "
+                f"{self.fastest_mm_s:g} mm/s: every number must be above zero and the first no larger than the second"
+            )
+
+    @property
+    def one_speed(self) -> bool:
+        """Whether all cycles had nearly the same peak speed, so that speed and position cannot be told apart."""
+        return self.fastest_mm_s < 1.5 * self.slowest_mm_s
+
+    def holds_speed(self, speed_mm_s: float) -> bool:
+        """Whether sliding at that speed happened in the tests."""
+        return 0 < speed_mm_s <= 1.01 * self.fastest_mm_s
+
+
+PUBLISHED = RangeTested(5.94, 95.0, 9.8, 10.25, "published", "Table 1 of the paper")
+"""Six amplitudes at nearly one peak speed: 2 pi f A is 9.80 to 10.25 mm/s in every block."""
+
+
+def common(ranges: Sequence[RangeTested]) -> RangeTested | None:
+    """Range that all devices went through; None where there is none.
+
+    The rule is the smaller of the upper ends: a force at a speed that only some devices saw would rest on fewer
+    devices than the sheet says.
+    """
+    if not ranges:
+        return None
+    low = max(r.smallest_mm for r in ranges), max(r.slowest_mm_s for r in ranges)
+    high = min(r.largest_mm for r in ranges), min(r.fastest_mm_s for r in ranges)
+    variants = {r.variant for r in ranges}
+    if low[0] > high[0] or len(variants) > 1:
+        return None
+    return RangeTested(low[0], high[0], min(low[1], high[1]), high[1], variants.pop(), "the recordings of every device")
+
+
+def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS) -> DeviceEstimate:
+    """Read one finished fit as a device of a population.
+
+    Draws of K, Fy, beta, gamma and ratio, as far as the fit has them, with the density of the prior they were sampled
+    under, so that the population does not count that prior once for each device.
+    """
+    with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
+        fit = DeviceResult.read(folder)
+        draws = {q: fit.draws[q] for q in QUANTITIES if q in fit.draws}
+        log_prior = {q: _pooled_log_density(fit.laws[q], values) for q, values in draws.items()}
+        return DeviceEstimate.from_posterior(name, set_name, draws, log_prior, tags)
+
+
+def _pooled_log_density(prior: Prior, values: FloatArray) -> FloatArray:
+    """Log density of a prior on the scale on which the quantity is pooled, shape (n,)."""
+    density = prior.log_density(values)
+    # On a logarithmic scale a density of the value itself gains the factor d value / d log value.
+    return density + np.log(values) if QUANTITIES[prior.name].logarithmic else density
+
+
+def tested_by_fit(folder: Path) -> RangeTested | None:
+    """Amplitudes and peak speeds of a device's recordings; None where its files do not hold them.
+
+    From the complete half-cycles: the first and last of each run may be cut short.
+    """
+    try:
+        fit = DeviceResult.read(folder)
+        variant = variant_named(fit.record.model.variant)
+        motions = [history.motion for history in fit.histories]
+    except (ShjError, KeyError, TypeError, ValueError):
+        return None
+    amplitudes, peaks = [], []
+    for motion in motions:
+        for a, b in pairwise(motion.start[1:-1]):
+            amplitudes.append(0.5 * float(np.ptp(motion.displacement_mm[a:b])))
+            peaks.append(float(np.quantile(motion.speed_mm_s[a:b], 0.98)))
+    if not amplitudes or min(amplitudes) <= 0 or min(peaks) <= 0:
+        return None
+    # A recording on noisy displacement has half-cycles of different size; 2 % at either end is not a range.
+    low, high = np.quantile(amplitudes, (0.02, 0.98)), np.quantile(peaks, (0.1, 0.9))
+    return RangeTested(float(low[0]), float(low[1]), float(high[0]), float(high[1]), variant, folder.name)
+
+
+DEVICE_TABLES = (3, 4, 5, 6, 7)
+Value = float | int | tuple[float, ...] | tuple[int, ...]
+
+
+class Holding(StrEnum):
+    """Whether the tables of the paper bear out what its text says."""
+
+    YES = "holds"
+    PARTLY = "holds in part"
+    NO = "does not hold"
+    OPEN = "not settled"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One statement of the paper against its own numbers."""
+
+    id: str  # short name
+    claim: str  # what the paper says, in our words
+    verdict: Holding  # what its tables say
+    values: Mapping[str, Value]  # the figures behind the verdict
+    sentence: str  # the same in plain words
+
+
+@dataclass(frozen=True)
+class PublishedRow:
+    """One device row of Tables 3-7."""
+
+    table: int  # 3 to 7
+    row: str  # as printed, tidied
+    set_name: str  # the set it belongs to
+    tags: Tags  # material, coating, coverage, corroded
+    values: Mapping[tuple[str, int], float]  # K kN/mm, Fy kN, beta 1, dep mm/s; runs 1 and 2
+    steps: Mapping[str, float]  # rounding step per quantity; decades for beta
+
+    @property
+    def ratio(self) -> float:
+        """Sliding force of the second run over that of the first, as printed."""
+        return self.values["Fy", 2] / self.values["Fy", 1]
+
+    @property
+    def gamma(self) -> float:
+        """1/dep, s/mm, as printed."""
+        return 1.0 / self.values["dep", 1]
+
+    def device(self) -> DeviceEstimate:
+        """Turn the row into a device whose values are known up to their rounding."""
+        value, step = self.values, self.steps
+        printed = {
+            "K": Rounded.to_step(value["K", 1], step["K"]),
+            "Fy": Rounded.to_step(value["Fy", 1], step["Fy"]),
+            "gamma": Rounded.gamma_of_dep(value["dep", 1], step["dep"]),
+            "beta": Rounded.to_decade(value["beta", 1], step["beta"]),
+        }
+        second = Rounded.to_step(value["Fy", 2], step["Fy"])
+        return DeviceEstimate.from_table(f"T{self.table} {self.row}", self.set_name, printed, second, self.tags)
+
+
+def read_table(number: int) -> list[dict[str, str]]:
+    """Rows of ``data/published/table<number>.csv``, cells as text by column; `PopulationError` where there is none."""
+    if number not in range(1, 8):
+        raise PopulationError(f"the paper has Tables 1 to 7, not {number}")
+    with shipped("data", "published", f"table{number}.csv").open(encoding="utf-8", newline="") as handle:
+        return list(csv.DictReader(handle))
+
+
+def published_rows() -> tuple[PublishedRow, ...]:
+    """Return the 25 device rows of Tables 3-7; rows that repeat another table are left out."""
+    rows = []
+    for number in DEVICE_TABLES:
+        by_row: dict[str, list[dict[str, str]]] = {}
+        for line in read_table(number):
+            if not line["repeats_table"]:
+                by_row.setdefault(line["row"], []).append(line)
+        for row, lines in by_row.items():
+            head = lines[0]
+            coverage = head["coverage_percent"]
+            rows.append(
+                PublishedRow(
+                    number,
+                    row,
+                    head["set"],
+                    Tags(
+                        coating=head["coating"],
+                        coverage_percent=float(coverage) if coverage else None,
+                        corroded=head["corroded"] == "true",
+                        material=head["material"],
+                    ),
+                    {(line["quantity"], int(line["run"])): float(line["value"]) for line in lines},
+                    {line["quantity"]: float(line["rounding_step"]) for line in lines},
+                )
+            )
+    return tuple(rows)
+
+
+def published_devices() -> tuple[DeviceEstimate, ...]:
+    """Return the 25 devices of Tables 3-7, each value known up to its rounding.
+
+    Five sets of one device (shim materials, Table 3), five of two (coatings, Tables 4 and 5) and five of
+    two (corroded coatings, Tables 6 and 7).
+    """
+    return tuple(row.device() for row in published_rows())

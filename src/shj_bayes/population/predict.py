@@ -1,4 +1,11 @@
-"""A new device: its parameters, its quantities and its loop."""
+"""A new device: its parameters, tied as those of the tested devices are, its quantities and its loop.
+
+Quantities are pooled one by one; the correlation between them joins them. Devices are standardised with the level of
+their own set and its spread, and the correlation of what is left is inferred with an inverse-Wishart law whose
+correlations are uniform on (-1, 1) before any device is seen (Barnard, McCulloch and Meng 2000). A new device is then
+drawn with its quantities tied together, each with exactly the band it had by itself (a normal copula; inference in two
+steps, Joe and Xu 1996).
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,16 +13,83 @@ from functools import lru_cache
 
 import numpy as np
 import pandas as pd
-from scipy.integrate import trapezoid
 
 from shj_bayes._util.arrays import frozen
 from shj_bayes.errors import PopulationError
-from shj_bayes.model.law import BETA_RANGE, force_of_laws
-from shj_bayes.population.correlation import correlation_draws
-from shj_bayes.population.posterior import ANY_SET, PopulationResult
-from shj_bayes.population.priors import ASSUMED
-from shj_bayes.population.quantities import LATER_RUNS, LEVELS, QUANTITIES, Band, FloatArray, band_of, quantity, stream
+from shj_bayes.model.law import BETA_RANGE, force_of_laws, work_between
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
+from shj_bayes.population.quantities import (
+    ASSUMED,
+    LATER_RUNS,
+    LEVELS,
+    QUANTITIES,
+    Band,
+    FloatArray,
+    band_of,
+    quantity,
+    stream,
+)
 from shj_bayes.recording.motion import Block, exact_motion
+
+
+def scatter(result: PopulationResult, prior: str = "default") -> tuple[tuple[str, ...], FloatArray, int]:
+    """Sum of squares and products of the standardised devices about their set, and its degrees of freedom.
+
+    Names of the quantities; products over the devices that give every quantity, shape (k, k); devices less sets, 0
+    where every set has one device.
+    """
+    names = tuple(result.posteriors)
+    products, degrees = np.zeros((len(names), len(names))), 0
+    spread = np.array([np.median(result.fit(q, prior).tau, axis=0) for q in names])
+    for i, group in enumerate(result.sets):
+        values = np.array([group.points.get(q, (np.nan,) * len(group.devices)) for q in names])
+        values = values[:, np.all(np.isfinite(values), axis=0)]
+        if values.shape[1] < 2:
+            continue
+        apart = (values - values.mean(axis=1, keepdims=True)) / spread[:, i, None]
+        products += apart @ apart.T
+        degrees += values.shape[1] - 1
+    return names, products, degrees
+
+
+def inverse_wishart(degrees: float, scale: FloatArray, n_draws: int, rng: np.random.Generator) -> FloatArray:
+    """Draw from an inverse Wishart distribution by the decomposition of Bartlett, shape (n_draws, k, k).
+
+    `scipy.stats.invwishart` does so too, but its module takes longer to import than all else of a comparison, and it
+    goes through the draws one by one.
+    """
+    k = scale.shape[0]
+    roots = np.zeros((n_draws, k, k))  # lower triangles whose inverses are the factors of draws of unit scale
+    roots[:, *np.tril_indices(k, k=-1)] = rng.normal(size=(n_draws, k * (k - 1) // 2))
+    places = np.arange(k)
+    roots[:, places, places] = np.sqrt(rng.chisquare(degrees - k + 1 + places, size=(n_draws, k)))
+    factors = np.linalg.solve(roots.transpose(0, 2, 1), np.linalg.cholesky(scale).T)
+    return np.asarray(factors.transpose(0, 2, 1) @ factors)
+
+
+def correlation_draws(result: PopulationResult, n_draws: int, prior: str = "default") -> FloatArray:
+    """Posterior draws of the correlation between the quantities of one device, shape (n_draws, k, k)."""
+    names, products, degrees = scatter(result, prior)
+    k = len(names)
+    if k == 1:
+        return np.ones((n_draws, 1, 1))
+    seed = stream(result.seed, "correlation", prior)
+    drawn = inverse_wishart(k + 1 + degrees, np.eye(k) + products, n_draws, np.random.default_rng(seed))
+    scale = np.sqrt(np.einsum("nii->ni", drawn))
+    return np.asarray(drawn / (scale[:, :, None] * scale[:, None, :]))
+
+
+def correlation_table(result: PopulationResult) -> list[dict[str, object]]:
+    """Middle and 90 % interval of the correlation of every pair, and on how many degrees of freedom it rests."""
+    names, _, degrees = scatter(result)
+    draws = correlation_draws(result, 4000)
+    rows: list[dict[str, object]] = []
+    for i, a in enumerate(names):
+        for j, b in enumerate(names[:i]):
+            low, middle, high = band_of(draws[:, i, j])
+            rows.append({"pair": [b, a], "q05": low, "q50": middle, "q95": high, "degrees_of_freedom": degrees})
+    return rows
+
 
 SECOND_RUN = "Fy_second"
 RUN_FORCES = {SECOND_RUN: "ratio"} | {f"Fy_run{run}": f"ratio_{run}" for run in LATER_RUNS}
@@ -203,8 +277,7 @@ def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float 
     up, down = slice(start[_PUSH], start[_PUSH + 1]), slice(start[_PULL], start[_PULL + 1])
     push = np.array([np.interp(grid, x[up], f[up]) for f in force])
     pull = np.array([np.interp(grid, x[down][::-1], f[down][::-1]) for f in force])
-    cycle = slice(start[_PUSH], start[_PULL + 1] + 1)
-    energy = trapezoid(force[:, cycle], x[cycle], axis=1)
+    energy = work_between(force, x, start[[_PUSH, _PULL + 1]])[:, 0]
     bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0), band_of(energy))
     head = (device.set_name, run, amplitude_mm, peak_speed_mm_s, grid)
     return LoopBand(*head, *bands, device.n_devices)

@@ -1,12 +1,18 @@
-"""The quantities that are pooled from device to device, and the scale on which each is close to normal."""
+"""Quantities that are pooled from device to device: scale, assumed spread, and what one device says of each."""
+
+from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import PopulationError
+from shj_bayes.model.parameters import base_of
 
 FloatArray = NDArray[np.float64]
 Band = tuple[float, float, float]
@@ -101,3 +107,296 @@ def quantity(name: str) -> Quantity:
             f"{name!r} is not a pooled quantity; these are: {', '.join(q.name for q in _OF_ALL_RUNS)}{hint}"
         )
     return QUANTITIES[name] if name in QUANTITIES else DESIGN[name]
+
+
+@dataclass(frozen=True)
+class PopulationPrior:
+    """Prior of the hierarchy of one quantity, on its pooled scale.
+
+    device ~ Normal(mu_set, tau_set), mu_set ~ Normal(M, S), log tau_set ~ Normal(log tau0, omega).
+    """
+
+    # centre, centre_sd: M ~ Normal(centre, centre_sd)
+    centre: float
+    centre_sd: float
+    between_scale: float  # S ~ half Student-t with 4 degrees of freedom and this scale
+    spread_median: float  # median of tau0, the typical spread between devices of one set
+    # tau0 is log-normal with this standard deviation of the logarithm; 0 means half-Cauchy with median (and scale)
+    # ``spread_median`` instead
+    spread_log_sd: float
+    unequal_scale: float  # omega ~ half-normal with this scale: how much the spread may differ from set to set
+    source: str  # where the numbers come from
+
+    def __post_init__(self) -> None:
+        """Refuse scales that are not above zero."""
+        scales = (self.centre_sd, self.between_scale, self.spread_median, self.unequal_scale)
+        if not (np.isfinite([self.centre, *scales]).all() and min(scales) > 0 and self.spread_log_sd >= 0):
+            raise PopulationError(f"every scale of a population prior must be finite and above zero; got {self}")
+
+    def packed(self) -> FloatArray:
+        """Numbers in the order the sampler reads them."""
+        level = (self.centre, self.centre_sd, self.between_scale)
+        return np.array([*level, np.log(self.spread_median), self.spread_log_sd, self.unequal_scale])
+
+
+_SPREAD = (
+    "spread of one set: median 0.2 of the value (FEMA P-695 rates the dispersion of test data from 0.10, superior, to "
+    "0.50, poor; geometric middle 0.22) with a factor of 7 either way, which reaches from what rounding alone makes "
+    "(0.03) to more than the value itself; "
+    "unequal spread: half-normal 1, so that sets may differ by factors of 3 and more; "
+)
+_PRIORS = {
+    "K": PopulationPrior(np.log(20.0), 3.0, 1.0, 0.2, 2.0, 1.0, _SPREAD + "level: 20 kN/mm, a factor 20 either way"),
+    "Fy": PopulationPrior(
+        np.log(80.0), 3.0, 1.0, 0.2, 2.0, 1.0, _SPREAD + "level: 80 kN (two M16 8.8 bolts), a factor 20"
+    ),
+    "ratio": PopulationPrior(
+        0.0, 1.0, 0.5, 0.2, 2.0, 1.0, _SPREAD + "level: 1 (no change between runs), a factor e either way"
+    ),
+    "gamma": PopulationPrior(
+        0.0,
+        0.05,
+        0.03,
+        0.01,
+        2.0,
+        1.0,
+        "level symmetric about 0, 0.05 s/mm (half the force at 10 mm/s); spread of one set: median 0.01 s/mm, a tenth "
+        "of the force at 10 mm/s, with a factor of 7 either way",
+    ),
+    "energy": PopulationPrior(
+        np.log(15.0), 3.0, 1.0, 0.2, 2.0, 1.0, _SPREAD + "level: 15 kJ (80 kN over a cycle of 48 mm), a factor 20"
+    ),
+    "beta": PopulationPrior(np.log(20.0), 2.0, 1.0, 0.3, 2.0, 1.0, "level: 20, a factor 7 either way; spread 0.3"),
+}
+
+
+def population_prior(name: str) -> PopulationPrior:
+    """Return the default prior of one quantity."""
+    quantity(name)
+    base = base_of(name)
+    return _PRIORS[base if base in _PRIORS else "Fy"]  # all forces read off a test are sliding forces
+
+
+ASSUMED = {
+    "alike": "if all sets are held to spread nearly alike",
+    "free": "if the spread is left to the devices alone",
+}
+"""What `other_priors` assume, in words."""
+
+
+def other_priors(prior: PopulationPrior) -> dict[str, PopulationPrior]:
+    """Return the two other priors of the spread that every answer is shown under.
+
+    ``alike``: all sets spread nearly alike (omega half-normal 0.25), so that no set is believed to be tight because its
+    few devices happen to agree. ``free``: typical spread half-Cauchy with twice the median (Gelman 2006) and omega
+    twice as free, so that the data alone limit it.
+    """
+    return {
+        "alike": replace(
+            prior, unequal_scale=0.25 * prior.unequal_scale, source="sets spread nearly alike; " + prior.source
+        ),
+        "free": replace(
+            prior,
+            spread_median=2.0 * prior.spread_median,
+            spread_log_sd=0.0,
+            unequal_scale=2.0 * prior.unequal_scale,
+            source="typical spread half-Cauchy with twice the median (Gelman 2006); " + prior.source,
+        ),
+    }
+
+
+N_COMPONENTS = 12
+"""Normal components that stand for a set of draws (benchmarks/population.py: more changes nothing visible)."""
+BANDWIDTH = 0.3
+"""Kernel width of those components, in standard deviations; centres shrink so that the variance is kept."""
+FEWEST_EFFECTIVE = 25.0
+"""Below this effective number of importance draws a device's posterior says too little about its likelihood."""
+MANY_DEVICES, NARROW = 30, 0.15
+"""Devices of a set from which on its spread is well known, and the part of that spread that counts as narrow."""
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Likelihood of a device's true value on the pooled scale, integrable against a normal in closed form."""
+
+    # True: constant ``weight`` on adjoining pieces between ``first`` and ``second``. False: normal components with
+    # centre ``first``, standard deviation ``second`` and ``weight`` summing to one.
+    pieces: bool
+    # first to weight: shape (n,): as above, pooled scale
+    first: FloatArray
+    second: FloatArray
+    weight: FloatArray
+    effective_draws: float = np.inf  # Kish effective number of importance draws behind it; infinity when it is exact
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays; pieces must adjoin."""
+        freeze(self, "first", "second", "weight")
+        if self.pieces and not np.array_equal(self.first[1:], self.second[:-1]):
+            raise PopulationError("the pieces of a likelihood must adjoin, each starting where the one before ends")
+
+    @cached_property
+    def centre_and_sd(self) -> tuple[float, float]:
+        """Mean and standard deviation of the normalised likelihood, pooled scale."""
+        if self.pieces:
+            mass = self.weight * (self.second - self.first)
+            centre, variance = 0.5 * (self.first + self.second), (self.second - self.first) ** 2 / 12.0
+        else:
+            mass, centre, variance = self.weight, self.first, self.second**2
+        mass = mass / mass.sum()
+        mean = float(np.sum(mass * centre))
+        return mean, float(np.sqrt(np.sum(mass * (variance + (centre - mean) ** 2))))
+
+
+def gathered(group: Sequence[Likelihood]) -> tuple[FloatArray, list[Likelihood]]:
+    """Narrow devices of a large set as one lot, whose likelihood needs no sum over devices; the others as they are.
+
+    Beside a spread of the set that is many times as wide, and that many devices fix, nothing of their shape is felt,
+    nor how their errors differ (`tests` hold both likelihoods side by side). Normal devices with one error enter by
+    their number (0 for a small set), mean, variance of one, and sum of squares about the mean alone.
+    """
+    if len(group) < MANY_DEVICES:
+        return np.zeros(4), list(group)
+    centre, sd = np.array([likelihood.centre_and_sd for likelihood in group]).T
+    narrow = sd < NARROW * float(np.std(centre, ddof=1))
+    if not narrow.any():
+        return np.zeros(4), list(group)
+    own = centre[narrow]
+    lot = (own.size, own.mean(), np.mean(sd[narrow] ** 2), np.sum((own - own.mean()) ** 2))
+    return np.array(lot), [likelihood for likelihood, one in zip(group, narrow, strict=True) if not one]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a device says of one quantity."""
+
+    point: float  # middle of the likelihood, pooled scale
+    likelihood: Likelihood
+
+
+@dataclass(frozen=True)
+class Rounded:
+    """A printed value that stands for everything which rounds to it.
+
+    The likelihood is the indicator of the interval, which is the same on every scale.
+    """
+
+    value: float  # as printed, natural unit
+    # lower, upper: what it stands for, natural unit
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        """Refuse an empty interval or one that misses its value."""
+        if not (np.isfinite([self.lower, self.upper]).all() and self.lower < self.upper):
+            raise PopulationError(
+                f"a rounded value needs finite bounds with lower < upper; got {self.lower:g} to {self.upper:g}. "
+                "Give the rounding step of the table (above zero)"
+            )
+        if not self.lower <= self.value <= self.upper:
+            raise PopulationError(
+                f"the printed value {self.value:g} lies outside the interval {self.lower:g} to {self.upper:g} "
+                "that it is said to stand for; correct the rounding step"
+            )
+
+    @classmethod
+    def to_step(cls, value: float, step: float) -> Rounded:
+        """Value rounded to a multiple of ``step`` (natural unit): half a step either way."""
+        return cls(value, value - 0.5 * step, value + 0.5 * step)
+
+    @classmethod
+    def to_decade(cls, value: float, decades: float = 1.0) -> Rounded:
+        """Value rounded to a power of ten: half of ``decades`` either way on the logarithm."""
+        return cls(value, value * 10.0 ** (-0.5 * decades), value * 10.0 ** (0.5 * decades))
+
+    @classmethod
+    def gamma_of_dep(cls, dep: float, step: float) -> Rounded:
+        """Interval of gamma = 1/dep, s/mm, for a dep in mm/s rounded to ``step``; refuses one that reaches 0."""
+        if abs(dep) <= 0.5 * step:
+            raise PopulationError(
+                f"dep = {dep:g} mm/s rounded to {step:g} reaches zero, where gamma = 1/dep has no bound; "
+                "give gamma itself, or a smaller rounding step"
+            )
+        ends = 1.0 / (dep + 0.5 * step), 1.0 / (dep - 0.5 * step)
+        return cls(1.0 / dep, min(ends), max(ends))
+
+    def of(self, name: str) -> Measurement:
+        """Take the value for that of a quantity."""
+        pool = quantity(name).pool
+        ends = pool(np.array([self.lower, self.upper]))
+        return Measurement(float(pool(self.value)), Likelihood(True, ends[:1], ends[1:], np.ones(1)))
+
+
+def ratio_of(second: Rounded, first: Rounded) -> Measurement:
+    """Ratio of two rounded forces, each uniform inside its own interval.
+
+    With n uniform on [a, b] and d on [c, e] the density of log(n/d) = u is, up to a constant, e^u times the integral of
+    d over the d that keep d e^u inside [a, b]. It is made constant on six equal pieces (error far below the rounding).
+    """
+    pool = quantity("ratio").pool
+    a, b, c, e = (float(pool(x)) for x in (second.lower, second.upper, first.lower, first.upper))
+    edges = np.linspace(a - e, b - c, 7)
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
+    density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)
+    point = float(pool(second.value / first.value))
+    return Measurement(point, Likelihood(True, edges[:-1], edges[1:], density / density.max()))
+
+
+def weighted(name: str, values: FloatArray, log_prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Draws of a quantity on its pooled scale, and their importance weights 1/prior, which sum to one."""
+    if values.ndim != 1 or values.size < 4 * N_COMPONENTS:
+        raise PopulationError(
+            f"posterior draws must be one column of at least {4 * N_COMPONENTS}; got shape {values.shape}. "
+            "Run the fit of that device longer"
+        )
+    if log_prior.shape != values.shape:
+        raise PopulationError(
+            f"log prior has shape {log_prior.shape}, the draws {values.shape}; give one log density per draw"
+        )
+    pooled = quantity(name).pool(values)
+    if not np.all(np.isfinite(log_prior)):
+        raise PopulationError(
+            f"the prior density of {name} must be finite at every posterior draw; it is not. "
+            "Check that the prior given is the one the device was fitted with"
+        )
+    weight = np.exp(np.min(log_prior) - log_prior)
+    return pooled, weight / weight.sum()
+
+
+def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> Measurement:
+    """Turn draws of a single-device posterior into a likelihood, by the prior under which they were made.
+
+    The likelihood follows by weighting each draw with 1/prior (Hogg, Myers and Bovy 2010, eq. 9). The weighted draws
+    are then summarised by a few normal components, equal in mass, that keep their mean and variance, so that the sum
+    over draws stays finite and smooth when the spread of the population is smaller than the gaps between draws.
+
+    `values` are equally weighted draws in natural units, shape (n,); `log_prior` is the log density at the draws *on
+    the pooled scale* (for K: the density of log K), up to a constant. `PopulationError` if the prior dominates so far
+    that hardly any draw carries the weight.
+    """
+    pooled, weight = weighted(name, values, log_prior)
+    effective = float(1.0 / np.sum(weight**2))
+    if effective < FEWEST_EFFECTIVE:
+        raise PopulationError(
+            f"{name}: only {effective:.0f} of {pooled.size} draws carry weight once the prior is divided "
+            f"out ({FEWEST_EFFECTIVE:.0f} are needed): the prior, not the recording, shaped this posterior. "
+            "Refit that device under a wider prior or leave this quantity out of it"
+        )
+    mean = float(np.sum(weight * pooled))
+    variance = float(np.sum(weight * (pooled - mean) ** 2))
+    if variance <= 0:
+        raise PopulationError(f"all posterior draws of {name} are equal; that is not a posterior")
+    order = np.argsort(pooled, kind="stable")
+    pooled, weight = pooled[order], weight[order]
+    up_to = np.cumsum(weight)
+    group = np.minimum((up_to * N_COMPONENTS).astype(np.int64), N_COMPONENTS - 1)
+    mass = np.bincount(group, weight, N_COMPONENTS)
+    held = mass > 0
+    safe = np.where(held, mass, 1.0)
+    centre = np.bincount(group, weight * pooled, N_COMPONENTS) / safe
+    within = np.bincount(group, weight * (pooled - centre[group]) ** 2, N_COMPONENTS) / safe
+    keep = np.sqrt(1.0 - BANDWIDTH**2)
+    shrunk = mean + keep * (centre - mean)
+    sd = np.sqrt(keep**2 * within + BANDWIDTH**2 * variance)
+    likelihood = Likelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective)
+    return Measurement(float(pooled[np.searchsorted(up_to, 0.5)]), likelihood)

@@ -9,17 +9,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 import shj_bayes
-from shj_bayes._util.files import damage_told, file_digest, refuse_packed, replacing, write_text
+from shj_bayes._util.files import damage_told, write_text
 from shj_bayes.errors import PopulationError, ShjError
-from shj_bayes.population.correlation import correlation_table
-from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.population.posterior import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.predict import how_wide, new_device_table
-from shj_bayes.population.priors import PopulationPrior
-from shj_bayes.population.quantities import FloatArray
-from shj_bayes.population.tested import RangeTested
+from shj_bayes.population.device import NO_TAGS, RangeTested, Tags
+from shj_bayes.population.hierarchy import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.predict import correlation_table, how_wide, new_device_table
+from shj_bayes.population.quantities import FloatArray, PopulationPrior
 from shj_bayes.results.codec import IF_KNOWN
-from shj_bayes.results.store import read, write
+from shj_bayes.results.store import read, read_arrays, write, write_arrays
 
 _DRAWS = "population.npz"
 
@@ -107,31 +104,27 @@ def _finite(value: Any) -> Any:
 
 def record_of(result: PopulationResult) -> PopulationRecord:
     """Everything but the draws."""
-    sets: list[SetRecord] = []
     by_set = dict(list(new_device_table(result).groupby("set", sort=False)))
-    for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {})):
-        bands = {
-            str(row["quantity"]): {str(k): v for k, v in row.items() if k not in {"set", "n_devices", "quantity"}}
-            for row in by_set[group.name].to_dict("records")
-        }
-        sets.append(
-            SetRecord(
-                name=group.name,
-                n_devices=len(group.devices),
-                devices=tuple(group.devices),
-                tags=None if group.name == ANY_SET else group.tags,
-                points=_finite(group.points),
-                errors=_finite(group.errors),
-                new_device=_finite(bands),
-                how_wide=how_wide(result, group.name) if "Fy" in result.posteriors else None,
-            )
-        )
     return PopulationRecord(
         version=shj_bayes.__version__,
         seed=result.seed,
         tested=result.tested,
         converged=result.converged,
-        sets=tuple(sets),
+        sets=tuple(
+            SetRecord(
+                name=group.name,
+                n_devices=len(group.devices),
+                devices=group.devices,
+                tags=None if group.name == ANY_SET else group.tags,
+                points=_finite(group.points),
+                errors=_finite(group.errors),
+                new_device=_finite(
+                    by_set[group.name].set_index("quantity").drop(columns=["set", "n_devices"]).to_dict("index")
+                ),
+                how_wide=how_wide(result, group.name) if "Fy" in result.posteriors else None,
+            )
+            for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {}))
+        ),
         quantities=tuple(
             QuantityRecord(
                 quantity=name,
@@ -163,26 +156,16 @@ def write_population(result: PopulationResult, folder: Path) -> None:
             arrays |= {f"{key}/mu": fit.mu, f"{key}/tau": fit.tau, f"{key}/hyper": fit.hyper}
             arrays[f"{key}/n_devices"] = np.array(fit.n_devices)
             arrays[f"{key}/diagnostics"] = np.array([fit.r_hat, fit.ess, fit.n_chains])
-    with replacing(folder / _DRAWS) as part, part.open("wb") as stream:
-        np.savez(stream, **arrays)
-    write(replace(record_of(result), draws_sha256=file_digest(folder / _DRAWS)), folder, ascii_only=False)
+    written = write_arrays(arrays, folder / _DRAWS)
+    write(replace(record_of(result), draws_sha256=written), folder, ascii_only=False)
 
 
 def load_population(folder: Path) -> PopulationResult:
     """Read back what ``write_population`` wrote; `PopulationError` where that is missing or of another schema."""
-    document = read(PopulationRecord, folder)
-    if not (folder / _DRAWS).is_file():
-        raise PopulationError(f"{_DRAWS} is missing in {folder.name}; run `shj-bayes tables` or `campaign` again")
-    if document.draws_sha256 not in (None, file_digest(folder / _DRAWS)):
-        raise PopulationError(
-            f"{_DRAWS} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one in "
-            "population.json); restore it or run the command again"
-        )
-    with damage_told(f"population.json or {_DRAWS} in {folder.name}", PopulationError):
-        refuse_packed(folder / _DRAWS, PopulationError)
-        with np.load(folder / _DRAWS, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        return _from_record(document, arrays)
+    record = read(PopulationRecord, folder)
+    arrays = read_arrays(folder / _DRAWS, PopulationRecord, record.draws_sha256)
+    with damage_told(f"{PopulationRecord.FILE} or {_DRAWS} in {folder.name}", PopulationError):
+        return _from_record(record, arrays)
 
 
 def _from_record(record: PopulationRecord, arrays: dict[str, FloatArray]) -> PopulationResult:

@@ -7,7 +7,7 @@ import numpy as np
 
 from shj_bayes.model.law import BETA_RANGE, force_of_laws
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.population.published import published_rows
+from shj_bayes.population.device import published_rows
 from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.results.device import DeviceData
 

@@ -6,11 +6,11 @@ from typing import Any
 from urllib.parse import quote
 
 from shj_bayes.margins.curves import CurveContrast
-from shj_bayes.population.posterior import PopulationResult
-from shj_bayes.population.published import Claim, Holding
+from shj_bayes.population.device import Claim, Holding
+from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.results import PopulationRecord, load_population
 from shj_bayes.report import words
-from shj_bayes.report.campaign_physics import holders, statements, table
+from shj_bayes.report.campaign_physics import statements, table
 from shj_bayes.report.diagnosis_words import percent
 from shj_bayes.report.page import PAGE, write_page
 from shj_bayes.report.sets_page import population_content, tested_motion
@@ -61,7 +61,7 @@ def _physics(folder: Path, record: CampaignRecord) -> dict[str, Any] | None:
     known = [group for group in record.together if all(place in with_set for place in group.devices)]
     drawn = pictures(folder, known, with_set)
     said = statements(record.together)
-    return {"said": said, "table": found, "percent": percent, "pictures": drawn, "holders": holders}
+    return {"said": said, "table": found, "percent": percent, "pictures": drawn}
 
 
 def render_tables(folder: Path, population: PopulationResult, claims: Sequence[Claim] = ()) -> Path:

@@ -6,21 +6,19 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.errors import ShjError
-from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.model.curve import curve_named
-from shj_bayes.report.campaign_physics import certain, class_words, holders, set_words, statement
+from shj_bayes.report.campaign_physics import certain, class_words, set_words, statement
 from shj_bayes.report.diagnosis_words import along_words
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
-from shj_bayes.results.campaign import WITH_SET, ClassOfSet, SetTogether
-from shj_bayes.results.device import read_group
+from shj_bayes.results.campaign import WITH_SET, SetTogether, SharedDependence
+from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
-from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import DIAGNOSIS, read
 
 PLACES = 61  # of a curve
-Panel = tuple[str, ClassOfSet, list[DeviceCurve]]  # set, class, curves of its devices
+Panel = tuple[str, SharedDependence, list[DeviceCurve]]  # set, class, curves of its devices
 MOST = 40  # curves in a panel, and panels in a picture
 
 
@@ -34,10 +32,10 @@ def pictures(folder: Path, together: Sequence[SetTogether], with_set: Mapping[st
         for row in group.classes if group.set else ():
             if not certain(row) or row.action == "motion":
                 continue
-            places = [(i, group.devices[i]) for i in holders(row)[:MOST]]
+            places = [(i, group.devices[i]) for i in row.holders[:MOST]]
             curves = [c for i, at in places if (c := _curve(folder / at, row, i, with_set[at])) is not None]
             if curves:
-                by_class.setdefault(ClassId(row.action, row.coordinate), []).append((group.set, row, curves))
+                by_class.setdefault(row.id, []).append((group.set, row, curves))
     return [_picture(parts[:MOST]) for parts in by_class.values()]
 
 
@@ -45,7 +43,7 @@ def _picture(parts: Sequence[Panel]) -> Picture:
     first = parts[0][1]
     over = along_words(first.coordinate).removeprefix("the ")
     unit = "" if first.unit == "1" else f" ({first.unit})"
-    what = class_words(ClassId(first.action, first.coordinate))
+    what = class_words(first.id)
     drawn = figures.curves([(name, curves) for name, _, curves in parts], f"{over}{unit}")
     who = ", ".join(set_words(name) for name, *_ in parts)
     said = " ".join(statement(row, name) for name, row, _ in parts)
@@ -53,7 +51,7 @@ def _picture(parts: Sequence[Panel]) -> Picture:
     return Picture(drawn, alt, said, f"Change of the {what}", wide=True)
 
 
-def _curve(place: Path, row: ClassOfSet, i: int, with_set: bool) -> DeviceCurve | None:
+def _curve(place: Path, row: SharedDependence, i: int, with_set: bool) -> DeviceCurve | None:
     """Curve of a device: of its fit with what its set has, or of its diagnosis; None where neither holds one."""
     try:
         if with_set and curve_named(row.effects[i]) is not None:
@@ -65,20 +63,18 @@ def _curve(place: Path, row: ClassOfSet, i: int, with_set: bool) -> DeviceCurve 
 
 def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
     """Curve of a device's fit with what its set has, from its posterior; None where that does not hold it."""
-    curve, fit = curve_named(effect), place / WITH_SET
-    held = read(FitRecord, fit).model.effects
-    if curve is None or curve.sides or effect not in held:
+    curve, fit = curve_named(effect), DeviceResult.read(place / WITH_SET)
+    if curve is None or curve.sides or effect not in fit.record.model.effects:
         return None
-    history = read_specimen(place, "", "").histories[0]
-    draws = read_group(fit, "posterior")
-    coefficients = np.stack([draws[f"{effect}.c{k}"].ravel() for k in range(1, curve.n + 1)])
+    history = DeviceResult.read(place).histories[0]
+    coefficients = np.stack([fit.draws[f"{effect}.c{k}"] for k in range(1, curve.n + 1)])
     share = np.linspace(0.0, 1.0, PLACES)
     values = 100.0 * curve.rows(share, np.ones(PLACES)) @ coefficients
     low, high = np.quantile(values, [0.05, 0.95], axis=1)
     return DeviceCurve(curve.over.value_of(share, history), values.mean(axis=1), low, high, alone)
 
 
-def _of_diagnosis(place: Path, row: ClassOfSet) -> DeviceCurve | None:
+def _of_diagnosis(place: Path, row: SharedDependence) -> DeviceCurve | None:
     """Curve that the diagnosis of a device found."""
     for one in read(DiagnosisRecord, place).coordinates:
         if (one.action, one.coordinate, one.direction) == (row.action, row.coordinate, "both") and one.curve:

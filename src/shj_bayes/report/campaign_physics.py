@@ -4,9 +4,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from shj_bayes.mismatch.classes import DOUBT, MATTERS
-from shj_bayes.mismatch.sets import LIKELY
 from shj_bayes.report.diagnosis_words import over_words, percent
-from shj_bayes.results.campaign import ClassOfSet, SetTogether
+from shj_bayes.results.campaign import SetTogether, SharedDependence
 from shj_bayes.results.diagnosis import ClassId
 
 ALL = "all devices of the campaign"
@@ -19,14 +18,9 @@ ACTS = {"capacity": "Sliding force", "added": "Added force", "motion": "Motion"}
 NUMBERS = ("None", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine", "Ten")
 
 
-def holders(one: ClassOfSet) -> tuple[int, ...]:
-    """Places of the devices that have a class, more probably than not."""
-    return tuple(i for i, p in enumerate(one.of_devices) if p >= LIKELY)
-
-
-def certain(one: ClassOfSet) -> bool:
+def certain(one: SharedDependence) -> bool:
     """Whether something is said of a class: the set has it, or it or a rival, with 95 %."""
-    return bool(holders(one)) and (one.enters or one.probability >= 1.0 - DOUBT)
+    return bool(one.holders) and (one.enters or one.probability >= 1.0 - DOUBT)
 
 
 def statements(together: Iterable[SetTogether]) -> tuple[str, ...]:
@@ -39,9 +33,9 @@ def statements(together: Iterable[SetTogether]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def statement(row: ClassOfSet, set_name: str) -> str:
+def statement(row: SharedDependence, set_name: str) -> str:
     """Say of one class what a set has in common, how much, how surely, and what it may be instead."""
-    has, n, of_class = holders(row), len(row.alone), ClassId(row.action, row.coordinate)
+    has, n, of_class = row.holders, len(row.alone), row.id
     changes = [row.change_percent[i] for i in has]
     sizes = [row.size_percent[i] or 0.0 for i in has]
     known = [c for c in changes if c is not None]
@@ -89,10 +83,10 @@ def table(together: Iterable[SetTogether]) -> dict[str, Any] | None:
     groups = [group for group in together if group.classes]
     if not groups:
         return None
-    by_class: dict[ClassId, dict[str, ClassOfSet]] = {}
+    by_class: dict[ClassId, dict[str, SharedDependence]] = {}
     for group in groups:
         for one in group.classes:
-            by_class.setdefault(ClassId(one.action, one.coordinate), {})[group.set] = one
+            by_class.setdefault(one.id, {})[group.set] = one
     kept = {
         one: own
         for one, own in by_class.items()

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.margins.asked import published_factors
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.files import shown
+from shj_bayes.margins.history import published_factors
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import LoopBand
 from shj_bayes.report.page import write_page
 from shj_bayes.report.sets import name_of

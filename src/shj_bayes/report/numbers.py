@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from shj_bayes.model.law import work_between
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.population.quantities import LEVELS, band_of
 from shj_bayes.report.beforehand import Beforehand, beforehand
@@ -18,7 +19,7 @@ from shj_bayes.results.store import diagnosis_in, find
 
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
-SLIDES = 0.7  # of the largest force: a middle of the stroke below it is no plateau
+SLIDES = 0.7  # of the largest force: a middle of the stroke below it the device does not slide
 SAME_SPEED = 0.2  # peak speeds within this share of one another count as one
 
 
@@ -78,19 +79,6 @@ def cycle_marks(run: RunData) -> FloatArray:
     return np.asarray(marks, dtype=np.float64) if marks.size > 1 else np.empty(0)
 
 
-def energy_between(force_kN: FloatArray, displacement_mm: FloatArray, marks: FloatArray) -> FloatArray:
-    """Energy, the integral of force over displacement, between neighbouring marks: J (kN mm), by the trapezoidal rule.
-
-    Force of shape (..., n), kN, and displacement of shape (n,), mm, give shape (..., n_cycles); marks are fractional
-    sample numbers.
-    """
-    piece = 0.5 * (force_kN[..., 1:] + force_kN[..., :-1]) * np.diff(displacement_mm)
-    total = np.concatenate([np.zeros((*piece.shape[:-1], 1)), np.cumsum(piece, axis=-1)], axis=-1)
-    whole = np.minimum(np.floor(marks).astype(int), displacement_mm.size - 2)
-    at = total[..., whole] + (marks - whole) * piece[..., whole]
-    return np.asarray(np.diff(at, axis=-1))
-
-
 @dataclass(frozen=True, eq=False)
 class CycleEnergy:
     """Energy per cycle of one run, arrays of shape (n_cycles,)."""
@@ -114,13 +102,13 @@ def cycle_energy(run: RunData) -> CycleEnergy:
     """Measured and predicted energy of every full cycle of a run."""
     marks = cycle_marks(run)
     x, spans = run.displacement_mm, whole_spans(marks)
-    low, median, high = np.quantile(energy_between(run.predicted_kN, x, marks), LEVELS, axis=0)
+    low, median, high = np.quantile(work_between(run.predicted_kN, x, marks), LEVELS, axis=0)
     return CycleEnergy(
         run.number,
         np.array([0.5 * np.ptp(x[a:b]) for a, b in spans]),
         # The largest of many noisy speeds is too large; the 98th percentile of a sine is its peak to 0.1 %.
         np.array([np.quantile(run.speed_mm_s[a:b], 0.98) for a, b in spans]),
-        energy_between(run.force_kN, x, marks),
+        work_between(run.force_kN, x, marks),
         low,
         median,
         high,
@@ -129,7 +117,7 @@ def cycle_energy(run: RunData) -> CycleEnergy:
 
 @dataclass(frozen=True, eq=False)
 class CycleShape:
-    """Envelope, plateau and damping of the cycles of one run, arrays of shape (n_cycles,)."""
+    """Envelope, sliding force and damping of the cycles of one run, arrays of shape (n_cycles,)."""
 
     run: int
     # push_kN, pull_kN: largest and smallest measured force: the envelope
@@ -140,10 +128,10 @@ class CycleShape:
     turn_mm: FloatArray = field(repr=False)
     turn_kN: FloatArray = field(repr=False)
     model_turn_kN: FloatArray = field(repr=False)
-    # push_plateau_kN, pull_plateau_kN: median measured force over the middle half of the stroke, displacement growing
+    # push_sliding_kN, pull_sliding_kN: median measured force over the middle half of the stroke, displacement growing
     # and falling; NaN where the device does not slide there
-    push_plateau_kN: FloatArray = field(repr=False)
-    pull_plateau_kN: FloatArray = field(repr=False)
+    push_sliding_kN: FloatArray = field(repr=False)
+    pull_sliding_kN: FloatArray = field(repr=False)
     # damping_percent, model_damping_percent: equivalent viscous damping of the measured and of the modelled loop, W /
     # (2 pi F x): W its energy, F half the range of the force, x half that of the displacement (Chopra, Dynamics of
     # Structures, section 3.9). 63.7 % is a rectangle.
@@ -152,12 +140,12 @@ class CycleShape:
 
 
 def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> CycleShape:
-    """Envelope, plateau and damping of every full cycle of a run; `median_kN` is the modelled force."""
+    """Envelope, sliding force and damping of every full cycle of a run; `median_kN` is the modelled force."""
     spans = whole_spans(cycle_marks(run))
     x, f, direction = run.displacement_mm, run.force_kN, run.direction
     turns = np.array([a + int(at) for a, b in spans for at in (np.argmax(x[a:b]), np.argmin(x[a:b]))], dtype=np.int64)
 
-    def plateau(a: int, b: int, sign: int) -> float:
+    def sliding(a: int, b: int, sign: int) -> float:
         middle, quarter = 0.5 * (x[a:b].max() + x[a:b].min()), 0.25 * np.ptp(x[a:b])
         rows = (np.abs(x[a:b] - middle) <= quarter) & (direction[a:b] == sign)
         flat = sign * float(np.median(f[a:b][rows])) if rows.any() else 0.0
@@ -175,8 +163,8 @@ def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> Cyc
         x[turns],
         f[turns],
         median_kN[turns],
-        np.array([plateau(a, b, 1) for a, b in spans]),
-        np.array([plateau(a, b, -1) for a, b in spans]),
+        np.array([sliding(a, b, 1) for a, b in spans]),
+        np.array([sliding(a, b, -1) for a, b in spans]),
         damping(energy.measured_J, f),
         damping(energy.median_J, median_kN),
     )

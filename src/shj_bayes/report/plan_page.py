@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.model.history import histories
-from shj_bayes.planning.files import PlanRecord
-from shj_bayes.planning.known import ASSURANCE, WITHIN, Known, RivalModel, mechanisms_of
-from shj_bayes.planning.plan import WHICH, Plan, Worth
+from shj_bayes.planning.information import WHICH
+from shj_bayes.planning.plan import Plan, PlanRecord, WorthOfTest
+from shj_bayes.planning.rivals import ASSURANCE, WITHIN, PretestPosterior, RivalModel, mechanisms_of
 from shj_bayes.report.diagnosis_words import over_words
 from shj_bayes.report.page import write_page
 
@@ -38,13 +38,13 @@ def headline(record: PlanRecord) -> str:
         }
         chance = f"with a chance of {100 * ASSURANCE:.0f} %"
         return words.get(n, f"{n} further devices make the 5 % force known to 5 %, {chance}.")
-    if record.worth == Worth.DECIDED:
+    if record.worth == WorthOfTest.DECIDED:
         p = record.now.largest_probability or 0.0
         return f"No test is needed for this question: it is decided already ({100 * p:.3g} %)."
     if not record.candidates:
         return "No protocol keeps to the limits of the rig; raise the limit that each breaks."
     best = record.candidates[0]
-    if record.worth == Worth.LITTLE:
+    if record.worth == WorthOfTest.LITTLE:
         return (
             "No test within these limits is worth its time for this question; another limit (speed, time) or another "
             "question may be."
@@ -79,7 +79,7 @@ def lines(record: PlanRecord) -> list[str]:
                 f"{d.name}: {over_words(c.coordinate)} is taken to stay at {value}, its median so far, in the "
                 "planned test. Record it again: a test in which it changes on its own tells most of it."
             )
-    if record.worth == Worth.YES and record.candidates:
+    if record.worth == WorthOfTest.YES and record.candidates:
         best, table = record.candidates[0], record.compared[0]
         if record.question == WHICH:
             out.append(
@@ -130,11 +130,11 @@ def _pictures(plan: Plan) -> dict[str, Any]:
 
     if not plan.best:
         return {}
-    known, protocol = plan.known[0], plan.best[0].protocol
+    known, protocol = plan.known[0], plan.best[0]
     time, motion = protocol.sampled(plan.rig.rate_Hz)
     x = motion.displacement_mm
     drawn: dict[str, Any] = {"history": draw.history(time, x, motion.speed_mm_s), "protocol": protocol}
-    leading = [next(b for b in known.beliefs if b.key == key) for key in known.keys[:2]]
+    leading = [next(b for b in known.rivals if b.key == key) for key in known.keys[:2]]
     if len(leading) < 2 or not known.runs:  # before any test a curve is as likely above 0 as below it: no loop to draw
         return drawn
     history = known.placed(histories([time], [motion])[0])
@@ -166,7 +166,7 @@ def _force(b: RivalModel, history: Any) -> Any:
     return b.model.force(theta, history, 0.0)[0]
 
 
-def _noise(known: Known) -> float:
+def _noise(known: PretestPosterior) -> float:
     """Give the standard deviation of the noise of one sample, kN."""
     model = known.device
     values = model.natural(np.append(np.zeros(model.n_law), known.setting.z)[None])[0, model.n_law :]

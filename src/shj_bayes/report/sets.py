@@ -9,7 +9,7 @@ import numpy as np
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
-from shj_bayes.population.posterior import ANY_SET, DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import ANY_SET, DeviceSet, PopulationResult
 from shj_bayes.population.predict import (
     RUN_FORCES,
     SECOND_RUN,

@@ -11,7 +11,7 @@ from shj_bayes.errors import ShjError
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.population.compare import Comparison, compare
-from shj_bayes.population.posterior import PopulationResult
+from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.predict import (
     RUN_FORCES,
     SECOND_RUN,
@@ -25,7 +25,7 @@ from shj_bayes.report import sets, words
 from shj_bayes.report.campaign_physics import NUMBERS
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.page import Picture
-from shj_bayes.results.device import read_group
+from shj_bayes.results.device import DeviceResult
 
 TITLES = {
     "Fy": "Sliding force of the first run",
@@ -136,8 +136,8 @@ def population_content(
 def tested_motion(folder: Path) -> tuple[float, float] | None:
     """Largest amplitude, mm, and peak speed, mm/s, of a fitted device; None where its files cannot be read."""
     try:
-        constant = read_group(folder, "constant_data")
-        x, speed = constant["displacement_mm"], constant["speed_mm_s"]
+        samples = DeviceResult.read(folder).samples
+        x, speed = samples["displacement_mm"], samples["speed_mm_s"]
     except (ShjError, KeyError):
         return None
     amplitude, peak = 0.5 * float(np.ptp(x)), float(np.quantile(speed, 0.99))

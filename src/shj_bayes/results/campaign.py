@@ -9,10 +9,11 @@ from typing import Annotated, ClassVar, Literal
 from shj_bayes.errors import ReportError, ShjError, shown
 from shj_bayes.results import store
 from shj_bayes.results.codec import Probability
-from shj_bayes.results.diagnosis import DiagnosisVerdict
+from shj_bayes.results.diagnosis import ClassId, DiagnosisVerdict
 from shj_bayes.results.fit import USABLE, Trust
 
 SCHEMA: Literal["shj-bayes/campaign/1"] = "shj-bayes/campaign/1"
+LIKELY = 0.5  # a device is given what more probably than not it has
 WITH_SET = "with-set"  # in the folder of a device: its fit with its set's physics
 
 
@@ -45,22 +46,33 @@ class SetEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClassOfSet:
-    """A class of coordinates in a set; lists are in the order of its diagnosed devices."""
+class SharedDependence:
+    """A class of dependence in a set; lists are in the order of its diagnosed devices."""
 
     action: str
     coordinate: str
     unit: str
     probability: Probability  # that the set has it
-    enters: bool  # whether models of its devices hold it
+    # the set has it, or a rival, with 95 %, and it is large enough to be followed: models of its devices hold it
+    enters: bool
     rivals: tuple[str, ...]  # classes that may stand in its place
-    of_devices: tuple[float, ...]  # that each device has it
-    alone: tuple[bool, ...]  # whether each device shows it alone
+    of_devices: tuple[float, ...]  # that each device has it, given the evidence of all
+    alone: tuple[bool, ...]  # whether the diagnosis of each device found it
     effects: tuple[str, ...]  # effect that stands, or would stand, for it in each
     # size_percent, change_percent: size in each, and its change from one end of the coordinate to the other, per cent
     # of Fy
     size_percent: tuple[float | None, ...]
     change_percent: tuple[float | None, ...]
+
+    @property
+    def id(self) -> ClassId:
+        """The class."""
+        return ClassId(self.action, self.coordinate)
+
+    @property
+    def holders(self) -> tuple[int, ...]:
+        """Places of the devices that have it, more probably than not."""
+        return tuple(i for i, p in enumerate(self.of_devices) if p >= LIKELY)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +81,7 @@ class SetTogether:
 
     set: str  # empty for all devices of the campaign
     devices: tuple[str, ...]  # their folders
-    classes: tuple[ClassOfSet, ...]
+    classes: tuple[SharedDependence, ...]
 
     def __post_init__(self) -> None:
         """Refuse what does not belong together."""

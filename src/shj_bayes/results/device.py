@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,12 @@ from numpy.typing import NDArray
 from shj_bayes._util.processes import vet
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.history import History, histories
+from shj_bayes.model.measured import Measured
 from shj_bayes.model.noise.catalogue import noise_model
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import check_files, has, read
 
@@ -83,6 +87,101 @@ class DeviceData:
         return self.record.device
 
 
+@dataclass(frozen=True, eq=False)
+class DeviceResult:
+    """What is stored of a fitted device, for whatever goes on from it; arrays are read when they are asked for.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of its fit.
+    record : FitRecord
+        Content of ``fit.json``.
+    """
+
+    folder: Path
+    record: FitRecord
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read ``fit.json`` of a finished fit; `InferenceError` where it is missing or damaged."""
+        return cls(folder, read(FitRecord, folder))
+
+    @cached_property
+    def laws(self) -> dict[str, Prior]:
+        """Prior law of every parameter, by name."""
+        return {law.name: Prior(**vars(law)) for law in self.record.prior_laws}
+
+    @cached_property
+    def model(self) -> DeviceModel:
+        """The model that was fitted, with the priors that it was fitted with."""
+        said = self.record.model
+        laws = {name: law for name, law in self.laws.items() if "." not in name}
+        laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
+        return DeviceModel(
+            len(self.record.inputs),
+            Priors(said.priors, said.priors_statement, laws, str(said.priors_sha256)),
+            effects=effects_named(said.effects),
+            noise=noise_model(said.noise),
+            free=said.free_between_runs,
+            variant=said.variant,
+            speed=said.speed,
+        )
+
+    @cached_property
+    def draws(self) -> dict[str, FloatArray]:
+        """Draws of the posterior by name, natural units, shape (n,) each."""
+        return {name: values.ravel() for name, values in read_group(self.folder, "posterior").items()}
+
+    @cached_property
+    def samples(self) -> dict[str, FloatArray]:
+        """Channels of all runs, one behind the other, as they were fitted: time_s, displacement_mm, run and others."""
+        return read_group(self.folder, "constant_data")
+
+    def by_run(self, values: FloatArray) -> tuple[FloatArray, ...]:
+        """Values of all samples, shape (n,), run by run."""
+        run = self.samples["run"]
+        return tuple(np.asarray(values[run == number]) for number in np.unique(run))
+
+    @cached_property
+    def measured_kN(self) -> tuple[FloatArray, ...]:
+        """Measured force of each run."""
+        # Fits of the first schema hold the measured force with what was observed.
+        held = self.samples if "force" in self.samples else read_group(self.folder, "observed_data")
+        return tuple(np.asarray(force, dtype=np.float64) for force in self.by_run(held["force"]))
+
+    @cached_property
+    def histories(self) -> tuple[History, ...]:
+        """What happened in each run."""
+        names = ("displacement_mm", "speed_mm_s", "half_cycle_of_sample")
+        motions = [_motion(*own) for own in zip(*(self.by_run(self.samples[name]) for name in names), strict=True)]
+        times = [np.asarray(time, dtype=np.float64) for time in self.by_run(self.samples["time_s"])]
+        further: list[dict[str, Measured]] = [{} for _ in times]
+        for name, said in self.record.channels.items():
+            for own, time, values in zip(further, times, self.by_run(self.samples[name]), strict=True):
+                own[name] = Measured(said.unit, time - time[0], values, said.low, said.high, said.reference)
+        return histories(times, motions, further)
+
+    @cached_property
+    def likelihood_of_half_cycles(self) -> dict[tuple[int, int], FloatArray]:
+        """Log likelihood of half-cycles under every draw, shape (n,), by run and number, as far as the fit holds it."""
+        stored = read_group(self.folder, "log_likelihood")
+        if not {"force_of_half_cycle", "run", "number"} <= set(stored):
+            return {}
+        places = zip(stored["run"].tolist(), stored["number"].tolist(), strict=True)
+        values = stored["force_of_half_cycle"].reshape(self.draws["Fy"].size, -1)
+        return {(int(run), int(number)): values[:, i] for i, (run, number) in enumerate(places)}
+
+
+def _motion(x: FloatArray, speed: FloatArray, half: FloatArray) -> Motion:
+    """Motion of a run from its stored channels; turning points are the outermost samples beside each reversal."""
+    start = np.append(np.flatnonzero(np.diff(half, prepend=-1)), x.size)
+    direction = alternating(start.size - 1, int(np.sign(x[start[1] - 1] - x[0]) or 1))
+    beside = np.stack([x[start[1:-1] - 1], x[start[1:-1]]])
+    turning = np.where(direction[1:] < 0, beside.max(axis=0), beside.min(axis=0))
+    return Motion(x, speed, start, np.concatenate([x[:1], turning]), direction)
+
+
 def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
     """Read the arrays of one group of ``posterior.nc``, by variable in the shape in which they are stored.
 
@@ -116,27 +215,6 @@ def read_whole(folder: Path, library: Any) -> Any:
         data.load()  # and close: an open file cannot be replaced on Windows
         data.close()
     return data
-
-
-def model_of(record: FitRecord) -> DeviceModel:
-    """Rebuild the model of a fit with the priors that it was fitted with."""
-    said = record.model
-    return DeviceModel(
-        len(record.inputs),
-        priors_of(record),
-        effects=effects_named(said.effects),
-        noise=noise_model(said.noise),
-        free=said.free_between_runs,
-        variant=said.variant,
-        speed=said.speed,
-    )
-
-
-def priors_of(record: FitRecord) -> Priors:
-    """Priors that a fit used."""
-    laws = {law.name: Prior(**vars(law)) for law in record.prior_laws if "." not in law.name}
-    laws.setdefault("ratio", Prior("ratio", "1", "lognormal", 0.8, 0.5, "As in the family afc, for one run."))
-    return Priors(record.model.priors, record.model.priors_statement, laws, str(record.model.priors_sha256))
 
 
 def read_device(folder: Path) -> DeviceData:

@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, get_args, get_type_hints
 
 import shj_bayes
-from shj_bayes._util.files import check_seal, file_digest, read_json, sealed, write_text
+from shj_bayes._util.files import (
+    check_seal,
+    damage_told,
+    file_digest,
+    read_json,
+    refuse_packed,
+    replacing,
+    sealed,
+    write_text,
+)
 from shj_bayes.errors import InferenceError, ShjError
 from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.diagnosis import DiagnosisRecord
@@ -76,6 +85,32 @@ def write(record: Any, folder: Path, *, allow_nan: bool = False, ascii_only: boo
     text = json.dumps(content, indent=1, allow_nan=allow_nan, ensure_ascii=ascii_only)
     write_text(folder / record.FILE, text if ascii_only else f"{text}\n")
     return content
+
+
+def write_arrays(arrays: Mapping[str, Any], path: Path) -> str:
+    """Write arrays of numbers, whole or not at all, and give the digest of the file."""
+    import numpy as np  # noqa: PLC0415  (who reads only records need not load it)
+
+    with replacing(path) as part, part.open("wb") as stream:
+        np.savez(stream, **arrays)
+    return file_digest(path)
+
+
+def read_arrays(path: Path, kind: type[_Stored], sha256: str | None) -> dict[str, Any]:
+    """Read back what `write_arrays` wrote beside a record; the error of its kind where the file is not that one."""
+    import numpy as np  # noqa: PLC0415  (as above)
+
+    if not path.is_file():
+        raise kind.ERROR(f"{path.name} is missing in {path.parent.name}; {kind.AGAIN}")
+    if sha256 not in (None, file_digest(path)):
+        raise kind.ERROR(
+            f"{path.name} in {path.parent.name} was cut short or altered after it was written (its SHA-256 is not the "
+            f"one in {kind.FILE}); restore it or run the command again"
+        )
+    with damage_told(f"{kind.FILE} or {path.name} in {path.parent.name}", kind.ERROR):
+        refuse_packed(path, kind.ERROR)
+        with np.load(path, allow_pickle=False) as archive:
+            return {key: archive[key] for key in archive.files}
 
 
 def check_files(folder: Path, record: FitRecord) -> None:

@@ -61,3 +61,19 @@ def test_gains_of_many_sets_at_many_sizes(linear: tuple[np.ndarray, np.ndarray, 
     np.testing.assert_allclose(gains, expected, rtol=1e-10)
     assert np.isfinite(logsumexp(gains))
     assert y.shape == (len(columns),)
+
+
+def test_data_that_were_foretold_narrow_and_do_not_move(linear: tuple[np.ndarray, np.ndarray, Gaussian]) -> None:
+    _, columns, found = linear
+    further = np.random.default_rng(9).standard_normal((7, P))
+    after = found.informed(further)
+    np.testing.assert_allclose(after.mean, found.mean, rtol=1e-10)
+    both = np.concatenate([columns, further])
+    np.testing.assert_allclose(after.covariance, np.linalg.inv(np.eye(P) + both.T @ both), rtol=1e-10)
+
+
+def test_draws_scatter_as_the_posterior_says(linear: tuple[np.ndarray, np.ndarray, Gaussian]) -> None:
+    """The whitened draws are the standard normal numbers that they were made from, turned."""
+    _, _, found = linear
+    drawn, standard = found.draw(9, np.random.default_rng(3)), np.random.default_rng(3).standard_normal((P, 9))
+    np.testing.assert_allclose(drawn.T @ found.precision @ drawn, standard.T @ standard, rtol=1e-10, atol=1e-12)

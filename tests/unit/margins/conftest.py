@@ -5,10 +5,9 @@ from made_devices import table_device
 
 from shj_bayes.margins.sheet import pool
 from shj_bayes.margins.specimen import specimens_of_table
-from shj_bayes.margins.trial import try_all
-from shj_bayes.population.device import Tags
+from shj_bayes.margins.virtual_test import virtual_tests
+from shj_bayes.population.device import PUBLISHED, Tags
 from shj_bayes.population.hierarchy import Sweeps, fit_population
-from shj_bayes.population.tested import PUBLISHED
 
 ZINC = Tags("zinc", 70.0, material="Bisalloy 500")
 RUSTY = Tags("zinc", 70.0, corroded=True, material="Bisalloy 500")
@@ -34,7 +33,7 @@ def population():
 
 @pytest.fixture(scope="session")
 def trials(population):
-    return try_all(specimens_of_table(population), None)
+    return virtual_tests(specimens_of_table(population), None)
 
 
 @pytest.fixture(scope="session")

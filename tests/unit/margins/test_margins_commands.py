@@ -16,9 +16,9 @@ from shj_bayes.cli import main
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sheet import margins
 from shj_bayes.options import MarginOptions
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.compare import is_bare
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.results import write_population
-from shj_bayes.population.selectors import is_bare
 from shj_bayes.report.margins_page import counted, set_table
 
 LABEL = "=cmd|'<b>"
@@ -125,7 +125,7 @@ def test_a_sheet_of_one_set_speaks_of_that_set_alone_in_the_numbers_of_the_sheet
 def test_what_to_mind_is_counted_over_the_sets_that_are_asked_for(design, trials):
     two = margins(design, trials, MarginOptions(sets=("Zinc 70", "Zinc 70 corroded")))
     assert two.spoken == ("Zinc 70", "Zinc 70 corroded")
-    assert {trial.set_name for trial in two.trials} == set(two.spoken)
+    assert {trial.set_name for trial in two.tests} == set(two.spoken)
     assert any("2 of 2 sets rest on one or two" in line for line in two.warnings)
 
 

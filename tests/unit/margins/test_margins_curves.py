@@ -12,7 +12,7 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import NO_TAGS
-from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.report.figures.population import apart
 from shj_bayes.report.sets import curve_words

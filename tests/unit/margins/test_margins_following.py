@@ -5,12 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from shj_bayes.margins.asked import courses, following_of, left_out_words, sine, values_to_try, words_of
-from shj_bayes.margins.bounds import Bound
-from shj_bayes.margins.export import python_script, tcl_script
-from shj_bayes.margins.specimen import Belief, Specimen
-from shj_bayes.margins.trial import try_all
-from shj_bayes.margins.virtual_test import drive
+from shj_bayes.margins.export import Bound, python_script, tcl_script
+from shj_bayes.margins.history import channel_words, left_out_words, load_cases, measured_channels, sine, values_to_try
+from shj_bayes.margins.specimen import Belief, Specimen, drive
+from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
@@ -49,7 +47,7 @@ def specimen() -> Specimen:
 
 
 def test_what_is_followed_is_found_with_its_range(specimen: Specimen) -> None:
-    (one,) = following_of(specimen)
+    (one,) = measured_channels(specimen)
     assert (one.coordinate, one.unit) == ("measured_tension", "kN")
     assert (one.low, one.reference, one.high) == (40.0, 46.0, 50.0)
     assert one.weakest == pytest.approx(40.0, abs=0.5)
@@ -60,34 +58,34 @@ def test_what_is_followed_is_found_with_its_range(specimen: Specimen) -> None:
 
 def test_limits_of_another_history_are_the_outermost_over_the_recorded_range(specimen: Specimen) -> None:
     asked = sine(90.0, 9.0, 3)
-    (trial,) = try_all([specimen], asked)
+    (trial,) = virtual_tests([specimen], asked)
     # 80 kN at mid-range: 72 at 40 kN of tension, 88 at 50.
     assert trial.values["lowest"] == pytest.approx(72.0, rel=0.02)
     assert trial.values["highest"] == pytest.approx(88.0, rel=0.02)
     assert 80.0 < trial.values["plateau"] < 83.0  # at the median, 46 kN
     assert trial.laws == ("tested",)
-    assert trial.following == following_of(specimen)
+    assert trial.channels == measured_channels(specimen)
     # A history is driven at three values; that of the test at those that were measured.
-    assert len(courses(asked, specimen, extrapolate=False)) == 3
-    (own,) = courses(None, specimen, extrapolate=False).values()
+    assert len(load_cases(asked, specimen, extrapolate=False)) == 3
+    (own,) = load_cases(None, specimen, extrapolate=False).values()
     assert own is specimen.histories
 
 
 def test_a_device_that_follows_nothing_is_driven_once() -> None:
     tested = histories([TIME], [MOTION], [MEASURED])
     plain = Specimen("d", "set", (belief([]),), tested, (0.0,))
-    assert following_of(plain) == ()
-    assert len(courses(sine(60.0, 9.0, 3), plain, extrapolate=False)) == 1
+    assert measured_channels(plain) == ()
+    assert len(load_cases(sine(60.0, 9.0, 3), plain, extrapolate=False)) == 1
 
 
 def test_the_designer_is_told(specimen: Specimen) -> None:
-    found = [following_of(specimen), ()]
-    (asked,) = words_of(found, own_test=False)
+    found = [measured_channels(specimen), ()]
+    (asked,) = channel_words(found, own_test=False)
     assert "1 of 2 devices follows the measured tension" in asked
     assert "median of each test (typically 46)" in asked
     assert "40 to 50 kN" in asked
-    assert "those of the tests, 40 to 50 kN" in words_of(found, own_test=True)[0]
-    assert words_of([(), ()], own_test=True) == ()
+    assert "those of the tests, 40 to 50 kN" in channel_words(found, own_test=True)[0]
+    assert channel_words([(), ()], own_test=True) == ()
     bound = Bound("set", "lower", 15.0, 70.0, 15.0, 1.0, 0.5, 3)
     for script in (
         python_script([bound], 60.0, "a", left_out_words(found)),

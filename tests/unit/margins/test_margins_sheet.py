@@ -8,21 +8,18 @@ import openpyxl
 import pytest
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.agreement import agreement
-from shj_bayes.margins.asked import LAWS, published_factors, sine
-from shj_bayes.margins.bounds import bounds, newcomers
+from shj_bayes.margins.basis import corroded_pairs, predictive_devices
 from shj_bayes.margins.codes import en1990, iso16269_6
-from shj_bayes.margins.export import loops, write_loops
+from shj_bayes.margins.export import bounds, draw_devices, loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
-from shj_bayes.margins.monte_carlo import draw_devices
+from shj_bayes.margins.history import LAWS, published_factors, sine
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
-from shj_bayes.margins.sheet import CAPACITY, DRIFT, margins, pool
+from shj_bayes.margins.sheet import CAPACITY, DRIFT, agreement, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
-from shj_bayes.margins.spread import corroded_pairs
-from shj_bayes.margins.trial import try_all
+from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
-from shj_bayes.population.posterior import ANY_SET
-from shj_bayes.population.tested import PUBLISHED, RangeTested, common
+from shj_bayes.population.device import PUBLISHED, RangeTested, common
+from shj_bayes.population.hierarchy import ANY_SET
 
 LABEL = "=cmd|'<b>"
 
@@ -48,7 +45,7 @@ def test_every_number_says_where_it_comes_from(sheet):
 
 
 def test_bands_are_those_of_a_new_device(sheet, design):
-    bands = {p: device.band("plateau") for p, device in newcomers(design, "Zinc 70").items()}
+    bands = {p: device.band("plateau") for p, device in predictive_devices(design, "Zinc 70").items()}
     low, high = min(b[0] for b in bands.values()), max(b[2] for b in bands.values())
     assert low <= bands["default"][0]  # two devices of its own: the outermost of the three priors
     for side, level, value in ((LOW, 5, low), (MIDDLE, 50, bands["default"][1]), (HIGH, 95, high)):
@@ -108,7 +105,7 @@ def test_degradation_turns_the_ratio_round(sheet, design):
         assert row.value == pytest.approx(1 - ratio)
     assert row.inputs.startswith("of the ratio: m_y")
     band = sheet.by_key["Zinc 70", "degradation", "new device, 95 %", HIGH]
-    own = {p: 1 - device.band("ratio")[0] for p, device in newcomers(design, "Zinc 70").items()}
+    own = {p: 1 - device.band("ratio")[0] for p, device in predictive_devices(design, "Zinc 70").items()}
     for label, value in own.items():
         assert f"{value:.4g} under the prior '{label}'" in band.inputs
     assert band.value == pytest.approx(max(own.values()))
@@ -156,17 +153,17 @@ def test_nothing_is_said_of_what_was_not_tested(population):
     specimens = specimens_of_table(population)
     words = r"speed of 300 mm/s, which was not tested.*by 11 for.*by -9 for.*--extrapolate"
     with pytest.raises(PopulationError, match=words):
-        try_all(specimens, sine(48.0, 300.0, 3))
+        virtual_tests(specimens, sine(48.0, 300.0, 3))
     with pytest.raises(PopulationError, match=r"position of 120 mm.*tested up to 95 mm"):
-        try_all(specimens, sine(120.0, 9.0, 3), extrapolate=True)
+        virtual_tests(specimens, sine(120.0, 9.0, 3), extrapolate=True)
     with pytest.raises(PopulationError, match="above zero"):
         MarginOptions(speed_mm_s=-3.0)
 
 
 def test_extrapolation_is_the_outermost_of_bounded_laws(population, sheet):
     asked = sine(48.0, 300.0, 3)
-    beyond = try_all(specimens_of_table(population), asked, extrapolate=True)
-    inside = try_all(specimens_of_table(population), sine(48.0, 9.0, 3))
+    beyond = virtual_tests(specimens_of_table(population), asked, extrapolate=True)
+    inside = virtual_tests(specimens_of_table(population), sine(48.0, 9.0, 3))
     for far, near in zip(beyond, inside, strict=True):
         assert far.laws == tuple(LAWS)
         assert 0 < far.values["lowest"] <= 1.1 * near.values["lowest"]

@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.asked import depends, sine
-from shj_bayes.margins.quantities import counted_from, of_readings
+from shj_bayes.margins.history import depends, sine
 from shj_bayes.margins.sheet import pool
-from shj_bayes.margins.specimen import Belief, Specimen
-from shj_bayes.margins.trial import try_all
-from shj_bayes.margins.virtual_test import drive, read_off
+from shj_bayes.margins.specimen import Belief, Specimen, drive
+from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off, virtual_tests
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import SCALES, histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import Tags
-from shj_bayes.population.posterior import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.recording.motion import exact_motion, table_1
 
 LAW = {"K": 15.0, "Fy": 80.0, "beta": 15.0, "gamma": 0.0, "ratio": 0.95}
@@ -84,7 +82,7 @@ def test_no_diagnosis_makes_a_bound_less_safe_than_the_recording(beliefs):
 
     Of 7.6 m travelled 6.7 are slid.
     """
-    (trial,) = try_all([specimen(*beliefs)], None)
+    (trial,) = virtual_tests([specimen(*beliefs)], None)
     measured = min(run["least"][3] for run in trial.table)
     assert measured == pytest.approx(50.8, abs=1.0)
     assert trial.values["lowest"] <= 1.0001 * measured
@@ -98,7 +96,7 @@ def test_a_wild_draw_of_a_model_makes_no_measured_value_unsure():
     wild = wrong.theta.copy()
     wild[3, wrong.model.index("Fy")] *= 0.5
     sure, unsure = (
-        try_all([specimen(replace(wrong, theta=theta), belief(()))], None)[0] for theta in (wrong.theta, wild)
+        virtual_tests([specimen(replace(wrong, theta=theta), belief(()))], None)[0] for theta in (wrong.theta, wild)
     )
     for q in ("least", "least_2", "lowest", "plateau"):
         assert unsure.values[q] == pytest.approx(sure.values[q], rel=2e-3)
@@ -109,12 +107,12 @@ def test_a_wild_draw_of_a_model_makes_no_measured_value_unsure():
 def test_the_error_of_the_model_is_seen_and_carried_to_another_history():
     alone = belief((), **ALONE_LAW)
     devices = [specimen(alone, scale=scale, name=f"d{scale}") for scale in (0.95, 1.0, 1.05)]
-    (trial, *_) = own = try_all(devices, None)
+    (trial, *_) = own = virtual_tests(devices, None)
     assert np.exp(trial.model_errors["least_2"]) < 0.95
     assert trial.cycle_errors.std() > 0.05
-    right = try_all([specimen(belief(["wear"], **WEAR), alone)], None)[0]
+    right = virtual_tests([specimen(belief(["wear"], **WEAR), alone)], None)[0]
     assert right.cycle_errors.std() < 0.01
-    other = try_all(devices, sine(60.0, 9.0, 3))
+    other = virtual_tests(devices, sine(60.0, 9.0, 3))
     assert all(t.carried for t in other)
     assert not trial.carried
     groups = PopulationResult((DeviceSet("set", tuple(t.name for t in own), Tags(), {}),), {}, {}, {}, {}, 1)
@@ -133,9 +131,9 @@ def test_travel_beyond_the_test_is_refused_where_the_force_depends_on_it():
     long = sine(60.0, 9.0, 40)
     worn = specimen(belief(["wear"], **WEAR), belief((), **ALONE_LAW))
     with pytest.raises(PopulationError, match=r"travel of .* m, which was not tested.*--extrapolate"):
-        try_all([worn], long)
-    (beyond,) = try_all([worn], long, extrapolate=True)
-    (law,) = try_all([specimen(belief((), **ALONE_LAW))], long)
+        virtual_tests([worn], long)
+    (beyond,) = virtual_tests([worn], long, extrapolate=True)
+    (law,) = virtual_tests([specimen(belief((), **ALONE_LAW))], long)
     assert 0 < beyond.values["lowest"] < law.values["lowest"]
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import PlanError
-from shj_bayes.margins.asked import from_file
-from shj_bayes.planning.files import history_csv
+from shj_bayes.margins.history import from_file
+from shj_bayes.planning.plan import history_csv
 from shj_bayes.planning.protocol import (
     LIMITS,
     Protocol,
     ProtocolBlock,
     Rig,
     changed,
-    first_protocols,
+    proposals,
     read_rig,
     table_1_protocol,
 )
@@ -51,7 +51,7 @@ def test_half_cycles_turn_where_the_motion_does() -> None:
 def test_proposals_keep_to_the_rig_whatever_is_changed() -> None:
     small = Rig(30.0, 5.0, 100.0, 4.0, 5.0)
     rng = np.random.default_rng(3)
-    listed = first_protocols(small, rng, 10)
+    listed = proposals(small, 3, 10)
     assert listed[0].name == "Table 1"
     assert listed[0].largest_mm <= 30.0
     protocols = listed[1:]
@@ -117,4 +117,4 @@ def test_a_limit_that_no_rig_has_is_refused(tmp_path: Path, name: str, value: st
 
 def test_a_week_on_the_rig_is_not_filled_with_repeats() -> None:
     rig = replace(RIG, max_stroke_mm=1.0, max_speed_mm_s=1e5, max_minutes=1e4)
-    assert max(len(one.blocks) for one in first_protocols(rig, np.random.default_rng(1), 8)) < 3000
+    assert max(len(one.blocks) for one in proposals(rig, 1)) < 3000

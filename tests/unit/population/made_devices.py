@@ -1,7 +1,7 @@
 """Devices as the published tables state them, for the tests of population and margins."""
 
 from shj_bayes.population.device import DeviceEstimate, Tags
-from shj_bayes.population.measurement import Rounded
+from shj_bayes.population.quantities import Rounded
 
 
 def table_device(name, set_name, K, Fy, second, dep, tags=None):

@@ -20,11 +20,9 @@ from shj_bayes.population.compare import (
     variance_ratio,
     welch,
 )
-from shj_bayes.population.correlation import correlation_draws, inverse_wishart, scatter
-from shj_bayes.population.device import Tags
-from shj_bayes.population.posterior import DeviceSet, PopulationResult, QuantityPosterior
-from shj_bayes.population.predict import new_device
-from shj_bayes.population.published import published_rows
+from shj_bayes.population.device import Tags, published_rows
+from shj_bayes.population.hierarchy import DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.predict import correlation_draws, inverse_wishart, new_device, scatter
 from shj_validation.paper_claims import coated_table
 
 

@@ -11,9 +11,7 @@ from shj_bayes.inference.convergence import ess_bulk, rhat
 from shj_bayes.population import hierarchy
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.hierarchy import Sweeps, fit_population, fit_quantity
-from shj_bayes.population.measurement import Likelihood, Rounded, of_draws
-from shj_bayes.population.priors import other_priors, population_prior
-from shj_bayes.population.quantities import quantity
+from shj_bayes.population.quantities import Likelihood, Rounded, of_draws, other_priors, population_prior, quantity
 
 FY = quantity("Fy")
 PRIOR = population_prior("Fy")

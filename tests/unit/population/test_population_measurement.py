@@ -6,7 +6,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
 from shj_bayes.population.hierarchy import _pack
 from shj_bayes.population.kernel import log_likelihood_of_set
-from shj_bayes.population.measurement import Likelihood, Rounded, gathered, of_draws, ratio_of
+from shj_bayes.population.quantities import Likelihood, Rounded, gathered, of_draws, ratio_of
 
 
 def log_likelihood(mu, log_tau, data):

@@ -7,10 +7,9 @@ from scipy import stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.compare import compare
 from shj_bayes.population.device import DeviceEstimate
-from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.measurement import Rounded
-from shj_bayes.population.posterior import ANY_SET
+from shj_bayes.population.hierarchy import ANY_SET, fit_population
 from shj_bayes.population.predict import NewDevice, dep_words, how_wide, loop_band, new_device, new_device_table
+from shj_bayes.population.quantities import Rounded
 from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
 from shj_bayes.results.codec import to_json
 

@@ -13,7 +13,7 @@ lambda_test x lambda_spec reaches the force that 95 % of new devices deliver eve
 
 from collections.abc import Iterator, Sequence
 
-from shj_bayes.margins.bounds import Bounds, Delivered
+from shj_bayes.margins.basis import Bounds, SlidingForceBounds
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 
@@ -37,32 +37,32 @@ def with_floor(bounds: Bounds) -> Bounds:
     return Bounds(min(bounds.low, FLOOR[0]), max(bounds.high, FLOOR[1]))
 
 
-def specification(force: Delivered, nominal_kN: float) -> Bounds:
+def specification(force: SlidingForceBounds, nominal_kN: float) -> Bounds:
     """Device to device: 5 and 95 % of the third cycle over the nominal force."""
     return Bounds.around(force.third_low / nominal_kN, force.third_high / nominal_kN)
 
 
-def testing(force: Delivered) -> Bounds:
+def testing(force: SlidingForceBounds) -> Bounds:
     """First cycle, travel, later runs and speed: what the tests did to the force of the third cycle."""
     change = force.low / force.third_low, force.high / force.third_high
     return Bounds.around(force.typical.low, force.typical.high, *change)
 
 
 def _rows(given: Given) -> Iterator[Margin]:
-    parts, nominal = given.parts, given.parts.nominal_kN
+    basis, nominal = given.basis, given.basis.nominal_kN
     formula, inputs = "50 % of a new device, third cycle of the first run", f"nominal {nominal:.4g} kN"
-    origin = ("ASCE 7, NZ practice", formula, f"{inputs} ({parts.nominal_words})", "what the factors below multiply")
+    origin = ("ASCE 7, NZ practice", formula, f"{inputs} ({basis.nominal_words})", "what the factors below multiply")
     yield given.of_force("nominal sliding force", MIDDLE, nominal, "kN", origin)
-    spec, test = specification(parts.force, nominal), testing(parts.force)
-    total = modification(parts.age.measured, test, spec)
-    factors = (spec, test, parts.age.measured, total, with_floor(total))
+    spec, test = specification(basis.force, nominal), testing(basis.force)
+    total = modification(basis.age.measured, test, spec)
+    factors = (spec, test, basis.age.measured, total, with_floor(total))
     yield from _of_bound(given, LOW, [factor.low for factor in factors])
     yield from _of_bound(given, HIGH, [factor.high for factor in factors])
 
 
 def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Margin]:
     """Factors of the lower or upper bound (specification, tests, ageing, all, all with the floor), and its force."""
-    parts, force, nominal = given.parts, given.parts.force, given.parts.nominal_kN
+    basis, force, nominal = given.basis, given.basis.force, given.basis.nominal_kN
     spec, test, age, both, final = factors
     if side == LOW:
         word, bound, level, what, floor = "min", "lower", 5, "smallest plateau", "not above"
@@ -79,7 +79,7 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
          ("1", f"{force.words}; {level} % devices {reached:.4g} / {third:.4g} kN",
           "first cycle, cumulative travel, later runs and speed in the tests"), CLAUSE),
         (f"lambda_ae,{word}", age, "corroded / uncorroded, typical devices",
-         ("1", parts.age.words, "ageing and environment: corrosion only"), CLAUSE),
+         ("1", basis.age.words, "ageing and environment: corrosion only"), CLAUSE),
         (f"lambda_{word}", both, f"({sign}) x test x spec",
          ("1", f"ae {age:.3f}, test {test:.3f}, spec {spec:.3f}", "factor on the nominal force, before the floor"),
          CLAUSE),

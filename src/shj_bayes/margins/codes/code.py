@@ -1,13 +1,19 @@
-"""What a design code is: a name, and a function from what is known of a set to margins."""
+"""What a design code is, and all of them: every module of this package that holds a ``CODE``; a file more is enough."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
+from shj_bayes._util.imports import discovered
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins import codes
+from shj_bayes.margins.basis import DesignBasis
 from shj_bayes.margins.row import FACTORS, Margin
-from shj_bayes.margins.spread import DesignBasis, Sample, Spread
+from shj_bayes.margins.spread import Sample, Spread, limit, remarks
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.quantities import LOWEST
+from shj_bayes.population.quantities import quantity as described
 
 
 @dataclass(frozen=True)
@@ -19,13 +25,27 @@ class Given:
     samples: Mapping[str, Sample] = field(repr=False)
     spreads: Mapping[str, tuple[Spread, ...]] = field(repr=False)  # ways to come by the spread of each quantity
     devices: Mapping[str, int]  # tested devices behind each quantity
-    parts: DesignBasis  # nominal and delivered forces, ageing
+    basis: DesignBasis  # nominal force, bounds of the sliding force, ageing
     request: MarginOptions  # choices of the user
 
     def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
         """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""
         n = self.devices.get(LOWEST, 0)
         return Margin(self.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
+
+    def limit(
+        self, head: tuple[str, str, str], way: Spread, factor: float, law: str, side: str, origin: tuple[str, str, str]
+    ) -> Margin:
+        """Margin of a quantity by a factor on a spread, under a law.
+
+        `head` is quantity, method and kind; `origin` clause, purpose, and why there is no value, empty where there is.
+        """
+        quantity, method, kind = head
+        clause, purpose, missing = origin
+        value, formula, inputs = limit(self.samples[quantity], way, factor, law, side)
+        number = (math.nan if missing else value, described(quantity).unit, self.devices[quantity], way.degrees)
+        told = (clause, formula, f"{inputs}; spread: {way.origin}", purpose, missing or remarks(way, value))
+        return Margin(self.set_name, quantity, method, kind, side, *number, *told)
 
 
 @dataclass(frozen=True)
@@ -35,3 +55,9 @@ class Code:
     id: str  # name of its file
     rows: Callable[[Given], Iterator[Margin]]  # from what is given of a set to its margins
     place: int  # order on the sheet
+
+
+@cache
+def catalogue() -> tuple[Code, ...]:
+    """Every design code, in the order of its ``place`` on the sheet, then by id."""
+    return tuple(sorted(discovered(codes, "CODE", PopulationError), key=lambda code: (code.place, code.id)))

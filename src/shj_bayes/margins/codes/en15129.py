@@ -14,10 +14,9 @@ known.
 from collections.abc import Iterator
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.bounds import Bounds
+from shj_bayes.margins.basis import Bounds, Environment
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, Margin
-from shj_bayes.margins.spread import Environment
 
 COMBINATION = {"III": 0.90, "II": 0.70, "I": 0.60}
 """psi_fi by importance class of the structure."""
@@ -44,18 +43,18 @@ def kind_of(word: str, importance: str) -> str:
 
 
 def _rows(given: Given) -> Iterator[Margin]:
-    parts, importance = given.parts, given.request.importance
-    factors = ageing(parts.age, importance)
+    basis, importance = given.basis, given.request.importance
+    factors = ageing(basis.age, importance)
     for side, supply, factor, word in (
-        (LOW, parts.force.low, factors.low, "LBDP"),
-        (HIGH, parts.force.high, factors.high, "UBDP"),
+        (LOW, basis.force.low, factors.low, "LBDP"),
+        (HIGH, basis.force.high, factors.high, "UBDP"),
     ):
         what = "smallest plateau" if side == LOW else "largest force"
         origin = (
             "EN 15129; EN 1998-2 Annex J",
             "X x lambda_f1; travel (f4) and speed are in X as measured, psi on what was not measured",
-            f"X = {supply:.4g} kN, {'5' if side == LOW else '95'} % of the {what} of all runs ({parts.force.words}); "
-            f"ageing {factor:.3f} ({parts.age.words}); psi = {COMBINATION[importance]:g}",
+            f"X = {supply:.4g} kN, {'5' if side == LOW else '95'} % of the {what} of all runs ({basis.force.words}); "
+            f"ageing {factor:.3f} ({basis.age.words}); psi = {COMBINATION[importance]:g}",
             f"{'lower' if side == LOW else 'upper'} bound design property, one of two analyses",
             "temperature and contamination were not tested and stand as 1",
         )

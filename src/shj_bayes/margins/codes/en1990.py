@@ -13,15 +13,15 @@ your edition. "Known" means known from elsewhere than these tests, so it is stat
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 
 from scipy import special
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, TESTING, Margin
-from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, known, limit, remarks, sd_of_log
-from shj_bayes.population.posterior import ANY_SET
-from shj_bayes.population.quantities import quantity as described
+from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, known, sd_of_log
+from shj_bayes.population.hierarchy import ANY_SET
 
 CHARACTERISTIC = 0.05
 """Fractile of a characteristic value, Table D1."""
@@ -84,14 +84,10 @@ def _rows(given: Given) -> Iterator[Margin]:
                 )
                 few = way.degrees < FEWEST[fractile] - 1
                 missing = f"{clause} has no factor for n = {way.degrees + 1:.3g} with V unknown" if few else ""
-                for law in (LOGNORMAL, NORMAL):
-                    for side in (LOW, HIGH):
-                        value, formula, inputs = limit(sample, way, factor, law, side)
-                        head = (given.set_name, quantity, TESTING, f"EN 1990 {word}, {law}, {way.name}", side)
-                        number = (math.nan if few else value, described(quantity).unit, given.devices[quantity])
-                        origin = (f"EN 1990 {clause}", formula, f"{inputs}; spread: {way.origin}")
-                        meant = f"{'upper' if side == HIGH else 'lower'} {purpose}"
-                        yield Margin(*head, *number, way.degrees, *origin, meant, missing or remarks(way, value))
+                for law, side in product((LOGNORMAL, NORMAL), (LOW, HIGH)):
+                    head = (quantity, TESTING, f"EN 1990 {word}, {law}, {way.name}")
+                    meant = f"{'upper' if side == HIGH else 'lower'} {purpose}"
+                    yield given.limit(head, way, factor, law, side, (f"EN 1990 {clause}", meant, missing))
 
 
 def _check(n: float, degrees: float) -> None:

@@ -7,8 +7,9 @@ the standard's own tables come out to the last printed digit, because the factor
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
+from itertools import product
 
 import numpy as np
 from scipy import optimize, special
@@ -16,9 +17,8 @@ from scipy import optimize, special
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, TOLERANCE, Margin
-from shj_bayes.margins.spread import COMMON, LOGNORMAL, NORMAL, UNKNOWN, limit, remarks
+from shj_bayes.margins.spread import COMMON, LOGNORMAL, NORMAL, UNKNOWN
 from shj_bayes.population.quantities import FloatArray
-from shj_bayes.population.quantities import quantity as described
 
 CLAUSE = "ISO 16269-6"
 LIMITS = ((0.95, 0.75), (0.95, 0.95), (0.90, 0.95))
@@ -84,25 +84,19 @@ def _half_widths(z: FloatArray, coverage: float) -> FloatArray:
 
 def _rows(given: Given) -> Iterator[Margin]:
     """One- and two-sided limits: of the set's own devices, and with the variance common to all sets."""
-    forms: tuple[tuple[str, Callable[..., float]], ...] = (("one-sided", one_sided), ("two-sided", two_sided))
-    for quantity, sample in given.samples.items():
-        for way in given.spreads[quantity]:
-            laws = (LOGNORMAL, NORMAL) if way.name == UNKNOWN else (LOGNORMAL,)
-            for coverage, confidence in LIMITS:
-                for form, factor_of in forms:
-                    factor = factor_of(way.n_mean, coverage, confidence, degrees=way.degrees)
-                    several = ", several samples with a common variance" if way.name == COMMON else ""
-                    clause, sure = f"{CLAUSE}, {form}{several}", (100 * coverage, 100 * confidence)
-                    covered = "beyond it" if form == "one-sided" else "between both limits"
-                    purpose = f"{sure[0]:.0f} % of devices lie {covered}, with a confidence of {sure[1]:.0f} %"
-                    for law in laws:
-                        for side in (LOW, HIGH):
-                            value, formula, inputs = limit(sample, way, factor, law, side)
-                            kind = f"tolerance {sure[0]:.0f}/{sure[1]:.0f} {form}, {law}, {way.name}"
-                            head = (given.set_name, quantity, TOLERANCE, kind, side)
-                            number = (value, described(quantity).unit, given.devices[quantity], way.degrees)
-                            origin = (clause, formula, f"{inputs}; spread: {way.origin}", purpose)
-                            yield Margin(*head, *number, *origin, remarks(way, value))
+    for quantity in given.samples:
+        for way, (coverage, confidence) in product(given.spreads[quantity], LIMITS):
+            several = ", several samples with a common variance" if way.name == COMMON else ""
+            share, sure = 100 * coverage, 100 * confidence
+            for form, factor_of, covered in (
+                ("one-sided", one_sided, "beyond it"),
+                ("two-sided", two_sided, "between both limits"),
+            ):
+                factor = factor_of(way.n_mean, coverage, confidence, degrees=way.degrees)
+                purpose = f"{share:.0f} % of devices lie {covered}, with a confidence of {sure:.0f} %"
+                for law, side in product((LOGNORMAL, NORMAL) if way.name == UNKNOWN else (LOGNORMAL,), (LOW, HIGH)):
+                    head = (quantity, TOLERANCE, f"tolerance {share:.0f}/{sure:.0f} {form}, {law}, {way.name}")
+                    yield given.limit(head, way, factor, law, side, (f"{CLAUSE}, {form}{several}", purpose, ""))
 
 
 CODE = Code("iso16269_6", _rows, 2)

@@ -33,8 +33,8 @@ def warning(value: float, side: str) -> str:
 
 
 def _rows(given: Given) -> Iterator[Margin]:
-    parts = given.parts
-    force, nominal = parts.force, parts.nominal_kN
+    basis = given.basis
+    force, nominal = basis.force, basis.nominal_kN
     phi, phi_o = equivalent_factors(force.first_low, force.high, nominal)
     found = [("phi equivalent, first run", LOW, phi, force.first_low, "dependable sliding force phi V_ss")]
     if force.later_low is not None:

@@ -148,12 +148,12 @@ def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], u
 
 
 def envelope(shapes: Sequence[CycleShape], unit: ForceUnit) -> str:
-    """Largest force and plateau of every cycle, push and pull."""
+    """Largest and sliding force of every cycle, push and pull."""
     figure, axes = sheet(measured=False)
     at = 0
     for shape, colour in zip(shapes, SERIES, strict=False):
         number = at + np.arange(1, shape.push_kN.size + 1)
-        for sign, peak, flat in ((1, shape.push_kN, shape.push_plateau_kN), (-1, shape.pull_kN, shape.pull_plateau_kN)):
+        for sign, peak, flat in ((1, shape.push_kN, shape.push_sliding_kN), (-1, shape.pull_kN, shape.pull_sliding_kN)):
             marker = "^" if sign > 0 else "v"
             axes.plot(number, sign * peak, marker, color=colour, markersize=4.5, markerfacecolor="none")
             axes.plot(number, sign * flat, marker + "-", color=colour, markersize=4.5, linewidth=1)

@@ -1,4 +1,4 @@
-"""What is known of devices before the next test."""
+"""What is known of devices before the next test: what each may be, and how many more are needed."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from scipy.stats import chi2, nct, norm
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError, did_you_mean
+from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
-from shj_bayes.margins.specimen import read_specimen
 from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, ODDS, PRESENT, TYPICAL, candidates, classes
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
@@ -33,26 +33,18 @@ from shj_bayes.model.history import SCALES, History, histories
 from shj_bayes.model.measured import coordinate_of
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
 from shj_bayes.options import DiagnoseOptions
-from shj_bayes.planning.protocol import Candidates
+from shj_bayes.planning.protocol import Protocol, Rig
 from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.recording import Extra, Recording, Source
-from shj_bayes.results.device import model_of, read_group
+from shj_bayes.recording.recording import BoolArray, Extra, Recording, Source
+from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import has, read
+from shj_bayes.results.store import has
 
 ODDS_IN_FILES = 1e-6  # probabilities below it are left out
 
 
-@dataclass(frozen=True, eq=False)
-class Stored:
-    """A tested device, and the sliding force that its fit found."""
-
-    tested: Subject
-    Fy: tuple[float, float]  # sliding force, kN, and the standard deviation of its logarithm
-
-
-def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
+def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> DeviceUnderTest:
     """Read a device from the files of its fit and of its diagnosis; a fit without one is taken for what it is.
 
     `PlanError` if there is no fit, or the diagnosis states no probabilities.
@@ -62,26 +54,23 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
             f"{folder.name} holds a first look, which keeps no recordings; run shj-bayes diagnose without --quick"
         )
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PlanError):
-        record = read(FitRecord, folder)
-        specimen = read_specimen(folder, record.device, "")
-        data, draws = read_group(folder, "constant_data"), read_group(folder, "posterior")
+        fit = DeviceResult.read(folder)
+        channels = {name: fit.by_run(fit.samples[name]) for name in ("time_s", "used", *fit.record.channels)}
         runs = []
-        for i, history in enumerate(specimen.histories):
-            entry, own = record.inputs[i], data["run"] == i + 1
+        for i, (entry, history) in enumerate(zip(fit.record.inputs, fit.histories, strict=True)):
             motion = replace(history.motion, noise_mm=entry.displacement_noise_mm)
-            source = Source(entry.name, str(entry.sha256), entry.format)
             named = {coordinate_of(name): name for name in entry.extras}
+            extras = (Extra(named.get(k, k), said.unit, channels[k][i]) for k, said in fit.record.channels.items())
             recording = Recording(
-                data["time_s"][own],
+                channels["time_s"][i],
                 motion.displacement_mm,
-                specimen.measured_kN[i],
-                data["used"][own] > 0,
-                source,
-                extras=tuple(Extra(named.get(k, k), one.unit, data[k][own]) for k, one in history.measured.items()),
+                fit.measured_kN[i],
+                channels["used"][i] > 0,
+                Source(entry.name, str(entry.sha256), entry.format),
+                extras=tuple(extras),
             )
             runs.append(Run(recording, motion))
-        logs = np.log(draws["Fy"].ravel())
-    model = model_of(record)
+        logs, model = np.log(fit.draws["Fy"]), fit.model
     said = diagnosis.model if diagnosis else None
     effects = model.effects if diagnosis is None else effects_named(said.given if said else ())
     without = said.without if said else ()
@@ -93,9 +82,8 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> Stored:
         sets = tuple(pair for pair in sets if pair[1] > ODDS_IN_FILES)
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
-    spread = (float(np.exp(logs.mean())), float(logs.std(ddof=1)))
-    tested = Subject(record.device, tuple(runs), device, sets, DiagnoseOptions(without).hidden(device))
-    return Stored(tested, spread)
+    Fy = float(np.exp(logs.mean())), float(logs.std(ddof=1))
+    return DeviceUnderTest(fit.record.device, tuple(runs), device, sets, DiagnoseOptions(without).hidden(device), Fy=Fy)
 
 
 FRACTILE = 0.05
@@ -165,14 +153,14 @@ def half_width(n: int) -> float:
 MOST_RUNS = 9
 KINDS = 3  # ways to write a class, by smoothness or as an effect, that are fitted
 NEAR = 7.0  # nats behind the best way, beyond which a way is left out
-MOST_BELIEFS, LEAST_SHARE = 12, 1e-4  # of the most probable
+MOST_RIVALS, LEAST_SHARE = 12, 1e-4  # of the most probable
 SMOOTHNESS = 0.5  # length of a curve that no test has been seen of, as a share of the range
 PLANNED = Source("planned")
 Key = frozenset[str]
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class DeviceUnderTest:
     """A tested device that a further test is planned for, and what it may be."""
 
     name: str
@@ -182,6 +170,7 @@ class Subject:
     hidden: frozenset[str]  # mechanisms that are not looked for
     # whether the probabilities are those before any test, so that what the runs say of them is still to be weighed
     untold: bool = False
+    Fy: tuple[float, float] = (math.nan, math.nan)  # sliding force, kN, and the standard deviation of its logarithm
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,15 +181,25 @@ class RivalModel:
     share: float  # its probability
     model: DeviceModel  # model of the old runs and the planned one
     z: FloatArray  # shape (n_law,): where it is linearised, unbounded
-    # shape (d,), d = n_law + p + 1 + n_runs: law parameters, coefficients of the discrepancy and the load cell's zeros
-    # in the planned run and in the old ones, after the old tests
+    # of d = n_law + p + 1 + n_runs coefficients: law parameters, those of the discrepancy, the load cell's zeros in the
+    # planned run and in the old ones; mean, shape (d,), after the old tests, and what these say of them
     mean: FloatArray
-    precision: FloatArray  # shape (d, d): inverse of their covariance
+    gaussian: Gaussian
     evidence: float = 0.0  # log density of the old tests; 0 where there are none
+
+    @property
+    def drawn(self) -> BoolArray:
+        """Which parameters of the law differ from what is expected: not those that no test tells of yet, (n_law,).
+
+        Their prior is wide, and where rivals differ a straight line does not reach so far: the sliding force of a new
+        run would tell them apart by itself.
+        """
+        of_effects = np.array(["." in name for name in self.model.law_names])
+        return np.asarray(of_effects | np.any(self.gaussian.inner[: self.z.size], axis=1))
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class PretestPosterior:
     """A device before its next test."""
 
     name: str
@@ -210,7 +209,7 @@ class Known:
     old: tuple[Averages, ...]  # the old runs in blocks, on the common scales
     scales: Mapping[str, Any]  # of the coordinates; from `common_scales`
     setting: NoiseSetting  # noise and discrepancy
-    beliefs: tuple[RivalModel, ...]  # what the device may be, most probable first; the shares add up to 1
+    rivals: tuple[RivalModel, ...]  # what the device may be, most probable first; the shares add up to 1
     middle_mm: float  # displacement of the middle of the stroke
     peak_mm_s: float | None = None  # peak speed of the old tests, which low speeds are a share of
 
@@ -221,8 +220,8 @@ class Known:
 
     @property
     def shares(self) -> FloatArray:
-        """Probability of each belief, shape (n_beliefs,)."""
-        return np.array([b.share for b in self.beliefs])
+        """Probability of each rival, shape (n_rivals,)."""
+        return np.array([b.share for b in self.rivals])
 
     @property
     def probabilities(self) -> dict[Key, float]:
@@ -230,14 +229,19 @@ class Known:
         return self.by_set(self.shares)
 
     @property
+    def entropy(self) -> float:
+        """Entropy of these probabilities, nats."""
+        return float(entropy_of(np.array(list(self.probabilities.values()))))
+
+    @property
     def contenders(self) -> tuple[Key, ...]:
         """Fewest sets that together hold 95 %, most probable first."""
         return tuple(key for key, _ in most_probable([(key, self.probabilities[key]) for key in self.keys]))
 
     def by_set(self, shares: Iterable[float]) -> dict[Key, float]:
-        """Sum the shares of the beliefs over each set of classes."""
+        """Sum the shares of the rivals over each set of classes."""
         out: dict[Key, float] = {}
-        for b, share in zip(self.beliefs, shares, strict=True):
+        for b, share in zip(self.rivals, shares, strict=True):
             out[b.key] = out.get(b.key, 0.0) + float(share)
         return out
 
@@ -307,36 +311,38 @@ def largest_zero(keys: Iterable[Key], scale_kN: float) -> float:
     return MATTERS * scale_kN / float(norm.isf(DOUBT / 2.0)) if any(CONSTANT in key for key in keys) else math.inf
 
 
+def entropy_of(probabilities: FloatArray) -> FloatArray:
+    """Entropy of each row of probabilities, nats."""
+    return np.asarray(-np.sum(probabilities * np.log(np.maximum(probabilities, 1e-300)), axis=-1))
+
+
 def _zero_within(part: Averages, limit_kN: float) -> Averages:
     """Blocks whose zero has a standard deviation of no more than a limit."""
     timing = part.timing
     return replace(part, timing=replace(timing, zero_noise_kN=min(timing.zero_noise_kN, limit_kN)))
 
 
-def common_scales(runs: Sequence[Run], candidates: Candidates) -> dict[str, Any]:
+def common_scales(runs: Sequence[Run], rig: Rig, protocols: Sequence[Protocol]) -> dict[str, Any]:
     """Scales of the coordinates over old runs and any of the protocols."""
-    protocols = candidates.all
-    own = histories([r.recording.time_s for r in runs], [r.motion for r in runs]) if runs else ()
-    last = own[-1] if own else None
-    fastest = min(max(p.fastest_mm_s for p in protocols), candidates.rig.max_speed_mm_s)
     out: dict[str, Any] = {
         "half_stroke_mm": max(p.largest_mm for p in protocols),
-        "peak_speed_mm_s": fastest / 1.15,  # a 95th percentile, as for recordings
+        "peak_speed_mm_s": min(max(p.fastest_mm_s for p in protocols), rig.max_speed_mm_s) / 1.15,  # a 95th percentile
         "n_runs": len(runs) + 1,
         "tested_s": max(p.duration_s for p in protocols),
         "tested_m": max(p.travel_m for p in protocols),
     }
-    if last is not None:
-        out["half_stroke_mm"] = max(out["half_stroke_mm"], last.half_stroke_mm)
-        out["peak_speed_mm_s"] = max(out["peak_speed_mm_s"], last.peak_speed_mm_s)
-        out["tested_s"] += last.tested_s
-        out["tested_m"] += last.tested_m
+    if runs:
+        last = histories([r.recording.time_s for r in runs], [r.motion for r in runs])[-1]
+        out |= {name: max(out[name], getattr(last, name)) for name in ("half_stroke_mm", "peak_speed_mm_s")}
+        out |= {name: out[name] + getattr(last, name) for name in ("tested_s", "tested_m")}
     assert set(out) == set(SCALES)
     return out
 
 
 @one_blas_thread
-def know(tested: Subject, scales: Mapping[str, Any], tell: Callable[[str], None] = lambda _: None) -> Known:
+def linearise(
+    tested: DeviceUnderTest, scales: Mapping[str, Any], tell: Callable[[str], None] = lambda _: None
+) -> PretestPosterior:
     """Fit the rivals to the old runs, at least one; `tell` gets one line for each step.
 
     `PlanError` if the device has had all the runs that a model takes, or a class is not known.
@@ -373,32 +379,30 @@ def know(tested: Subject, scales: Mapping[str, Any], tell: Callable[[str], None]
     shares = _shares(fits, even=tested.untold)
     further = replace(device, n_runs=len(runs) + 1)
     last = old[-1].history
-    kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_BELIEFS] if shares[i] > LEAST_SHARE * shares.max()]
+    kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_RIVALS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())
-    beliefs = [_belief(fitter.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
+    rivals = [_rival(fitter.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
     z, middle = _joint(device, further, scene.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
-    return Known(name, runs, further, z, old, scales, setting, tuple(beliefs), middle, peak)
+    return PretestPosterior(name, runs, further, z, old, scales, setting, tuple(rivals), middle, peak)
 
 
-def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> Known:
+def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> PretestPosterior:
     """Give what the priors alone say: the base law, or one curve beside it, about the median device."""
     device = replace(device, n_runs=1, effects=())
-    n_noise = len(device.names) - device.n_law
     z = np.zeros(device.n_law)
-    setting = NoiseSetting((0.0,) * n_noise, MODEL_ERROR * device.law_values(z)["Fy"])
-    odds = PRESENT / (1.0 - PRESENT)
-    rows: list[tuple[Key, float, DeviceModel]] = [(frozenset(), 1.0, device)]
+    setting = NoiseSetting((0.0,) * (len(device.names) - device.n_law), MODEL_ERROR * device.law_values(z)["Fy"])
     size = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL)))
+    models: list[tuple[Key, float, DeviceModel]] = [(frozenset(), 1.0, device)]
     for action, coordinate in CURVES:
         curve = Curve(action, "heat2" if coordinate == "heat" else coordinate, SMOOTHNESS, False, size)
-        rows.append((frozenset({str(ClassId(action, coordinate))}), odds, device.with_effects((curve.effect(),))))
-    total = sum(p for _, p, _ in rows)
-    beliefs = []
-    for key, p, model in rows:
-        n = model.n_law + N_OF_DEVICE + N_OF_RUN
-        mean = np.zeros(n)
-        beliefs.append(RivalModel(key, p / total, model, mean[: model.n_law], mean, np.eye(n)))
-    return Known("a new device", (), device, z, (), scales, setting, tuple(beliefs), 0.0)
+        key, model = frozenset({str(ClassId(action, coordinate))}), device.with_effects((curve.effect(),))
+        models.append((key, PRESENT / (1.0 - PRESENT), model))
+    total, rivals = sum(p for _, p, _ in models), []
+    for key, p, model in models:
+        none = np.zeros(model.n_law + N_OF_DEVICE + N_OF_RUN)
+        told = Gaussian(0.0, none, np.zeros((none.size, none.size)))
+        rivals.append(RivalModel(key, p / total, model, none[: model.n_law], none, told))
+    return PretestPosterior("a new device", (), device, z, (), scales, setting, tuple(rivals), 0.0)
 
 
 def mechanisms_of(key: Key) -> tuple[str, ...]:
@@ -460,10 +464,7 @@ def _ways(fitter: Fitter, key: Key) -> list[Hypothesis]:
 
 
 def _joint(model: DeviceModel, further: DeviceModel, z: FloatArray) -> tuple[FloatArray, list[int]]:
-    """Parameters of a model with one run more, and where the old ones stand among them.
-
-    What is new of the further run is expected as it was in the last one.
-    """
+    """Parameters of a model with one run more, and where the old ones stand among them."""
     known = dict(zip(model.law_names, z, strict=True))
     last = run_name("ratio", model.n_runs)
     at, places = np.zeros(further.n_law), []
@@ -477,20 +478,17 @@ def _joint(model: DeviceModel, further: DeviceModel, z: FloatArray) -> tuple[Flo
     return at, places
 
 
-def _belief(metric: Metric, key: Key, share: float, h: Hypothesis) -> RivalModel:
+def _rival(metric: Metric, key: Key, share: float, h: Hypothesis) -> RivalModel:
     """Condense a fit to the Gaussian that it leaves behind."""
     further = replace(h.state.model, n_runs=h.state.model.n_runs + 1)
     z, places = _joint(h.state.model, further, h.state.z)
-    columns = np.column_stack([h.state.residual + h.state.jacobian @ h.state.z, h.state.jacobian])
-    white = metric.whitened(columns)
+    white = metric.whitened(h.state.beside())
     disturbed, of_runs = np.split(metric.other, [N_OF_DEVICE], axis=1)
     unknown = np.zeros((white.shape[0], N_OF_RUN))  # start and zero of the run to come
-    design = np.concatenate([np.zeros((white.shape[0], z.size)), disturbed, unknown, of_runs], axis=1)
-    design[:, places] = white[:, 1:]
-    prior = np.zeros(design.shape[1])
+    design = np.concatenate([white[:, :1], np.zeros((white.shape[0], z.size)), disturbed, unknown, of_runs], axis=1)
+    design[:, 1 + np.array(places)] = white[:, 1:]
+    gaussian = Gaussian.of(design.T @ design)
+    mean = gaussian.mean.copy()
     new = np.setdiff1d(np.arange(z.size), places)
-    prior[new] = z[new]
-    precision = np.eye(prior.size) + design.T @ design
-    return RivalModel(
-        key, share, further, z, np.linalg.solve(precision, prior + design.T @ white[:, 0]), precision, h.state.evidence
-    )
+    mean[new] += z[new]  # what is new of the further run is expected as it was in the last one
+    return RivalModel(key, share, further, z, mean, gaussian, h.state.evidence)

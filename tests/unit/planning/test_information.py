@@ -11,23 +11,20 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.scene import N_OF_RUN, Metric
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.files import plan_record
-from shj_bayes.planning.foresight import _apart, as_read, foresee
-from shj_bayes.planning.known import (
-    Known,
-    Subject,
+from shj_bayes.planning.information import _separation, as_read, expected_information, quantity_named, simulate_outcomes
+from shj_bayes.planning.plan import WorthOfTest, make_plan
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Rig, Waveform, proposals
+from shj_bayes.planning.rivals import (
+    DeviceUnderTest,
+    PretestPosterior,
     before_any_test,
     class_of,
     common_scales,
     further_devices,
     half_width,
-    know,
+    linearise,
     mechanisms_of,
 )
-from shj_bayes.planning.plan import Worth, make_plan
-from shj_bayes.planning.protocol import Candidates, Protocol, ProtocolBlock, Rig, Waveform, proposals
-from shj_bayes.planning.questions import quantity_named
-from shj_bayes.planning.rehearsal import rehearse
 from shj_bayes.report.plan_page import render_plan
 from shj_validation.proof.cases import stated_key
 from shj_validation.proof.make import make
@@ -39,19 +36,21 @@ WEAR, HEAT = frozenset({"capacity over travel"}), frozenset({"capacity over heat
 
 
 @pytest.fixture(scope="module")
-def heated() -> Known:
+def heated() -> PretestPosterior:
     """One run of Table 1 on a device that heats by 2.5 %: heating or wear."""
     key = stated_key("thermal", 0.025, seed=4, rate_Hz=5.0)
     runs = runs_of([make(key)[0].recording])
     device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-    scales = common_scales(runs, proposals(RIG, 1, (LONG, SHORT)))
-    return know(Subject("device", runs, device, ((HEAT, 0.6), (WEAR, 0.4)), frozenset({"velocity"})), scales)
+    scales = common_scales(runs, RIG, (*proposals(RIG, 1), LONG, SHORT))
+    return linearise(
+        DeviceUnderTest("device", runs, device, ((HEAT, 0.6), (WEAR, 0.4)), frozenset({"velocity"})), scales
+    )
 
 
-def test_shares_are_those_that_were_given(heated: Known) -> None:
+def test_shares_are_those_that_were_given(heated: PretestPosterior) -> None:
     assert heated.probabilities == pytest.approx({HEAT: 0.6, WEAR: 0.4})
     assert heated.keys[0] == HEAT
-    assert all(b.model.n_runs == 2 and "ratio" in b.model.law_names for b in heated.beliefs)
+    assert all(b.model.n_runs == 2 and "ratio" in b.model.law_names for b in heated.rivals)
     assert mechanisms_of(HEAT) == ("thermal",)
     assert class_of("wear") == WEAR
     assert class_of("velocity") == frozenset()
@@ -59,63 +58,63 @@ def test_shares_are_those_that_were_given(heated: Known) -> None:
         class_of("waer")
 
 
-def test_more_test_tells_more(heated: Known) -> None:
-    long, short = (foresee(heated, p, 5.0, 1) for p in (LONG, SHORT))
+def test_more_test_tells_more(heated: PretestPosterior) -> None:
+    long, short = (expected_information(heated, p, 5.0, 1) for p in (LONG, SHORT))
     assert long.entropy < short.entropy < 0.7  # log 2 where nothing is known
-    assert short.apart < long.apart
+    assert short.separation < long.separation
     assert 0.5 < short.of_truth < long.of_truth <= 1.0
     assert max(short.right, 0.75) < long.right <= 1.0  # 0.84 to 0.87, by the machine
-    assert foresee(heated, LONG, 5.0, 1) == long  # same seed, same numbers
+    assert expected_information(heated, LONG, 5.0, 1) == long  # same seed, same numbers
 
 
-def test_a_zero_that_is_off_by_what_matters_is_the_rival_that_says_so(heated: Known) -> None:
+def test_a_zero_that_is_off_by_what_matters_is_the_rival_that_says_so(heated: PretestPosterior) -> None:
     """A load cell that is off by 2 % of Fy; without the rival of a constant force the zero may be off so far."""
     key = stated_key("load_offset", 0.02, seed=4, rate_Hz=5.0)
     runs = runs_of([make(key)[0].recording])
     device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-    scales = common_scales(runs, proposals(RIG, 1, (LONG, SHORT)))
+    scales = common_scales(runs, RIG, (*proposals(RIG, 1), LONG, SHORT))
     constant = frozenset({"added over constant"})
     sets = ((constant, 0.5), (frozenset[str](), 0.5))
-    known = know(Subject("device", runs, device, sets, frozenset({"velocity"}), untold=True), scales)
+    known = linearise(DeviceUnderTest("device", runs, device, sets, frozenset({"velocity"}), untold=True), scales)
     assert known.probabilities[constant] > 0.9
     assert known.largest_zero_kN == pytest.approx(0.01 * known.device.law_values(known.z)["Fy"] / 1.96, rel=1e-3)
     assert all(part.timing.zero_noise_kN <= known.largest_zero_kN for part in known.old)
     assert heated.largest_zero_kN == np.inf
 
 
-def test_the_least_certain_pair_and_form_say_how_far_contenders_are_apart(heated: Known) -> None:
+def test_the_least_certain_pair_and_form_say_how_far_contenders_are_separation(heated: PretestPosterior) -> None:
     """Two forms of heating and one of wear: the evidence of each form is 1, 2 or 3 nats for outcomes of its own."""
-    forms = [next(b for b in heated.beliefs if b.key == key) for key in (HEAT, HEAT, WEAR)]
-    known = replace(heated, beliefs=tuple(replace(b, share=s) for b, s in zip(forms, (0.3, 0.3, 0.4), strict=True)))
+    forms = [next(b for b in heated.rivals if b.key == key) for key in (HEAT, HEAT, WEAR)]
+    known = replace(heated, rivals=tuple(replace(b, share=s) for b, s in zip(forms, (0.3, 0.3, 0.4), strict=True)))
     logs = np.full((3, 5, 3), -50.0)
     for i, evidence in enumerate((1.0, 2.0, 3.0)):
         logs[i, :, i] = evidence
-    assert _apart(known, logs) == pytest.approx(51.0 - np.log(2.0))
+    assert _separation(known, logs) == pytest.approx(51.0 - np.log(2.0))
     further = WEAR | {"added over time"}
-    beside = replace(known, beliefs=(*(replace(b, share=b.share / 2) for b in known.beliefs),
+    beside = replace(known, rivals=(*(replace(b, share=b.share / 2) for b in known.rivals),
                                      replace(forms[2], key=further, share=0.5)))  # fmt: skip
     wider = np.full((4, 5, 4), -50.0)
     wider[:3, :, :3] = logs
     wider[2, :, 3] = wider[3, :, 2] = wider[3, :, 3] = 3.0  # wear with or without a drift: no test shows which
-    assert _apart(beside, wider) == pytest.approx(51.0 - np.log(2.0))
-    only = replace(beside, beliefs=beside.beliefs[2:])
-    assert _apart(only, wider[2:, :, 2:]) == pytest.approx(0.0)
+    assert _separation(beside, wider) == pytest.approx(51.0 - np.log(2.0))
+    only = replace(beside, rivals=beside.rivals[2:])
+    assert _separation(only, wider[2:, :, 2:]) == pytest.approx(0.0)
 
 
-def test_a_protocol_that_its_samples_do_not_show_comes_behind_all_others(heated: Known) -> None:
+def test_a_protocol_that_its_samples_do_not_show_comes_behind_all_others(heated: PretestPosterior) -> None:
     """A fast triangle at 20 Hz, which tells more than one slow cycle where its corners are not lost."""
     rig = replace(RIG, rate_Hz=20.0)
     slow = Protocol("slow", (ProtocolBlock(95.0, 10.0, 1),))
     quick = Protocol("quick", (ProtocolBlock(24.0, 40.0, 40, Waveform.TRIANGLE),))
-    plan = make_plan([heated], Candidates(rig, (slow, quick)), seed=1, rehearsals=0)
-    rows = {row.protocol.name: row for row in (*plan.best, *plan.compared)}
+    plan = make_plan([heated], rig, (slow, quick), seed=1, rehearsals=0).record
+    rows = {row.name: row for row in (*plan.candidates, *plan.compared)}
     assert quick.name not in rows or rows["quick"].order < rows["slow"].order
-    far, near = (foresee(heated, p, 20.0, 1) for p in (quick, slow))
+    far, near = (expected_information(heated, p, 20.0, 1) for p in (quick, slow))
     assert far.misread_kN > 0.01 * heated.sliding_kN > near.misread_kN
     assert far.of_truth > near.of_truth
 
 
-def test_what_the_reader_gets_wrong_is_foreseen(heated: Known) -> None:
+def test_what_the_reader_gets_wrong_is_foreseen(heated: PretestPosterior) -> None:
     """Corners of a fast triangle between few samples are rounded off: the force there is no rival's."""
     wrong = {}
     for waveform in Waveform:
@@ -125,52 +124,53 @@ def test_what_the_reader_gets_wrong_is_foreseen(heated: Known) -> None:
     assert wrong[Waveform.TRIANGLE] > 3.0 * wrong[Waveform.SINE]
 
 
-def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Known) -> None:
-    first = replace(heated.beliefs[0], share=1.0)
-    alone = replace(heated, beliefs=(first,))
+def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: PretestPosterior) -> None:
+    first = replace(heated.rivals[0], share=1.0)
+    alone = replace(heated, rivals=(first,))
     gamma = quantity_named(alone, "gamma")
-    seen = foresee(alone, LONG, 5.0, 1, gamma)
+    seen = expected_information(alone, LONG, 5.0, 1, gamma)
     scene, _ = as_read(alone, LONG, 5.0, np.random.default_rng(np.random.SeedSequence(1, spawn_key=(3,))))
     residual, slope = scene.residual_and_slope(first.model, first.z[None])
     metric = Metric(scene, alone.setting, slope[0])
     jacobian = scene.jacobian(first.model, first.z, residual[0])
     of_old_run = np.zeros((metric.other.shape[0], N_OF_RUN))
     white = np.column_stack([metric.whitened(jacobian), metric.other, of_old_run])
-    expected = np.linalg.inv(first.precision + white.T @ white)[3, 3]
+    expected = np.linalg.inv(first.gaussian.precision + white.T @ white)[3, 3]
     assert seen.sd is not None
     assert seen.sd == pytest.approx(0.02 * np.sqrt(expected), rel=1e-3)  # gamma has a normal prior of 0.02 s/mm
     assert seen.sd < gamma.now(alone)[1]
 
 
-def test_full_simulations_end_where_it_was_foreseen(heated: Known) -> None:
-    done = rehearse(heated, LONG, 5.0, 4, 1)
+def test_full_simulations_end_where_it_was_foreseen(heated: PretestPosterior) -> None:
+    done = simulate_outcomes(heated, LONG, 5.0, 4, 1)
     assert done.n == 4
     assert done.right >= 3  # foreseen: nearly always
     assert done.of_truth > 0.7
 
 
-def test_a_plan_beats_a_short_test_and_keeps_to_the_rig(heated: Known) -> None:
-    plan = make_plan([heated], proposals(RIG, 1, (SHORT,)), rehearsals=1)
-    best, short = plan.best[0], next(r for r in plan.compared if r.protocol is SHORT)
-    assert plan.worth is Worth.YES
-    assert best.gain > short.gain
-    assert not best.broken
-    assert best.rehearsal is not None
-    assert plan.compared[0].protocol.name == "Table 1"
-    assert "time" in plan.compared[0].broken[0]  # Table 1 takes longer than this rig may
-    assert best.protocol.duration_s <= 360.0
+def test_a_plan_beats_a_short_test_and_keeps_to_the_rig(heated: PretestPosterior) -> None:
+    plan = make_plan([heated], RIG, proposals(RIG, 1), (SHORT,), rehearsals=1).record
+    best, short = plan.candidates[0], next(r for r in plan.compared if r.name == SHORT.name)
+    assert plan.worth is WorthOfTest.YES
+    assert best.gain_nats > short.gain_nats
+    assert not best.limits_broken
+    assert best.simulated is not None
+    assert plan.compared[0].name == "Table 1"
+    assert "time" in plan.compared[0].limits_broken[0]  # Table 1 takes longer than this rig may
+    assert best.minutes <= 6.0
 
 
-def test_nothing_is_planned_for_what_is_decided(heated: Known) -> None:
+def test_nothing_is_planned_for_what_is_decided(heated: PretestPosterior) -> None:
     shares = {HEAT: 0.99, WEAR: 0.01}
-    kept = [next(b for b in heated.beliefs if b.key == k) for k in shares]
-    sure = replace(heated, beliefs=tuple(replace(b, share=shares[b.key]) for b in kept))
-    plan = make_plan([sure, sure], Candidates(RIG, (LONG, SHORT)), rehearsals=0)  # one test for two devices
-    assert plan.worth is Worth.DECIDED
-    assert len(plan.best[0].foreseen) == 2
+    kept = [next(b for b in heated.rivals if b.key == k) for k in shares]
+    sure = replace(heated, rivals=tuple(replace(b, share=shares[b.key]) for b in kept))
+    two, one = (make_plan(known, RIG, (LONG, SHORT), rehearsals=0).record for known in ([sure, sure], [sure]))
+    assert two.worth is WorthOfTest.DECIDED
+    assert len(two.devices) == 2
+    assert two.candidates == one.candidates  # one test for two devices: the mean of both
 
 
-def test_a_margin_and_a_wrong_question(heated: Known) -> None:
+def test_a_margin_and_a_wrong_question(heated: PretestPosterior) -> None:
     least = quantity_named(heated, "least")
     mean, sd = least.now(heated)
     assert least.unit == "kN"
@@ -185,11 +185,11 @@ def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
         Protocol("one", (ProtocolBlock(48.0, 40.0, 4),)),
         Protocol("several", (ProtocolBlock(48.0, 40.0, 2), ProtocolBlock(48.0, 4.0, 1))),
     )
-    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), Candidates(rig, (one, several))))
+    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), rig, (one, several)))
     assert known.keys[0] == frozenset()
     gamma = quantity_named(known, "gamma")
     assert gamma.now(known)[1] == pytest.approx(0.02)
-    first, second = (foresee(known, p, 10.0, 1, gamma) for p in (one, several))
+    first, second = (expected_information(known, p, 10.0, 1, gamma) for p in (one, several))
     assert second.sd is not None
     assert first.sd is not None
     assert second.sd < first.sd < 0.02
@@ -197,10 +197,9 @@ def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
 
 def test_before_any_test_no_loops_of_rivals_are_drawn(tmp_path: Path) -> None:
     """Each curve is as likely above 0 as below it: the two loops would be one."""
-    candidates = Candidates(RIG, (LONG, SHORT))
-    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), candidates))
-    plan = make_plan([known], candidates, rehearsals=0)
-    page = render_plan(tmp_path, plan_record(plan), plan).read_text(encoding="utf-8")
+    known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), RIG, (LONG, SHORT)))
+    plan = make_plan([known], RIG, (LONG, SHORT), rehearsals=0)
+    page = render_plan(tmp_path, plan.record, plan).read_text(encoding="utf-8")
     assert "The best protocol" in page
     assert "Where they part" not in page
 

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import PopulationError, plain_text
-from shj_bayes.margins.specimen import Belief, Specimen, largest_ranges
-from shj_bayes.margins.virtual_test import drive
+from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.history import History
@@ -23,7 +22,7 @@ PLACES = 41
 
 
 @dataclass(frozen=True)
-class Following:
+class MeasuredChannel:
     """A channel that the force of a device follows."""
 
     coordinate: str
@@ -37,7 +36,7 @@ class Following:
     strongest: float
 
 
-def following_of(specimen: Specimen) -> tuple[Following, ...]:
+def measured_channels(specimen: Specimen) -> tuple[MeasuredChannel, ...]:
     """Find the channels that the models of a device follow."""
     history, share = specimen.histories[0], np.linspace(0.0, 1.0, PLACES)
     out = {}
@@ -52,7 +51,7 @@ def following_of(specimen: Specimen) -> tuple[Following, ...]:
             ends = curve.over.value_of(share[[np.argmin(factor), np.argmax(factor)]], history).tolist()
             one = history.measured[curve.coordinate]
             found = (curve.coordinate, one.unit, one.low, one.reference, one.high)
-            out[curve.coordinate] = Following(*found, *ends)
+            out[curve.coordinate] = MeasuredChannel(*found, *ends)
     return tuple(out.values())
 
 
@@ -62,7 +61,7 @@ def values_to_try(specimen: Specimen) -> tuple[Mapping[str, float], ...]:
     Medians first; then, of a device that follows some, all where its force is lowest and all where it is highest: each
     multiplies the sliding force, so together they reach farthest.
     """
-    found = following_of(specimen)
+    found = measured_channels(specimen)
     if not found:
         return ({},)
     return (
@@ -72,7 +71,7 @@ def values_to_try(specimen: Specimen) -> tuple[Mapping[str, float], ...]:
     )
 
 
-def words_of(by_device: Sequence[tuple[Following, ...]], *, own_test: bool) -> tuple[str, ...]:
+def channel_words(by_device: Sequence[tuple[MeasuredChannel, ...]], *, own_test: bool) -> tuple[str, ...]:
     """Say what forces follow, at which values they were taken, and what the designer has to see to.
 
     `own_test` is whether devices are taken through their own tests, of which the channels are known.
@@ -93,7 +92,7 @@ def words_of(by_device: Sequence[tuple[Following, ...]], *, own_test: bool) -> t
     return tuple(out)
 
 
-def left_out_words(by_device: Sequence[tuple[Following, ...]]) -> tuple[str, ...]:
+def left_out_words(by_device: Sequence[tuple[MeasuredChannel, ...]]) -> tuple[str, ...]:
     """Say what a material for structural analysis does not carry of that."""
     return tuple(
         f"Not carried, that the force follows {title}. The bounds are those of tests at {span}."
@@ -101,7 +100,7 @@ def left_out_words(by_device: Sequence[tuple[Following, ...]]) -> tuple[str, ...
     )
 
 
-def _by_channel(by_device: Sequence[tuple[Following, ...]]) -> Iterator[tuple[list[Following], str, str]]:
+def _by_channel(by_device: Sequence[tuple[MeasuredChannel, ...]]) -> Iterator[tuple[list[MeasuredChannel], str, str]]:
     """Each channel: of the devices that follow it, its title, and the range that was recorded, in words."""
     for name in dict.fromkeys(one.coordinate for found in by_device for one in found):
         own = [one for found in by_device for one in found if one.coordinate == name]
@@ -146,7 +145,7 @@ class LoadCase:
     channels: tuple[tuple[str, float], ...] = ()
 
 
-def asked_for(request: MarginOptions, specimens: Sequence[Specimen]) -> LoadingHistory | None:
+def loading_history(request: MarginOptions, specimens: Sequence[Specimen]) -> LoadingHistory | None:
     """Give the history that is asked for; None for the test that each device went through.
 
     The largest common amplitude and speed of the tested devices stand in for what was not stated.
@@ -192,7 +191,7 @@ def from_file(path: Path) -> LoadingHistory:
     return LoadingHistory(fine - fine[0], motion, f"the history of {plain_text(path.name)}", found)
 
 
-def courses(
+def load_cases(
     asked: LoadingHistory | None, specimen: Specimen, *, extrapolate: bool
 ) -> dict[LoadCase, tuple[History, ...]]:
     """Histories to drive a device through, for each law of what was not tested and each value of what is not known.

@@ -1,0 +1,209 @@
+"""Basis of design: bounds of the sliding force of a new device, and what ageing did to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shj_bayes.errors import PopulationError
+from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.model.parameters import base_of
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
+from shj_bayes.population.predict import NewDevice, new_device
+from shj_bayes.population.quantities import HIGHEST, LEAST, LEVELS, LOWEST, MOST, THIRD_CYCLE, FloatArray, stream
+
+FEW = 3
+DEFAULT = "default"
+PredictiveDevices = Mapping[str, NewDevice]
+"""New devices of one set by prior of the spread, the default first."""
+
+
+def predictive_devices(result: PopulationResult, set_name: str) -> dict[str, NewDevice]:
+    """Draw new devices of a set under every prior of the spread that was tried, each read as the tested ones were."""
+    return {label: _as_read(new_device(result, set_name, label), result) for label in (DEFAULT, *result.other_priors)}
+
+
+def _as_read(device: NewDevice, result: PopulationResult) -> NewDevice:
+    """Give the draws of design quantities (all of them positive) the error with which those of the set are known."""
+    groups = [group for group in result.sets if device.set_name in (ANY_SET, group.name)] or result.sets
+    draws = {}
+    for q, values in device.draws.items():
+        errors = np.concatenate([group.errors.get(q, ()) for group in groups])
+        known = errors[np.isfinite(errors)]
+        rng = np.random.default_rng(stream(result.seed, "reading", device.set_name, q))
+        error = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+        draws[q] = values * np.exp(error * rng.standard_normal(values.size))
+    return replace(device, draws=draws)
+
+
+def own_devices(result: PopulationResult, set_name: str, quantities: Iterable[str]) -> int:
+    """Devices of a set that give all of the quantities; for a set never tested so many that the default counts.
+
+    What a set never tested will be follows from all sets together, not from a few devices of its own.
+    """
+    if set_name == ANY_SET:
+        return FEW + 1
+    index = result.index(set_name)
+    return min(result.fit(q).n_devices[index] for q in quantities if q in result.posteriors)
+
+
+def priors_that_count(labels: Sequence[str], own: int) -> tuple[str, ...]:
+    """Priors of the spread that a band is taken over: the default, with few devices all."""
+    return tuple(labels) if own <= FEW else (DEFAULT,)
+
+
+def least_favourable(by_prior: Mapping[str, float], side: str, own: int) -> float:
+    """Least favourable value of the priors that count; the default's for the middle."""
+    values = [by_prior[label] for label in priors_that_count(tuple(by_prior), own)]
+    return {LOW: min(values), HIGH: max(values)}.get(side, by_prior[DEFAULT])
+
+
+FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
+"""Forces that the bounds of all runs must hold, of every run."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """A lower and an upper factor on one property."""
+
+    low: float  # at most 1
+    high: float  # at least 1
+
+    def __post_init__(self) -> None:
+        """Refuse factors on the wrong side of 1."""
+        if not 0 < self.low <= 1 <= self.high:
+            raise PopulationError(
+                f"property modification factors must hold 0 < lower <= 1 <= upper; got {self.low:g} and {self.high:g}"
+            )
+
+    @classmethod
+    def around(cls, *factors: float) -> Bounds:
+        """Narrowest bounds that hold 1 and all factors given."""
+        return cls(min(1.0, *factors), max(1.0, *factors))
+
+
+NONE = Bounds(1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class SlidingForceBounds:
+    """Force of a new device of one set, kN."""
+
+    # third_low to third_high: 5, 50 and 95 % of the third cycle of the first run
+    third_low: float
+    third: float
+    third_high: float
+    first_low: float  # 5 % of the smallest plateau of the first run
+    later_low: float | None  # the same of the later runs; None without any
+    # low, high: 5 % of the smallest plateau and 95 % of the largest force of all runs
+    low: float
+    high: float
+    typical: Bounds  # smallest plateau and largest force of a typical device over its third cycle
+    ratio: float | None  # second run over first of a typical device, mean plateau
+
+    @property
+    def words(self) -> str:
+        """What the force does in the test, of a typical device."""
+        said = (
+            f"smallest plateau {self.typical.low:.3f} and largest force {self.typical.high:.3f} of the third cycle of "
+            "the first run"
+        )
+        return said + ("; no second run" if self.ratio is None else f"; second run / first {self.ratio:.3f}")
+
+
+def sliding_force_bounds(devices: PredictiveDevices, own: int) -> SlidingForceBounds:
+    """Bound the force of a new device; with few devices of its own (`own`) by the outermost prior of the spread."""
+
+    def bound(side: str, *names: str) -> float:
+        level, pick = (0.05, min) if side == LOW else (0.95, max)
+        return pick(
+            least_favourable(
+                {label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}, side, own
+            )
+            for name in names
+        )
+
+    main = devices[DEFAULT].draws
+    later = tuple(n for n in main if n.startswith(f"{LEAST}_"))
+    # Each quantity is pooled by itself: with few devices chance may put a band inside one that it must hold.
+    forces = tuple(n for n in main if base_of(n) in FORCES)
+    third = main[THIRD_CYCLE]
+    moved = [float(np.median(main[name]) / np.median(third)) for name in (LOWEST, HIGHEST)]
+    return SlidingForceBounds(
+        third_low=bound(LOW, THIRD_CYCLE),
+        third=float(np.median(third)),
+        third_high=bound(HIGH, THIRD_CYCLE),
+        first_low=bound(LOW, LEAST),
+        later_low=bound(LOW, *later) if later else None,
+        low=bound(LOW, *forces),
+        high=bound(HIGH, *forces),
+        typical=Bounds.around(*moved),
+        ratio=float(np.median(main["ratio"])) if "ratio" in main else None,
+    )
+
+
+@dataclass(frozen=True)
+class Environment:
+    """What corrosion did to the sliding force."""
+
+    measured: Bounds  # factor on the force, middle of the posterior; 1 and 1 where it was not tested
+    extreme: Bounds  # 5 and 95 % of the posterior
+    words: str  # where it comes from
+
+
+def environment(result: PopulationResult, set_name: str) -> Environment:
+    """Corroded over uncorroded sliding force of the same shim and coating, from its posterior."""
+    untested = "no corroded partner of this set was tested: 1 says that nothing is known, not that nothing happens"
+    fit = result.fit(THIRD_CYCLE)
+    if set_name == ANY_SET:
+        shifts = [fit.mu[:, j] - fit.mu[:, i] for i, j in corroded_pairs(result)]
+        if not shifts:
+            return Environment(NONE, NONE, untested)
+        shift = np.mean(shifts, axis=0)
+        return _environment(shift, f"mean of {len(shifts)} corroded sets over their uncorroded partners")
+    index = result.index(set_name)
+    if result.sets[index].tags.corroded:
+        return Environment(NONE, NONE, "this set was tested corroded: its own numbers hold the ageing")
+    partner = [j for i, j in corroded_pairs(result) if i == index]
+    if not partner:
+        return Environment(NONE, NONE, untested)
+    return _environment(fit.mu[:, partner[0]] - fit.mu[:, index], f"{result.sets[partner[0]].name} over {set_name}")
+
+
+def _environment(shift: FloatArray, origin: str) -> Environment:
+    low, middle, high = (float(x) for x in np.exp(np.quantile(shift, LEVELS)))
+    said = f"{origin}: {middle:.2f} (90 % interval {low:.2f} to {high:.2f})"
+    return Environment(Bounds.around(middle), Bounds.around(low, high), said)
+
+
+def corroded_pairs(result: PopulationResult) -> list[tuple[int, int]]:
+    """Positions of (uncorroded, corroded) sets that are alike in all else."""
+    sets = list(enumerate(result.sets))
+    return [
+        (i, j)
+        for i, a in sets
+        for j, b in sets
+        if b.tags.corroded and not a.tags.corroded and replace(a.tags, corroded=True) == b.tags
+    ]
+
+
+@dataclass(frozen=True)
+class DesignBasis:
+    """What the factors of one set are made of."""
+
+    # nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user
+    nominal_kN: float
+    nominal_words: str  # which of the two
+    force: SlidingForceBounds  # what new devices deliver
+    age: Environment  # corrosion
+
+
+def design_basis(
+    result: PopulationResult, set_name: str, devices: PredictiveDevices, nominal_kN: float | None
+) -> DesignBasis:
+    """Split what is known of a set into the parts that the codes multiply."""
+    force = sliding_force_bounds(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
+    nominal = (force.third, "typical device") if nominal_kN is None else (nominal_kN, "stated by the user")
+    return DesignBasis(*nominal, force, environment(result, set_name))

@@ -1,0 +1,333 @@
+"""What a protocol is expected to tell: outcomes drawn from every rival, weighed by the evidence in linearised form.
+
+Old tests leave a Gaussian for each rival. A planned run is linear in its parameters, with white and slow noise, so its
+evidence under each rival is closed: outcomes are drawn from the rivals in their shares, and each gives probabilities
+and a posterior without sampling (expected information of a design: Lindley 1956, Ann. Math. Statist. 27, 986). The
+leading protocols are run in full as well: a drawn device, the whole model, noise, the readers, every rival fitted anew.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations
+
+import numpy as np
+from scipy.special import logsumexp
+
+from shj_bayes._util.arrays import one_blas_thread
+from shj_bayes.errors import PlanError, did_you_mean
+from shj_bayes.inference.reduction import zero_noise_kN
+from shj_bayes.inference.run import Run
+from shj_bayes.inference.start import law_starts
+from shj_bayes.margins.virtual_test import Readings, counted_from, of_readings, read_off
+from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.mismatch.state import settle
+from shj_bayes.model.device import DeviceModel, meaning_of
+from shj_bayes.model.history import histories
+from shj_bayes.model.noise.filter import simulate
+from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.planning.protocol import Protocol
+from shj_bayes.planning.rivals import PLANNED, Key, PretestPosterior, RivalModel, entropy_of
+from shj_bayes.recording.motion import motion_of
+from shj_bayes.recording.recording import Recording
+
+OUTCOMES = 24  # drawn from each rival
+SURE = 2.0  # standard deviations by which the force may be more than predicted
+STEP = 1e-3
+WHICH, FORCE = "which", "force"
+MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
+
+
+@dataclass(frozen=True, eq=False)
+class LinearQuantity:
+    """A design quantity as a linear function of each rival's parameters."""
+
+    unit: str
+    values: FloatArray  # shape (n_rivals,): at the mean of each rival
+    slopes: tuple[FloatArray, ...]  # shape (n_law + p,) each: derivatives there
+    # ``value(model, z)`` gives it for unbounded law parameters of a model, shape (n_law,)
+    value: Callable[[DeviceModel, FloatArray], float]
+
+    def now(self, known: PretestPosterior) -> tuple[float, float]:
+        """Mean and standard deviation before the planned test, over all rivals."""
+        own = [float(g @ b.gaussian.solve(g)) for g, b in zip(self.slopes, known.rivals, strict=True)]
+        return float(known.shares @ self.values), math.sqrt(spread_of(known.shares, self.values, np.array(own)))
+
+
+@dataclass(frozen=True)
+class ExpectedInformation:
+    """What a protocol is expected to give."""
+
+    entropy: float  # expected entropy of the probabilities of the sets after it, nats
+    of_truth: float  # expected probability of the true set
+    right: float  # chance that the most probable set is the true one
+    sd: float | None  # expected standard deviation of the quantity that is asked for (root of the mean variance)
+    force_kN: float  # largest force, two standard deviations above what is predicted
+    # log evidence by which a true contender leads another, nats: median over the outcomes of a form, smallest over
+    # forms and pairs. A probability stops growing near 1; this does not, and leaves room for what the forms miss
+    separation: float
+    # error of the force of the base law for what readers get wrong of the motion: 99th percentile, as sizes are
+    misread_kN: float
+
+
+def spread_of(shares: FloatArray, means: FloatArray, variances: FloatArray) -> FloatArray:
+    """Variance of a quantity over all rivals, along the last axis."""
+    away = means - np.sum(shares * means, axis=-1, keepdims=True)
+    return np.asarray(np.sum(shares * (variances + away**2), axis=-1))
+
+
+def expected_information(
+    known: PretestPosterior,
+    protocol: Protocol,
+    rate_Hz: float,
+    seed: int,
+    quantity: LinearQuantity | None = None,
+    n: int = OUTCOMES,
+) -> ExpectedInformation:
+    """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed.
+
+    With a `quantity`, what it is expected to be known to as well.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    rivals = known.rivals
+    scene, misread = as_read(known, protocol, rate_Hz, rng)
+    lines, wrong, force_kN = _lines(known, scene, misread)
+    outcomes = [_outcomes(b, *line, n, rng) for b, line in zip(rivals, lines, strict=True)]
+    drawn = np.concatenate(outcomes, axis=1) + wrong
+    logs, values, variances = [], [], []
+    for i, (b, (mean, design)) in enumerate(zip(rivals, lines, strict=True)):
+        after = b.gaussian.informed(design)
+        away = drawn - mean[:, None]
+        along = design.T @ away
+        moved = after.solve(along)
+        grown = after.half_log_det - b.gaussian.half_log_det
+        logs.append(-0.5 * (np.sum(away**2, axis=0) - np.sum(along * moved, axis=0)) - grown)
+        if quantity is not None:
+            values.append(quantity.values[i] + quantity.slopes[i] @ moved)
+            variances.append(float(quantity.slopes[i] @ after.solve(quantity.slopes[i])))
+    evidence = np.array(logs).T
+    weights = evidence + np.log(known.shares)
+    p = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))  # (n_outcomes, n_rivals)
+    chance, keys = np.repeat(known.shares / n, n), known.keys
+    of_key = np.array([keys.index(b.key) for b in rivals])
+    by_key = np.stack([p[:, of_key == k].sum(axis=1) for k in range(len(keys))], axis=1)
+    truth = np.repeat(of_key, n)
+    sd = None if quantity is None else math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
+    return ExpectedInformation(
+        float(chance @ entropy_of(by_key)),
+        float(chance @ by_key[np.arange(truth.size), truth]),
+        float(chance @ (by_key.argmax(axis=1) == truth)),
+        sd,
+        force_kN,
+        _separation(known, evidence.reshape(len(rivals), n, len(rivals))),
+        float(np.percentile(np.abs(misread[scene.used > 0]), 99)),
+    )
+
+
+def _separation(known: PretestPosterior, logs: FloatArray) -> float:
+    """Give the smallest log evidence by which a true contender leads another, nats.
+
+    This is the maximin of the Kullback-Leibler optimum (Lopez-Fidalgo, Tommasi and Trandafir 2007, J. R. Stat. Soc. B
+    69, 231). Where one contender is another with a further effect, often no test tells them apart: such pairs count
+    only if there are no other pairs. `logs`, shape (n_rivals, n, n_rivals), is the log evidence of every rival for the
+    outcomes of each.
+    """
+    of_set = {}
+    for key in known.contenders:
+        own = [i for i, b in enumerate(known.rivals) if b.key == key]
+        within = known.shares[own] / known.probabilities[key]
+        of_set[key] = logsumexp(logs[:, :, own] + np.log(within), axis=2)
+    pairs = list(permutations(of_set, 2))
+    pairs = [(a, b) for a, b in pairs if not (a <= b or b <= a)] or pairs
+    least = [
+        float(np.median(of_set[a][i] - of_set[b][i]))
+        for a, b in pairs
+        for i, one in enumerate(known.rivals)
+        if one.key == a
+    ]
+    return min(least, default=0.0)
+
+
+def _lines(
+    known: PretestPosterior, scene: Scene, misread: FloatArray
+) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, float]:
+    """Linearise a planned run: mean and design of each rival, what all get wrong, and the largest force, kN.
+
+    In units of the noise, in coordinates of the space that they span.
+    """
+    first = known.rivals[0]
+    metric = Metric(scene, known.setting, scene.residual_and_slope(first.model, first.z[None])[1][0])
+    columns, forces = [metric.whitened(misread[:, None]), metric.other], []
+    for b in known.rivals:
+        residual = scene.residual(b.model, b.z[None])[0]
+        force, jacobian = (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
+        told, own = jacobian * b.drawn, b.gaussian.covariance[: b.z.size, : b.z.size]
+        forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
+        columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian])))
+    wrong, other, *own_columns = _reduced(columns)
+    lines = []
+    for b, white in zip(known.rivals, own_columns, strict=True):
+        of_old_runs = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
+        design = np.concatenate([white[:, 1:], other, of_old_runs], axis=1)
+        lines.append((white[:, 0] + design @ b.mean, design))
+    return lines, wrong, max(forces)
+
+
+def as_read(
+    known: PretestPosterior, protocol: Protocol, rate_Hz: float, rng: np.random.Generator
+) -> tuple[Scene, FloatArray]:
+    """Give a planned run as the readers will see it, and what they will get wrong of it, kN, shape (n_blocks,).
+
+    Every rival is held against the motion that is found in the samples. Where this is not the motion that was run, as
+    at the corners of a fast triangle, the force differs in a way that none of them holds: that of the base law along
+    the motion that was run less that along the motion that is found.
+    """
+    time, motion = protocol.sampled(rate_Hz)
+    found = motion_of(Recording(time, known.wobbling(motion.displacement_mm, rng), np.zeros(time.size), source=PLANNED))
+    run, read = (known.base_force(histories([time], [m])[0]) for m in (motion, found))
+    scene = known.scene(time, found, run)
+    return scene, scene.blocks([(run - read)[:, None]])[:, 0]
+
+
+def quantity_of(
+    known: PretestPosterior, unit: str, value: Callable[[DeviceModel, FloatArray], float]
+) -> LinearQuantity:
+    """Linearise a design quantity about every rival; `value` as in `LinearQuantity`."""
+    values, slopes = [], []
+    for b in known.rivals:
+        z, n = b.mean[: b.z.size], b.z.size
+        slope = np.zeros(b.mean.size)
+        slope[:n] = [(value(b.model, z + s) - value(b.model, z - s)) / (2 * STEP) for s in STEP * np.eye(n)]
+        values.append(value(b.model, z))
+        slopes.append(slope)
+    return LinearQuantity(unit, np.array(values), tuple(slopes), value)
+
+
+def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Columns in coordinates of the space that they span: their products, all that outcomes depend on, are the same."""
+    whole = np.concatenate(columns, axis=1)
+    values, vectors = np.linalg.eigh(whole.T @ whole)
+    reduced = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    return np.split(reduced, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
+
+
+def _outcomes(b: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+    """Draw outcomes of a rival in units of the noise, shape (n_evidence, n)."""
+    u = b.gaussian.draw(n, rng)
+    u[: b.z.size][~b.drawn] = 0.0
+    return np.asarray(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))
+
+
+@dataclass(frozen=True)
+class SimulatedOutcomes:
+    """What simulated tests ended in."""
+
+    n: int  # tests simulated
+    of_truth: float  # mean probability of the true set after them
+    right: int  # tests after which the true set was the most probable
+    entropy: float  # mean entropy of the probabilities, nats
+    sd: float | None  # of the quantity that was asked for (root of the mean variance)
+
+
+def simulate_outcomes(
+    known: PretestPosterior,
+    protocol: Protocol,
+    rate_Hz: float,
+    n: int,
+    seed: int,
+    quantity: LinearQuantity | None = None,
+) -> SimulatedOutcomes:
+    """Simulate a planned test `n` times and weigh the rivals on it and the old tests together.
+
+    The tests are spread evenly over the sets, within a set over the ways to write it in their shares.
+    """
+    shares, keys = known.shares, known.keys
+    rows = []
+    for k, stream in enumerate(np.random.SeedSequence(seed, spawn_key=(5,)).spawn(n)):
+        key, turn, turns = keys[k % len(keys)], k // len(keys), -(-(n - k % len(keys)) // len(keys))
+        within = np.cumsum(np.where([b.key == key for b in known.rivals], shares, 0.0))
+        i = int(np.searchsorted(within, (turn + 0.5) / turns * within[-1]))
+        recording = recorded(known, known.rivals[i], protocol, rate_Hz, np.random.default_rng(stream))
+        after, variance = weighed(known, recording, quantity)
+        right = max(after, key=lambda key: after[key]) == key
+        rows.append((within[-1] / turns, after[key], right, entropy_of(np.array(list(after.values()))), variance))
+    weight, of_truth, right_of, entropy, variances = np.array(rows, dtype=np.float64).T
+    mean = partial(np.average, weights=weight)
+    sd = None if quantity is None else float(np.sqrt(mean(variances)))
+    return SimulatedOutcomes(n, float(mean(of_truth)), int(right_of.sum()), float(mean(entropy)), sd)
+
+
+def recorded(
+    known: PretestPosterior, true: RivalModel, protocol: Protocol, rate_Hz: float, rng: np.random.Generator
+) -> Recording:
+    """Simulate the recording of a planned test on a device drawn from a rival, with noise and an error of the zero."""
+    z = (true.mean + true.gaussian.draw(1, rng)[:, 0])[: true.z.size]
+    time, motion = protocol.sampled(rate_Hz)
+    theta = true.model.natural(np.append(z, known.setting.z)[None])
+    force = true.model.force(theta, known.placed(histories([time], [motion])[0]), 0.0)[0]
+    noise = {name: float(v[0]) for name, v in true.model.noise_values(theta).items()}
+    force = force + simulate(true.model.noise, noise, time, np.arange(time.size) == 0, rng)
+    force += min(zero_noise_kN(force), known.largest_zero_kN) * rng.standard_normal()
+    return Recording(time, known.wobbling(motion.displacement_mm, rng), force, source=PLANNED)
+
+
+@one_blas_thread
+def weighed(
+    known: PretestPosterior, recording: Recording, quantity: LinearQuantity | None = None
+) -> tuple[dict[Key, float], float]:
+    """Weigh the rivals on one further recording, each fitted to old and new together under the noise of the old.
+
+    Gives the probability of each set, and the variance of the quantity over all rivals, 0 where none is asked for.
+    """
+    motion = motion_of(recording)
+    alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
+    if not known.runs:  # the first test of a device says where its law is
+        z = law_starts(alone.posterior)[0]
+        at = [replace(b, z=np.concatenate([z, b.z[z.size :]])) for b in known.rivals]
+        known = replace(known, z=z, rivals=tuple(at))
+        alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
+    parts = (*known.old, *alone.posterior.averages)
+    runs = (*known.runs, Run(recording, motion))
+    scene = Scene(replace(alone.posterior, runs=runs, averages=parts), known.z, known.peak_mm_s)
+    first = known.rivals[0]
+    slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
+    metric = Metric(scene, known.setting, slope)
+    logs, values, variances = [], [], []
+    for i, b in enumerate(known.rivals):
+        state = settle(scene, metric, b.model, b.z)
+        logs.append(state.evidence - b.evidence)
+        if quantity is not None:
+            g = quantity.slopes[i][: b.z.size]
+            values.append(quantity.value(b.model, state.z))
+            variances.append(float(g @ state.covariance @ g))
+    weights = np.log(known.shares) + logs
+    p = np.exp(weights - logsumexp(weights))
+    return known.by_set(p), 0.0 if quantity is None else float(spread_of(p, np.array(values), np.array(variances)))
+
+
+def quantity_named(known: PretestPosterior, name: str) -> LinearQuantity:
+    """Quantity of a name, for one device; `PlanError` where it has none of that name."""
+    planned = run_name("ratio", known.device.n_runs)
+    own = [n for n in known.device.law_names if "." not in n and n != planned]
+    own += [MARGIN] if known.runs else []
+    if name not in own:
+        able = (WHICH, FORCE, *own)
+        raise PlanError(f"{known.name}: '{name}' is no question; known are {', '.join(able)}{did_you_mean(name, able)}")
+    if name == MARGIN:
+        return quantity_of(known, "kN", _smallest_plateau(known))
+    return quantity_of(known, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
+
+
+def _smallest_plateau(known: PretestPosterior) -> Callable[[DeviceModel, FloatArray], float]:
+    """Smallest plateau force of a device in its last test, as a model gives it."""
+    history, first = known.old[-1].history, known.rivals[0]
+
+    def read(model: DeviceModel, z: FloatArray) -> Readings:
+        force = model.force(model.natural_of_law(z[None]), history, 0.0)
+        return read_off(force, history.motion, history.travel_m)
+
+    least = counted_from([read(first.model, first.z)])
+    if not np.isfinite(least):
+        raise PlanError(f"{known.name}: no half-cycle of its last test slides fully, so it has no plateau force")
+    return lambda model, z: float(of_readings(read(model, z), least)["least"][0])
