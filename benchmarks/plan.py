@@ -30,7 +30,7 @@ from scipy.stats import binomtest
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import DOUBT
+from shj_bayes.mismatch.classes import ALPHA
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
@@ -207,7 +207,7 @@ class Diagnosed:
     def undecided(self) -> bool:
         """Whether something matters and no class is there with 95 %."""
         there = [sum(p for key, p in self.sets if c in key) for c in frozenset().union(*(key for key, _ in self.sets))]
-        return self.verdict != "adequate" and max(there, default=0.0) < 1.0 - DOUBT
+        return self.verdict != "adequate" and max(there, default=0.0) < 1.0 - ALPHA
 
     def told(self) -> dict[str, Any]:
         """Plain values."""
@@ -316,7 +316,7 @@ def table(rows: Sequence[dict[str, Any]], question: str) -> str:
 def named(own: Sequence[dict[str, Any]]) -> str:
     """Sum up the diagnoses after one second test."""
     mean = {k: 100 * float(np.mean([t[k] for t in own])) for k in ("truth", "foreseen", "right_foreseen", "minutes")}
-    right, sure = sum(t["right"] for t in own), [t for t in own if t["sets"] and t["sets"][0][1] >= 1.0 - DOUBT]
+    right, sure = sum(t["right"] for t in own), [t for t in own if t["sets"] and t["sets"][0][1] >= 1.0 - ALPHA]
     return (
         f"right in {right} of {len(own)} ({share(right, len(own))} %), foreseen {mean['right_foreseen']:.1f} %; "
         f"truth {mean['truth']:.1f} %, foreseen {mean['foreseen']:.1f} %; decided {len(sure)}, "

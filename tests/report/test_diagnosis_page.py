@@ -32,7 +32,7 @@ from shj_bayes.report.diagnosis_words import (
 )
 from shj_bayes.report.page import kept_together
 from shj_bayes.results.codec import from_json
-from shj_bayes.results.diagnosis import Dependence, DiagnosisRecord, DrawsInShort, Member, SetProbability, Shift
+from shj_bayes.results.diagnosis import DependenceRecord, DiagnosisRecord, DrawsInShort, Member, SetProbability, Shift
 
 
 @pytest.fixture(scope="module")
@@ -243,7 +243,7 @@ def test_a_curve_of_push_over_time_is_known_while_the_device_pushes(tmp_path: Pa
 
 
 def test_a_period_and_a_fluctuation_are_sentences() -> None:
-    period = Dependence(
+    period = DependenceRecord(
         action="added", coordinate="time", unit="s", period=15.564, range_percent=3.86, probability=1.0
     )  # fmt: skip
     told = "An added force depends on the time: it changes by 3.9 % of Fy every 15.6 s, again and again."

@@ -8,8 +8,8 @@ from types import MappingProxyType
 import numpy as np
 
 from shj_bayes.inference.squares import extended, start_values
-from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.state import State
+from shj_bayes.mismatch.scene import BinnedData
+from shj_bayes.mismatch.state import Laplace
 from shj_bayes.model.coordinates import coordinate_named, coordinates, coordinates_of
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
@@ -17,13 +17,13 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.measured import Measured
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.results.diagnosis import ClassId
+from shj_bayes.results.diagnosis import DependenceId
 
-MATTERS = 0.01  # of Fy: a smaller effect is negligible for design
-DOUBT = 0.05  # probability that is given up: verdicts hold with 95 %
+MIN_EFFECT = 0.01  # of Fy: a smaller effect is negligible for design
+ALPHA = 0.05  # probability that is given up: verdicts hold with 95 %
 EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where it is not within what matters
-PRESENT = 0.05  # probability of each class before the test: about one in a device
-ODDS = math.log(PRESENT / (1.0 - PRESENT))
+PRIOR_INCLUSION = 0.05  # probability of each class before the test: about one in a device
+LOG_PRIOR_ODDS = math.log(PRIOR_INCLUSION / (1.0 - PRIOR_INCLUSION))
 TYPICAL, SPREAD = 0.04, 1.2  # of Fy, and of its logarithm: how large a curve is where there is one
 FORMS = 0.5  # probability that a dependence has one of the published formulas of its coordinate
 FEW_STARTS = 12  # formulas with more are tried in the place of a curve only
@@ -34,7 +34,7 @@ CURVES = (
 
 
 @dataclass(frozen=True, eq=False)
-class Variant:
+class Parametrisation:
     """One way to write a class: a curve of some smoothness, or an effect of the catalogue."""
 
     curve: Curve | None  # the curve
@@ -43,26 +43,26 @@ class Variant:
 
 
 @dataclass(frozen=True, eq=False)
-class Class:
+class Dependence:
     """A dependence of the force on one coordinate."""
 
     action: str  # how it acts
     coordinate: str  # on what it depends
     unit: str  # unit of the coordinate
-    variants: tuple[Variant, ...]  # ways to write it
+    variants: tuple[Parametrisation, ...]  # ways to write it
 
     @property
     def id(self) -> str:
         """Short word."""
-        return str(ClassId(self.action, self.coordinate))
+        return str(DependenceId(self.action, self.coordinate))
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A class that could be added to a model, to first order."""
 
-    of: Class  # the class
-    variant: Variant  # how it is written
+    of: Dependence  # the class
+    variant: Parametrisation  # how it is written
     start: FloatArray  # shape (n_law,): parameters of the larger model to start from
     columns: FloatArray  # shape (n, p): what it could add to the force, kN, by unit of each of its coefficients
     model: DeviceModel  # the larger model
@@ -73,7 +73,7 @@ class Candidate:
 
 def classes(
     hidden: frozenset[str] = frozenset(), measured: Mapping[str, Measured] = MappingProxyType({})
-) -> tuple[Class, ...]:
+) -> tuple[Dependence, ...]:
     """All classes; a curve is left out when all effects of its class are `hidden`.
 
     `measured` holds further channels of the recordings by coordinate: clamping may follow each.
@@ -94,34 +94,36 @@ def classes(
             smooth = (1.0 - FORMS) * (1.0 - over[0].repeats)
             sides = over[0].sides if action == "capacity" else 0.0
             variants = tuple(
-                Variant(curve := Curve(action, u.id, length, own), curve.effect(), smooth * weight * share / len(over))
+                Parametrisation(
+                    curve := Curve(action, u.id, length, own), curve.effect(), smooth * weight * share / len(over)
+                )
                 for u in over
                 for length, weight in u.lengths.items()
                 for own, share in ((False, 1.0 - sides), (True, sides))
                 if share
             )
             few = [effect for effect in shown if math.prod(map(len, start_values(effect))) <= FEW_STARTS]
-            variants += tuple(Variant(None, effect, FORMS / len(shown)) for effect in few)
-            out.append(Class(action, name, over[0].unit, variants))
+            variants += tuple(Parametrisation(None, effect, FORMS / len(shown)) for effect in few)
+            out.append(Dependence(action, name, over[0].unit, variants))
         else:
-            variants = tuple(Variant(None, effect, 1.0 / len(shown)) for effect in shown)
-            out.append(Class(action, name, "1", variants))
+            variants = tuple(Parametrisation(None, effect, 1.0 / len(shown)) for effect in shown)
+            out.append(Dependence(action, name, "1", variants))
     both = {name: one.unit for name, one in coordinates().items() if one.times is not None}
-    rest = [_without_formula(name, unit, PRESENT * (1.0 - FORMS)) for name, unit in both.items()]
+    rest = [_without_formula(name, unit, PRIOR_INCLUSION * (1.0 - FORMS)) for name, unit in both.items()]
     return (*out, *rest, *(_without_formula(name, one.unit) for name, one in measured.items() if name not in hidden))
 
 
-def _without_formula(name: str, unit: str, weight: float = 1.0) -> Class:
+def _without_formula(name: str, unit: str, weight: float = 1.0) -> Dependence:
     """Class of a sliding force over a coordinate for which no formula beyond its curve is known.
 
     What needs two coordinates at once has the probabilities of both, and of a class without a formula (`weight`).
     """
     curves = [(Curve("capacity", name, length), share) for length, share in coordinate_named(name).lengths.items()]
-    variants = tuple(Variant(curve, curve.effect(), weight * share) for curve, share in curves)
-    return Class("capacity", name, unit, variants)
+    variants = tuple(Parametrisation(curve, curve.effect(), weight * share) for curve, share in curves)
+    return Dependence("capacity", name, unit, variants)
 
 
-def candidates(scene: Scene, state: State, of: tuple[Class, ...]) -> list[Candidate]:
+def candidates(scene: BinnedData, state: Laplace, of: tuple[Dependence, ...]) -> list[Candidate]:
     """Everything that could be added to a model, one at a time, with the columns of the first order."""
     out = []
     for one in of:

@@ -14,8 +14,8 @@ from shj_bayes.mismatch.hypothesis import TEETH, formula_of
 from shj_bayes.mismatch.moves import LARGEST_OF, Search
 from shj_bayes.mismatch.periodic import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.regions import WORDS, run_of
-from shj_bayes.mismatch.scene import Scene
-from shj_bayes.mismatch.state import State, drawn_from
+from shj_bayes.mismatch.scene import BinnedData
+from shj_bayes.mismatch.state import Laplace, drawn_from
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
@@ -25,9 +25,9 @@ from shj_bayes.results.diagnosis import (
     SCHEMA,
     CandidateRecord,
     ChannelRecord,
-    ClassId,
     CurveRecord,
-    Dependence,
+    DependenceId,
+    DependenceRecord,
     DiagnosisVerdict,
     DrawsInShort,
     Dropped,
@@ -174,16 +174,16 @@ def family(out: Search, answer: Answer) -> tuple[Member, ...]:
     return tuple(Member(id=k, probability=v) for k, v in sorted(listed.items(), key=lambda item: -item[1]))
 
 
-def coordinates(out: Search, answer: Answer) -> tuple[Dependence, ...]:
+def coordinates(out: Search, answer: Answer) -> tuple[DependenceRecord, ...]:
     """List what the force depends on beyond the base law, most probable first; push and pull may have a row each."""
     found = {finding.member.of.id: finding for finding in answer.findings}
-    rows: list[Dependence] = []
+    rows: list[DependenceRecord] = []
     for name, probability in sorted(answer.inclusion.items(), key=lambda item: -item[1]):
         finding = found.get(name)
         if finding is None and probability < 0.01:
             continue
         of = out.fitter.classes[name]
-        row = Dependence(
+        row = DependenceRecord(
             coordinate=of.coordinate,
             unit=of.unit,
             action=of.action,
@@ -230,10 +230,10 @@ def further(runs: Sequence[Run]) -> tuple[ChannelRecord, ...]:
     return tuple(rows)
 
 
-def fluctuation(out: Search) -> Dependence:
+def fluctuation(out: Search) -> DependenceRecord:
     """Describe a force that fluctuates as a dependence: of the motion, as where surfaces stick, load up and jump."""
     size = out.chatter.size if out.chatter else LARGEST_OF * out.metric.fluctuation
-    return Dependence(
+    return DependenceRecord(
         coordinate=TEETH.coordinate,
         unit="1",
         action=TEETH.action,
@@ -286,7 +286,7 @@ def _mirrored(action: str) -> float:
     return -1.0 if action == "capacity" else 1.0
 
 
-def _profile(scene: Scene, residual: FloatArray, n: int = 24) -> tuple[Shape, str]:
+def _profile(scene: BinnedData, residual: FloatArray, n: int = 24) -> tuple[Shape, str]:
     """Mean residual over the coordinate over which it is most regular, push and pull."""
     best: tuple[float, Shape, str] | None = None
     sense = scene.channel("direction")
@@ -313,7 +313,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def quality(scene: Scene, state: State, noise_kN: float, held: HeldOut) -> FitQuality:
+def quality(scene: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) -> FitQuality:
     """Say how well a model fits: residual, noise, held-out residual (kN), energy per cycle (per cent)."""
     used = scene.used > 0
     measured = energy_of(scene, scene.measured_kN)
@@ -327,7 +327,7 @@ def quality(scene: Scene, state: State, noise_kN: float, held: HeldOut) -> FitQu
     )
 
 
-def energy_of(scene: Scene, force_kN: FloatArray) -> FloatArray:
+def energy_of(scene: BinnedData, force_kN: FloatArray) -> FloatArray:
     """Energy of each cycle, J (kN mm), by the trapezoid rule over the displacement."""
     cycle = cycles_of(scene)
     work = np.append((force_kN[1:] + force_kN[:-1]) / 2 * np.diff(scene.channel("position_mm")), 0.0)
@@ -335,7 +335,7 @@ def energy_of(scene: Scene, force_kN: FloatArray) -> FloatArray:
     return np.asarray(np.bincount(cycle, weights=work), dtype=np.float64)
 
 
-def energy(scene: Scene, base: State, shown: State) -> EnergyRecord:
+def energy(scene: BinnedData, base: Laplace, shown: Laplace) -> EnergyRecord:
     """Energy of each cycle, measured and modelled before and after, J."""
     forces = scene.measured_kN, scene.measured_kN - base.residual, scene.measured_kN - shown.residual
     measured, before, after = (tuple(energy_of(scene, force).tolist()) for force in forces)
@@ -409,7 +409,7 @@ def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
         kept[_chattering().id] = out.chatter.size
     rows = []
     for effect in catalogue().values():
-        name = next((name for name in (str(ClassId(*acts)) for acts in effect.acts) if name in gains), None)
+        name = next((name for name in (str(DependenceId(*acts)) for acts in effect.acts) if name in gains), None)
         if effect.form or effect.id in out.fitter.hidden or name is None:
             continue
         rows.append(
@@ -442,7 +442,7 @@ def _why(effect: Effect, name: str, kept: Mapping[str, float], answer: Answer, g
     return "explained by what was kept" if answer.findings else "too small, or too improbable, to matter"
 
 
-def channels(scene: Scene, base: State, shown: State) -> xr.Dataset:
+def channels(scene: BinnedData, base: Laplace, shown: Laplace) -> xr.Dataset:
     """Measured and modelled force over all that a page draws."""
     names = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
     data: dict[str, Any] = {name: ("sample", scene.channel(name)) for name in names}
@@ -458,7 +458,7 @@ def channels(scene: Scene, base: State, shown: State) -> xr.Dataset:
     return xr.Dataset(data, attrs={"schema": SCHEMA})
 
 
-def draws_of(state: State, seed: int, n: int = 2000) -> dict[str, FloatArray]:
+def draws_of(state: Laplace, seed: int, n: int = 2000) -> dict[str, FloatArray]:
     """Draw from the Gaussian around the most probable parameters of a model, natural units."""
     theta = state.model.natural_of_law(drawn_from(state, n, seed))
     return dict(zip(state.model.law_names, theta.T[: state.z.size], strict=True))

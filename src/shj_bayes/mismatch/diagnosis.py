@@ -19,9 +19,9 @@ from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.heldout import Proven, proven
 from shj_bayes.mismatch.missed import beside_missed
 from shj_bayes.mismatch.regions import aliases_of, regions_of
-from shj_bayes.mismatch.scene import Metric, scene_of
+from shj_bayes.mismatch.scene import ErrorModel, scene_of
 from shj_bayes.mismatch.search import search
-from shj_bayes.mismatch.state import State, find_noise, settle, settle_under
+from shj_bayes.mismatch.state import Laplace, find_noise, laplace, laplace_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import DiagnoseOptions
@@ -125,7 +125,7 @@ def diagnose(
 class _Models:
     """The base law under noise of its own, and what is known of the parameters."""
 
-    law: State  # the base law under noise of its own, all that it leaves, in the blocks of the search
+    law: Laplace  # the base law under noise of its own, all that it leaves, in the blocks of the search
     draws_before: content.Draws  # of the base law under noise of its own
     draws_after: content.Draws  # of the model that was found, beside what it leaves out: `missed`
 
@@ -135,15 +135,15 @@ def _models(shown: Proven, seed: int) -> _Models:
     out, answer, fine = shown.out, shown.answer, shown.fine
     base, setting = out.found[frozenset()].state, out.metric.setting
     alone = find_noise(out.scene, base, np.zeros((base.residual.size, 0)), setting)
-    law = settle(out.scene, Metric(out.scene, alone, base.slope), base.model, base.z)
-    under, first = settle_under(fine, alone, law.model, law.z)
+    law = laplace(out.scene, ErrorModel(out.scene, alone, base.slope), base.model, base.z)
+    under, first = laplace_under(fine, alone, law.model, law.z)
     draws = content.draws_of(first, seed)
     if not answer.findings:
         wide = beside_missed(fine, under, first, (), tuple(out.fitter.classes.values()))
         return _Models(law, draws, content.draws_of(wide, seed))
     others = tuple(one for name, one in out.fitter.classes.items() if name not in answer.shown.key)
     sizes = [(f.member, f.size) for f in answer.findings]
-    wide = beside_missed(fine, Metric(fine, setting, shown.after.slope), shown.after, sizes, others)
+    wide = beside_missed(fine, ErrorModel(fine, setting, shown.after.slope), shown.after, sizes, others)
     return _Models(law, draws, content.draws_of(wide, seed))
 
 
@@ -151,7 +151,7 @@ def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any
     """Give what a search found, as fields of the record."""
     out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
     noise = float(np.sqrt(np.mean(shown.after.residual[fine.used > 0] ** 2)))
-    regions = regions_of(out.scene, Metric(out.scene, out.metric.setting, models.law.slope), models.law)
+    regions = regions_of(out.scene, ErrorModel(out.scene, out.metric.setting, models.law.slope), models.law)
     return {
         "verdict": answer.verdict,
         "reason": answer.reason.value,

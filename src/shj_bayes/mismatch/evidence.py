@@ -11,7 +11,7 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.special import logsumexp
 
-from shj_bayes.mismatch.classes import ODDS, Candidate, unit_columns
+from shj_bayes.mismatch.classes import LOG_PRIOR_ODDS, Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.hypothesis import Hypothesis
 from shj_bayes.mismatch.moves import RIVAL, Search
@@ -34,7 +34,7 @@ def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
     for h in out.found.values():
         if h.log_weight > height - RIVAL:
             for key, gain in _gains_beside(out, h).items():
-                weight = h.log_weight + len(key) * ODDS + gain
+                weight = h.log_weight + len(key) * LOG_PRIOR_ODDS + gain
                 if weight > added.get(h.key | key, -np.inf):
                     added[h.key | key] = weight
     rows = fitted | {key: weight for key, weight in added.items() if key not in fitted}
@@ -54,7 +54,7 @@ def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
             changes[name] = 100.0 * (ends[1] - ends[0])
     return EvidenceRecord(
         classes=tuple(names),
-        log_odds=ODDS,
+        log_odds=LOG_PRIOR_ODDS,
         own=own,
         written={name: c.variant.effect.id for name, c in sorted(others.items())},
         size_percent={name: round(100.0 * size, DIGITS) for name, size in sizes.items()},

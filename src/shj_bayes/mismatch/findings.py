@@ -9,26 +9,26 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import expit, logsumexp
 
-from shj_bayes.mismatch.classes import DOUBT, MATTERS, Candidate, Class
+from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, Candidate, Dependence
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.hypothesis import (
     MOTION,
     SLIP,
     Hypothesis,
-    away,
     columns_of,
+    force_distance,
     largest_size_of,
-    may_miss,
     replaced,
     same_twice,
     second_of,
     size_of,
+    tolerance,
     without,
 )
 from shj_bayes.mismatch.missed import missed_by
 from shj_bayes.mismatch.moves import Search, beside_direction, following
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import State, visible
+from shj_bayes.mismatch.state import Laplace, visible
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, DiagnosisVerdict
@@ -60,7 +60,7 @@ class FoundEffect:
     evidence: float  # log Bayes factor over the model without it, nats: over the base law where it is the only one
     size: float  # largest force that it makes and that the base law could not (99th percentile), as a share of Fy
     curve: Candidate | None  # the same as a curve, where there is one
-    curve_state: State | None  # the model with that curve
+    curve_state: Laplace | None  # the model with that curve
     place: int  # its place among the effects of that model
     # Mechanisms of the catalogue that may have the curve, with their probabilities within the class, most probable
     # first and as many as hold 95 %; what was measured beside the force is its own name. None where no formula follows
@@ -122,7 +122,7 @@ def answer_of(out: Search) -> Answer:
     for key, p in reduced.items():
         for name in sorted(key):
             inclusion[name] = inclusion.get(name, 0.0) + p
-    sure = nothing >= 1.0 - DOUBT
+    sure = nothing >= 1.0 - ALPHA
     top = next((key for key, _ in sets if key and not sure), frozenset[str]())
     shown = best[top]
     findings, shown = _findings(out, shown, top, inclusion)
@@ -143,11 +143,11 @@ def _verdict(
         Reason.SLOW_NOISE: out.metric.is_rough and not out.chatter and out.metric.is_slow,
         Reason.FLUCTUATES: out.metric.is_rough and not out.chatter,
         Reason.LEFT_OVER: left > out.matters_in_strokes and left > largest / 3.0,
-        Reason.NO_FORM: nothing < DOUBT
+        Reason.NO_FORM: nothing < ALPHA
         and any(not f.named and (f.size >= out.matters or (f is findings[0] and not out.chatter)) for f in findings),
     }
     several = {
-        Reason.SEVERAL: bool(findings) and probability < 1.0 - DOUBT,
+        Reason.SEVERAL: bool(findings) and probability < 1.0 - ALPHA,
         Reason.NAMES: any(len(f.names) > 1 for f in findings),
     }
     for verdict, reasons in ((DiagnosisVerdict.UNKNOWN, unknown), (DiagnosisVerdict.FAMILY, several)):
@@ -161,7 +161,7 @@ def _verdict(
 def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     """Classes of a hypothesis that may be of a size that matters: the smallest are left out one after another.
 
-    A class is left out where the upper limit of its size, exceeded with a probability of `DOUBT`, is too small. What is
+    A class is left out where the upper limit of its size, exceeded with a probability of `ALPHA`, is too small. What is
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
     sizes = [largest_size_of(out.scene, h, i) / out.matters_of(h, i) for i in range(len(h.members))]
@@ -216,7 +216,7 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
     return weights[0] - weights[1]
 
 
-def discrepancy_size(out: Search, state: State) -> float:
+def discrepancy_size(out: Search, state: Laplace) -> float:
     """Size of what the generic discrepancy takes up of a residual (99th percentile), as a share of Fy."""
     taken = out.metric.discrepancy_of(state.residual)
     return float(visible(out.scene, state.jacobian, taken[:, None])[0])
@@ -261,12 +261,12 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
     """
     best, score = h, out.best_within(h.key - {h.members[place].of.id})
     for new in following(out.fitter, h, place):
-        if new.log_weight > score and largest_size_of(out.scene, new, place) >= MATTERS:
+        if new.log_weight > score and largest_size_of(out.scene, new, place) >= MIN_EFFECT:
             best, score = new, new.log_weight
     return best
 
 
-def _in_place_of(fitter: Fitter, h: Hypothesis, place: int, of: Class) -> list[Hypothesis]:
+def _in_place_of(fitter: Fitter, h: Hypothesis, place: int, of: Dependence) -> list[Hypothesis]:
     """Give the hypotheses with a formula of another class in the place of a curve, most probable first."""
     rest = fitter.fitted(*without(fitter.scene, h, place))
     if rest is None:
@@ -305,12 +305,12 @@ def _split(out: Search, h: Hypothesis) -> Hypothesis:
         second = second_of(member)
         if second is None or second in h.key or second not in out.fitter.classes:
             continue
-        allowed = may_miss(out.scene, h, place)
+        allowed = tolerance(out.scene, h, place)
         for one in _in_place_of(out.fitter, h, place, out.fitter.classes[second]):
-            if away(out.scene, h, one) <= allowed:
+            if force_distance(out.scene, h, one) <= allowed:
                 return one
         both = beside_direction(out, h, place).found.get(h.key | {second})
-        if both is not None and away(out.scene, h, both) <= allowed:
+        if both is not None and force_distance(out.scene, h, both) <= allowed:
             return both
     return h
 
@@ -319,7 +319,7 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
     """Weigh the formulas that fit in a place by their evidence.
 
     Give the hypothesis with the best formula of the most probable mechanism, and the mechanisms that hold all but
-    `DOUBT` of the probability.
+    `ALPHA` of the probability.
     """
     own = h.members[place]
     acting = {e.mechanism for e in catalogue().values() if (own.of.action, own.of.coordinate) in e.acts}
@@ -330,7 +330,7 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
         new, name = out.fitter.fitted(replaced(h, place, form), form.start), form.variant.effect.id
         if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
             continue
-        if name in forms or largest_size_of(out.scene, new, place) >= MATTERS:
+        if name in forms or largest_size_of(out.scene, new, place) >= MIN_EFFECT:
             forms[name] = new
     whole = float(logsumexp([one.log_weight for one in forms.values()]))
     by_mechanism: dict[str, list[Hypothesis]] = {}
@@ -342,9 +342,9 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
 
 
 def most_probable(ranked: Sequence[tuple[T, float]]) -> tuple[tuple[T, float], ...]:
-    """First items of a list, most probable first, that hold all but `DOUBT` of the probability."""
+    """First items of a list, most probable first, that hold all but `ALPHA` of the probability."""
     before = np.cumsum([0.0, *(p for _, p in ranked)])[:-1]
-    return tuple(item for item, sum_before in zip(ranked, before, strict=True) if sum_before < 1.0 - DOUBT)
+    return tuple(item for item, sum_before in zip(ranked, before, strict=True) if sum_before < 1.0 - ALPHA)
 
 
 def _p_value(out: Search) -> float:
@@ -356,7 +356,7 @@ def _p_value(out: Search) -> float:
 
 
 def rivals_of(answer: Answer) -> tuple[tuple[frozenset[str], float], ...]:
-    """Find the smallest list of sets that holds all but `DOUBT` of the probability, most probable first."""
+    """Find the smallest list of sets that holds all but `ALPHA` of the probability, most probable first."""
     return most_probable(answer.sets)
 
 

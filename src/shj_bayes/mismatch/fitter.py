@@ -10,12 +10,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from shj_bayes.inference.squares import start_values
-from shj_bayes.mismatch.classes import FORMS, ODDS, Candidate, Class, Variant, size_weights
+from shj_bayes.mismatch.classes import FORMS, LOG_PRIOR_ODDS, Candidate, Dependence, Parametrisation, size_weights
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis, columns_of, same_twice, without
 from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
-from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
+from shj_bayes.mismatch.scene import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import State, find_noise, settle
+from shj_bayes.mismatch.state import Laplace, find_noise, laplace
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
@@ -31,12 +31,12 @@ class Fitter:
 
     Attributes
     ----------
-    scene : Scene
+    scene : BinnedData
         The recordings.
     looked : sequence of Candidate
         What is looked for, with columns at the base law: they change little from model to model, and only choose what
         is fitted.
-    metric : Metric
+    metric : ErrorModel
         Noise and discrepancy, found beside everything that is looked for.
     hidden : frozenset of str
         Mechanisms whose formulas are not tried.
@@ -44,15 +44,15 @@ class Fitter:
         Log weight, nats, below which a fit is given up on its way.
     """
 
-    scene: Scene
+    scene: BinnedData
     looked: Sequence[Candidate]
-    metric: Metric
+    metric: ErrorModel
     hidden: frozenset[str] = frozenset()
     floor: float = -math.inf
     _screened: dict[Hypothesis, list[Candidate]] = field(init=False, default_factory=dict)
 
     @cached_property
-    def classes(self) -> dict[str, Class]:
+    def classes(self) -> dict[str, Dependence]:
         """Classes that are looked for, by their ids."""
         return {c.of.id: c.of for c in self.looked}
 
@@ -76,10 +76,10 @@ class Fitter:
         The fit is given up on its way where the log weight will not reach `floor`.
         """
         try:
-            state = settle(self.scene, self.metric, self.model_of(members), start, max(self.floor, floor))
+            state = laplace(self.scene, self.metric, self.model_of(members), start, max(self.floor, floor))
             # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
             np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.gaussian.inner)
-            weight = state.evidence + len(members) * ODDS
+            weight = state.evidence + len(members) * LOG_PRIOR_ODDS
             weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
             return None
@@ -87,7 +87,7 @@ class Fitter:
             return None
         return Hypothesis(members, state, weight) if math.isfinite(weight) else None
 
-    def _follows_cycles(self, state: State, member: Candidate) -> bool:
+    def _follows_cycles(self, state: Laplace, member: Candidate) -> bool:
         """Whether a formula or a wave over a clock does the same in each cycle."""
         curve, effect = member.variant.curve, member.variant.effect
         if not is_over_a_clock(member.of) or (curve is not None and curve.period is None):
@@ -95,7 +95,7 @@ class Fitter:
         law = state.model.law_values(state.z)
         return follows_cycles(self.scene, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names})
 
-    def _about_size(self, state: State, place: int, member: Candidate) -> float:
+    def _about_size(self, state: Laplace, place: int, member: Candidate) -> float:
         """Log evidence that a class gains when its size and its smoothness are averaged over."""
         extra = math.log(member.variant.weight)
         curve = member.variant.curve
@@ -123,10 +123,10 @@ class Fitter:
                 best, floor = one, max(floor, one.log_weight)
         return best
 
-    def with_own_noise(self, h: Hypothesis, start: NoiseSetting) -> Hypothesis | None:
+    def with_own_noise(self, h: Hypothesis, start: ErrorParameters) -> Hypothesis | None:
         """Fit a hypothesis under the noise that is most probable beside it, searched for from a start."""
         none = np.zeros((h.state.residual.size, 0))
-        metric = Metric(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)
+        metric = ErrorModel(self.scene, find_noise(self.scene, h.state, none, start), h.state.slope)
         new = replace(self, metric=metric).fitted(h.members, h.state.z)
         return replace(new, metric=metric) if new is not None else None
 
@@ -147,7 +147,7 @@ class Fitter:
         )
 
     def forms_of(
-        self, of: Class, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
+        self, of: Dependence, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
     ) -> list[Candidate]:
         """Formulas of a class, each from its best starts, beside other members and where their model is, `z`.
 
@@ -157,7 +157,7 @@ class Fitter:
         acts, nothing, out = (of.action, of.coordinate), np.zeros((self.scene.used.size, 0)), []
         known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
         for effect in known:
-            variant = Variant(None, effect, FORMS / max(len(known), 1))
+            variant = Parametrisation(None, effect, FORMS / max(len(known), 1))
             form = Candidate(of, variant, z, nothing, self.scene.device)
             model = self.model_of((*members[:place], form, *members[place:]))
             values = start_values(effect)
@@ -173,7 +173,9 @@ class Fitter:
         return out
 
 
-def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start: NoiseSetting | None) -> Metric:
+def noise_beside(
+    scene: BinnedData, state: Laplace, looked: Sequence[Candidate], start: ErrorParameters | None
+) -> ErrorModel:
     """Noise beside everything that smooth functions of any coordinate can take up, at most that of a load cell.
 
     What is larger is left to the classes until the end: beside several effects that no single class makes up for, a
@@ -190,7 +192,7 @@ def noise_beside(scene: Scene, state: State, looked: Sequence[Candidate], start:
         columns.append(WIDE * c.columns)
     columns.append(FLAT * scene.zeros * scene.scale_kN)  # a constant says nothing of the noise
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
-    return Metric(scene, find_noise(scene, state, wide, start, scene.noise_most_kN), state.slope)
+    return ErrorModel(scene, find_noise(scene, state, wide, start, scene.noise_most_kN), state.slope)
 
 
 def noise_of_size(device: DeviceModel, size_kN: float) -> tuple[float, ...]:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.inference.floor import cycles_through
-from shj_bayes.mismatch.classes import DOUBT
+from shj_bayes.mismatch.classes import ALPHA
 from shj_bayes.mismatch.findings import Answer, Reason, answer_of
 from shj_bayes.mismatch.hypothesis import Hypothesis, without
 from shj_bayes.mismatch.moves import Search
-from shj_bayes.mismatch.scene import Metric, NoiseSetting, Scene
-from shj_bayes.mismatch.state import State, settle, settle_under
+from shj_bayes.mismatch.scene import BinnedData, ErrorModel, ErrorParameters
+from shj_bayes.mismatch.state import Laplace, laplace, laplace_under
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import DiagnosisVerdict
 
@@ -77,7 +77,7 @@ class Gain:
         return self.elpd > 0.0 and not self.is_worse
 
 
-def cycles_of(scene: Scene) -> NDArray[np.int64]:
+def cycles_of(scene: BinnedData) -> NDArray[np.int64]:
     """Cycle of each block, counted through all runs; half-cycles where there are few cycles."""
     blocks = [np.diff(part.timing.half) for part in scene.posterior.averages]  # of each half-cycle
     n_half = [own.size for own in blocks]
@@ -85,7 +85,7 @@ def cycles_of(scene: Scene) -> NDArray[np.int64]:
     return np.repeat(cycle, np.concatenate(blocks))
 
 
-def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:
+def held_out(scene: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
     """Predict cycles with a model that is fitted without them, from where it is with them, until it stands.
 
     Every eighth cycle is left out at a time, so that each is told from neighbours as in a test of other cycles. A
@@ -104,7 +104,7 @@ def held_out(scene: Scene, metric: Metric, state: State) -> HeldOut:
         left = (place >= 0) & (place % n_parts == part)
         rest = metric.without(left[evidence])
         try:
-            refit = settle(scene, rest, state.model, state.z)
+            refit = laplace(scene, rest, state.model, state.z)
             predicted = refit.residual - rest.integrated_out(refit.residual)
         except np.linalg.LinAlgError:  # no prediction without these cycles
             predicted = np.full(evidence.size, np.inf)
@@ -133,11 +133,11 @@ class Proven:
     out: Search  # the search, without the hypotheses that hold what was dropped
     answer: Answer
     dropped: tuple[DroppedMember, ...]  # in the order in which they were dropped
-    fine: Scene  # the recordings in blocks as fine as those of a fit of the model that is shown
+    fine: BinnedData  # the recordings in blocks as fine as those of a fit of the model that is shown
     # before, after: the base law in them and the model that is shown, under the noise of the latter; one state where
     # nothing is shown
-    before: State
-    after: State
+    before: Laplace
+    after: Laplace
     held: tuple[HeldOut, HeldOut]  # of both
 
     @property
@@ -159,7 +159,7 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
         tell("predicting cycles that were left out")
         held = _LeftOut.of(out, answer)
         if not dropped:
-            missing = bool(answer.findings) and _nothing(answer) < DOUBT
+            missing = bool(answer.findings) and _nothing(answer) < ALPHA
         worst = held.worst(out, answer)
         if worst is None:
             break
@@ -193,10 +193,10 @@ def _less(out: Search, shown: Hypothesis, of: str) -> Search:
 class _LeftOut:
     """The base law and the model of an answer, on cycles that were left out."""
 
-    fine: Scene
-    setting: NoiseSetting
-    before: State
-    after: State
+    fine: BinnedData
+    setting: ErrorParameters
+    before: Laplace
+    after: Laplace
     base: HeldOut
     shown: HeldOut
 
@@ -205,25 +205,25 @@ class _LeftOut:
         """Fit both, in blocks as fine as those of a fit, and leave cycles out."""
         h, base, setting = answer.shown, out.found[frozenset()].state, out.metric.setting
         fine = out.scene.finer_at(h.state.model, h.state.z)
-        metric, before = settle_under(fine, setting, base.model, base.z)
+        metric, before = laplace_under(fine, setting, base.model, base.z)
         if not answer.findings:
             alone = held_out(fine, metric, before)
             return cls(fine, setting, before, before, alone, alone)
-        after = settle_under(fine, setting, h.state.model, h.state.z)[1]
-        metric = Metric(fine, setting, after.slope)
+        after = laplace_under(fine, setting, h.state.model, h.state.z)[1]
+        metric = ErrorModel(fine, setting, after.slope)
         return cls(fine, setting, before, after, *(held_out(fine, metric, state) for state in (before, after)))
 
     def worst(self, out: Search, answer: Answer) -> DroppedMember | None:
         """Find the dependence without which what was left out is predicted best; None where each improves it."""
         if not answer.findings:
             return None
-        members, metric = answer.shown.members, Metric(self.fine, self.setting, self.after.slope)
+        members, metric = answer.shown.members, ErrorModel(self.fine, self.setting, self.after.slope)
         gains = []
         for place, member in enumerate(members):
             rest, h = self.base, replace(answer.shown, state=self.after)
             if len(members) > 1:
                 less, z = without(self.fine, h, place)
-                state = settle_under(self.fine, self.setting, out.fitter.model_of(less), z)[1]
+                state = laplace_under(self.fine, self.setting, out.fitter.model_of(less), z)[1]
                 rest = held_out(self.fine, metric, state)
             gains.append(DroppedMember(member.of.id, Gain.of(rest, self.shown)))
         whole = Gain.of(self.base, self.shown)

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shj_bayes.mismatch.classes import DOUBT, EXPLAINED, MATTERS, Candidate
-from shj_bayes.mismatch.scene import Metric, Scene
-from shj_bayes.mismatch.state import State, drawn_from, largest, visible
+from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Candidate
+from shj_bayes.mismatch.scene import BinnedData, ErrorModel
+from shj_bayes.mismatch.state import Laplace, drawn_from, largest, visible
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.results.diagnosis import ClassId
+from shj_bayes.results.diagnosis import DependenceId
 
-CONSTANT = str(ClassId("added", "constant"))
-TEETH = ClassId("motion", "stick-slip")
+CONSTANT = str(DependenceId("added", "constant"))
+TEETH = DependenceId("motion", "stick-slip")
 POSITION, DISTANCE, DIRECTION, SLIP = (
-    str(ClassId("capacity", name)) for name in ("position", "distance", "direction", "slip")
+    str(DependenceId("capacity", name)) for name in ("position", "distance", "direction", "slip")
 )
 
 
@@ -23,9 +23,9 @@ class Hypothesis:
     """A set of classes with the model that holds them."""
 
     members: tuple[Candidate, ...]  # classes, in the order of the effects of the model behind those that were given
-    state: State  # the model, fitted
+    state: Laplace  # the model, fitted
     log_weight: float  # log of the evidence times the probability before the test
-    metric: Metric | None = None  # noise and discrepancy under which it was weighed; None during a search
+    metric: ErrorModel | None = None  # noise and discrepancy under which it was weighed; None during a search
 
     @property
     def key(self) -> frozenset[str]:
@@ -33,13 +33,13 @@ class Hypothesis:
         return frozenset(member.of.id for member in self.members)
 
 
-def columns_of(scene: Scene, state: State, place: int) -> list[int]:
+def columns_of(scene: BinnedData, state: Laplace, place: int) -> list[int]:
     """Positions of the parameters of a member, in the place among its classes, in the vector of a model."""
     effect = state.model.effects[len(scene.device.effects) + place]
     return [i for i, name in enumerate(state.model.law_names) if name.startswith(f"{effect.id}.")]
 
 
-def without(scene: Scene, h: Hypothesis, place: int) -> tuple[tuple[Candidate, ...], FloatArray]:
+def without(scene: BinnedData, h: Hypothesis, place: int) -> tuple[tuple[Candidate, ...], FloatArray]:
     """Members of a hypothesis less the one in a place, and where the rest of its model is."""
     members = (*h.members[:place], *h.members[place + 1 :])
     return members, np.delete(h.state.z, columns_of(scene, h.state, place))
@@ -79,7 +79,7 @@ N_SIZES = 60  # draws from which the upper limit of a size is taken
 NO_FORCE = 1e6  # size of a draw whose force is not finite
 
 
-def size_of(scene: Scene, h: Hypothesis, place: int) -> float:
+def size_of(scene: BinnedData, h: Hypothesis, place: int) -> float:
     """Size of a member at the most probable parameters, as a share of Fy.
 
     The 99th percentile of its force that the base law could not make, by `visible`; of a constant, all of it.
@@ -87,12 +87,12 @@ def size_of(scene: Scene, h: Hypothesis, place: int) -> float:
     return float(_sizes_at(scene, h, place, h.state.z[None])[0])
 
 
-def largest_size_of(scene: Scene, h: Hypothesis, place: int) -> float:
-    """Upper limit of the size of a member, exceeded with a probability of `DOUBT`, a share of Fy."""
-    return float(np.quantile(sizes_of(scene, h, place), 1.0 - DOUBT))
+def largest_size_of(scene: BinnedData, h: Hypothesis, place: int) -> float:
+    """Upper limit of the size of a member, exceeded with a probability of `ALPHA`, a share of Fy."""
+    return float(np.quantile(sizes_of(scene, h, place), 1.0 - ALPHA))
 
 
-def sizes_of(scene: Scene, h: Hypothesis, place: int) -> FloatArray:
+def sizes_of(scene: BinnedData, h: Hypothesis, place: int) -> FloatArray:
     """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy.
 
     Far from what fits a model may have no force at all; nothing says that the member is small there.
@@ -100,7 +100,7 @@ def sizes_of(scene: Scene, h: Hypothesis, place: int) -> FloatArray:
     return np.nan_to_num(_sizes_at(scene, h, place, drawn_from(h.state, N_SIZES)), nan=NO_FORCE, posinf=NO_FORCE)
 
 
-def _sizes_at(scene: Scene, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+def _sizes_at(scene: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
     """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,).
 
     What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long. A
@@ -113,7 +113,7 @@ def _sizes_at(scene: Scene, h: Hypothesis, place: int, z: FloatArray) -> FloatAr
     return visible(scene, _law_slopes(h, scene), _change(scene, h, place, z).T)
 
 
-def _change(scene: Scene, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+def _change(scene: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
     """Force of a member for each of some parameter sets of its model, shape (m, n_law) to (m, n), kN."""
     model, effect = h.state.model, h.members[place].variant.effect
     rest = tuple(e for e in model.effects if e.id != effect.id)
@@ -121,7 +121,7 @@ def _change(scene: Scene, h: Hypothesis, place: int, z: FloatArray) -> FloatArra
     return scene.residual(model.with_effects(rest), others) - scene.residual(model, z)
 
 
-def _law_slopes(h: Hypothesis, scene: Scene) -> FloatArray:
+def _law_slopes(h: Hypothesis, scene: BinnedData) -> FloatArray:
     """Give the derivatives of the law by itself, shape (n, n_law), kN.
 
     Beside a constant of many times Fy, a change of Fy is a change of the constant.
@@ -130,16 +130,16 @@ def _law_slopes(h: Hypothesis, scene: Scene) -> FloatArray:
     return scene.jacobian(device, law, scene.residual(device, law[None])[0])
 
 
-def may_miss(scene: Scene, h: Hypothesis, place: int) -> float:
+def tolerance(scene: BinnedData, h: Hypothesis, place: int) -> float:
     """How far a formula may be from a curve that it is the name of, a share of Fy.
 
     At most half of the curve: a formula that leaves more than it explains says nothing.
     """
     size = size_of(scene, h, place)
-    return min(max(MATTERS, (1.0 - EXPLAINED) * size), 0.5 * size)
+    return min(max(MIN_EFFECT, (1.0 - EXPLAINED) * size), 0.5 * size)
 
 
-def away(scene: Scene, a: Hypothesis, b: Hypothesis) -> float:
+def force_distance(scene: BinnedData, a: Hypothesis, b: Hypothesis) -> float:
     """How far the forces of two hypotheses are apart (99th percentile over the samples), as a share of Fy."""
     used = scene.used > 0
     apart = (b.state.residual - a.state.residual)[used, None]
@@ -197,8 +197,8 @@ def formula_of(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArr
     """
     first, span = float(at[0]), float(np.ptp(at))
     u = (at - first) / span
-    weight = 1.0 / np.maximum(high - low, 0.2 * 100 * MATTERS)
-    allowed = np.maximum(0.5 * (high - low), 100 * MATTERS)
+    weight = 1.0 / np.maximum(high - low, 0.2 * 100 * MIN_EFFECT)
+    allowed = np.maximum(0.5 * (high - low), 100 * MIN_EFFECT)
     for shape in SHAPES:
         best: tuple[float, FloatArray, float] | None = None
         for length in shape.lengths:

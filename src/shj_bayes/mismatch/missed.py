@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit
 
-from shj_bayes.mismatch.classes import EXPLAINED, ODDS, Candidate, Class, candidates, unit_columns
-from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.mismatch.classes import EXPLAINED, LOG_PRIOR_ODDS, Candidate, Dependence, candidates, unit_columns
+from shj_bayes.mismatch.scene import BinnedData, ErrorModel
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import State
+from shj_bayes.mismatch.state import Laplace
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.parameters import FloatArray
 
 
-def curves_of(scene: Scene, state: State, of: Class) -> FloatArray | None:
+def curves_of(scene: BinnedData, state: Laplace, of: Dependence) -> FloatArray | None:
     """Give the curves of a class, kN by unit of normal coefficients, shape (n, p); None where it has none.
 
     To first order, with the standard deviation of `Curve.size`. A class may have several: heat decays sooner or later.
@@ -28,7 +28,7 @@ def curves_of(scene: Scene, state: State, of: Class) -> FloatArray | None:
     return np.column_stack([c.columns for c in candidates(scene, state, (one,))])
 
 
-def missed_by(scene: Scene, state: State, of: Class, size: float) -> FloatArray | None:
+def missed_by(scene: BinnedData, state: Laplace, of: Dependence, size: float) -> FloatArray | None:
     """Give what a form of a size, a share of Fy, may miss over the coordinate of a class: curves as of `curves_of`.
 
     With a standard deviation of 1 - `EXPLAINED` of the size.
@@ -38,12 +38,12 @@ def missed_by(scene: Scene, state: State, of: Class, size: float) -> FloatArray 
 
 
 def beside_missed(
-    scene: Scene,
-    metric: Metric,
-    state: State,
+    scene: BinnedData,
+    metric: ErrorModel,
+    state: Laplace,
     found: Sequence[tuple[Candidate, float]],
-    others: Sequence[Class] = (),
-) -> State:
+    others: Sequence[Dependence] = (),
+) -> Laplace:
     """Give a state with a covariance that counts what its formulas may miss, and the classes that it does not hold.
 
     A formula may miss a curve, `missed_by`: `found` holds the classes of the model with their sizes, as shares of Fy.
@@ -64,11 +64,11 @@ def beside_missed(
         best.setdefault(c.of.id, c)
     for c in best.values():
         column = c.change[:, None] if c.variant.curve is None else unit_columns(c)
-        covariance += expit(c.gain + ODDS) * (_spread(metric, state, column) - state.covariance)
+        covariance += expit(c.gain + LOG_PRIOR_ODDS) * (_spread(metric, state, column) - state.covariance)
     return replace(state, covariance=covariance)
 
 
-def _spread(metric: Metric, state: State, *columns: FloatArray) -> FloatArray:
+def _spread(metric: ErrorModel, state: Laplace, *columns: FloatArray) -> FloatArray:
     """Covariance of the parameters beside further columns, with the square of how far they move from where they are."""
     d = state.z.size
     wide = metric.gaussian(state.beside(*columns))

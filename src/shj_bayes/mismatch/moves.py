@@ -9,27 +9,27 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shj_bayes.mismatch.classes import EXPLAINED, MATTERS, ODDS, Candidate, Class, candidates
+from shj_bayes.mismatch.classes import EXPLAINED, LOG_PRIOR_ODDS, MIN_EFFECT, Candidate, Dependence, candidates
 from shj_bayes.mismatch.fitter import Fitter, noise_beside
 from shj_bayes.mismatch.hypothesis import (
     DIRECTION,
     DISTANCE,
     MOTION,
     Hypothesis,
-    away,
     columns_of,
+    force_distance,
     is_curve,
     joined,
-    may_miss,
     replaced,
     second_of,
     size_of,
+    tolerance,
     without,
 )
 from shj_bayes.mismatch.periodic import Chatter
-from shj_bayes.mismatch.scene import Metric, Scene
+from shj_bayes.mismatch.scene import BinnedData, ErrorModel
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import settle_under, visible
+from shj_bayes.mismatch.state import laplace_under, visible
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.parameters import FloatArray
 
@@ -73,12 +73,12 @@ class Search:
     tell: Callable[[str], None] = lambda _: None
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> BinnedData:
         """The recordings."""
         return self.fitter.scene
 
     @property
-    def metric(self) -> Metric:
+    def metric(self) -> ErrorModel:
         """Noise and discrepancy that hypotheses are weighed under."""
         return self.fitter.metric
 
@@ -110,7 +110,7 @@ class Search:
     def matters(self) -> float:
         """Size that a class must have, as a share of Fy: beside a force that fluctuates a fifth of what that makes."""
         fluctuates = (1.0 - EXPLAINED) * LARGEST_OF * self.metric.fluctuation if self.metric.is_rough else 0.0
-        return max(MATTERS, fluctuates)
+        return max(MIN_EFFECT, fluctuates)
 
     @property
     def matters_in_strokes(self) -> float:
@@ -144,7 +144,7 @@ def try_constant(search: Search) -> Search:
     scene, constant = search.scene, search.fitter.constant
     residual = scene.residual(scene.device, scene.z[None])[0]
     size = float(residual @ scene.used / scene.used.sum()) / scene.scale_kN
-    if constant is None or abs(size) <= MATTERS:
+    if constant is None or abs(size) <= MIN_EFFECT:
         return search
     return search.add((constant,), np.append(scene.z, free_size(constant, size)))
 
@@ -165,7 +165,7 @@ def add_one(search: Search, h: Hypothesis) -> Search:
     # What acts on the motion has places of its own: to first order many curves do as well as a gap.
     followed: set[str] = set()
     for c in listed:
-        enough = c.gain + ODDS > -1.0 and c.gain > 0.5 * best - 20.0
+        enough = c.gain + LOG_PRIOR_ODDS > -1.0 and c.gain > 0.5 * best - 20.0
         effect = c.variant.curve is None and c.gain > 10.0
         allowed = 2 if c.variant.curve is None else 1
         kind = (c.of.id, c.variant.curve is None)
@@ -338,10 +338,10 @@ def _in_place_of_curve(search: Search, h: Hypothesis, place: int, rest: Hypothes
 
 def following(fitter: Fitter, h: Hypothesis, place: int) -> Iterator[Hypothesis]:
     """Give the hypotheses with a formula in the place of a curve that it follows: within what it may miss."""
-    allowed = may_miss(fitter.scene, h, place)
+    allowed = tolerance(fitter.scene, h, place)
     for form in fitter.forms(h, place):
         one = fitter.fitted(replaced(h, place, form), form.start)
-        if one is not None and away(fitter.scene, h, one) <= allowed:
+        if one is not None and force_distance(fitter.scene, h, one) <= allowed:
             yield one
 
 
@@ -365,10 +365,10 @@ def follow_bends(search: Search) -> Search:
     return look_for(replace(search, bends=bends, fitter=fitter), tuple(fitter.classes.values()))
 
 
-def look_for(search: Search, classes: tuple[Class, ...]) -> Search:
+def look_for(search: Search, classes: tuple[Dependence, ...]) -> Search:
     """Look for given classes from here on, beside what was found."""
     h, scene = search.best, search.scene
-    metric, rough = settle_under(scene, search.metric.setting, scene.device, scene.z)
+    metric, rough = laplace_under(scene, search.metric.setting, scene.device, scene.z)
     fitter = replace(search.fitter, metric=metric, looked=candidates(scene, rough, classes))
     return refit_noise(_again(replace(search, fitter=fitter), h))
 

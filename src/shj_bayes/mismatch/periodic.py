@@ -11,10 +11,10 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import logsumexp, ndtri
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
-from shj_bayes.mismatch.classes import FORMS, Candidate, Class, Variant, candidates, size_weights
-from shj_bayes.mismatch.scene import AVERAGED_S, Metric, Scene
+from shj_bayes.mismatch.classes import FORMS, Candidate, Dependence, Parametrisation, candidates, size_weights
+from shj_bayes.mismatch.scene import AVERAGED_S, BinnedData, ErrorModel
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import State, settle_under
+from shj_bayes.mismatch.state import Laplace, laplace_under
 from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.effects.effect import Effect, Values
@@ -29,12 +29,12 @@ def is_clock(over: Coordinate) -> bool:
     return over.goes == "test" and over.repeats > 0.0
 
 
-def is_over_a_clock(of: Class) -> bool:
+def is_over_a_clock(of: Dependence) -> bool:
     """Whether a class is a dependence on time."""
     return any(is_clock(over) for over in coordinates_of(of.coordinate))
 
 
-def of_whole_cycles(scene: Scene, of: Class) -> Class:
+def of_whole_cycles(scene: BinnedData, of: Dependence) -> Dependence:
     """Give a class over a clock without the curves that change within a cycle, as position and direction do.
 
     The smoothest curves stay, and have the probability of those that are left out. The class itself where nothing is.
@@ -55,7 +55,7 @@ def of_whole_cycles(scene: Scene, of: Class) -> Class:
     return replace(of, variants=kept)
 
 
-def follows_cycles(scene: Scene, effect: Effect, values: Values) -> bool:
+def follows_cycles(scene: BinnedData, effect: Effect, values: Values) -> bool:
     """Whether what an effect does keeps step with the cycles."""
     columns = []
     for part in scene.posterior.averages:
@@ -65,7 +65,7 @@ def follows_cycles(scene: Scene, effect: Effect, values: Values) -> bool:
     return bool(keep_step(by_stroke(scene, columns), sides="side" in values)[0])
 
 
-def by_stroke(scene: Scene, columns: Sequence[FloatArray]) -> list[FloatArray]:
+def by_stroke(scene: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArray]:
     """Functions at `PER_STROKE` places of each push and of each pull, shapes (strokes, places, p).
 
     They are given at the points of each run, shapes (n_points, p).
@@ -101,7 +101,7 @@ MOST_TURNS = 200.0  # in all tests: what is faster counts as noise
 AT_ONCE = 128  # frequencies
 
 
-def waves(scene: Scene, metric: Metric, state: State, of: Class, most: int = 2) -> list[Candidate]:
+def waves(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> list[Candidate]:
     """Find at most so many periods after which a curve of a class may come again, beside a model.
 
     An empty list where curves over the coordinate do not come again: `Coordinate.repeats` says how likely that is.
@@ -130,12 +130,12 @@ def waves(scene: Scene, metric: Metric, state: State, of: Class, most: int = 2) 
         best = near[np.argmax(_gains(metric, state, _columns(scene, over, response, near)))]
         period = round(PERIODS_PER_UNIT / best) / PERIODS_PER_UNIT
         curve = Curve(of.action, over.id, LENGTH, period=period)
-        variant = Variant(curve, curve.effect(), weight)
+        variant = Parametrisation(curve, curve.effect(), weight)
         out += [replace(c, of=of) for c in candidates(scene, state, (replace(of, variants=(variant,)),))]
     return out
 
 
-def resolved(scene: Scene, metric: Metric, state: State, of: Sequence[Class]) -> Scene:
+def resolved(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> BinnedData:
     """Give the recordings in blocks that show what comes again: finer ones where its period is too short for these.
 
     The state is that of the base law.
@@ -144,7 +144,7 @@ def resolved(scene: Scene, metric: Metric, state: State, of: Sequence[Class]) ->
     if not short:
         return scene
     fine = scene.finer
-    own, base = settle_under(fine, metric.setting, state.model, state.z)
+    own, base = laplace_under(fine, metric.setting, state.model, state.z)
     for one in short:
         best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
         if best is None or best.gain < 0.0:
@@ -155,13 +155,13 @@ def resolved(scene: Scene, metric: Metric, state: State, of: Sequence[Class]) ->
     return scene
 
 
-def _repeating(of: Class) -> Coordinate | None:
+def _repeating(of: Dependence) -> Coordinate | None:
     """Coordinate of a class whose curves may come again."""
     over = coordinates().get(of.coordinate)
     return over if over is not None and over.repeats and any(v.curve for v in of.variants) else None
 
 
-def _limits(scene: Scene, over: Coordinate) -> tuple[float, float]:
+def _limits(scene: BinnedData, over: Coordinate) -> tuple[float, float]:
     """Lowest and highest frequency that is looked at over a coordinate, in turns to its unit."""
     values = [over.values(part.history, scene.base) for part in scene.posterior.averages]
     place = scene.blocks([v[:, None] for v in values])[:, 0]
@@ -170,13 +170,13 @@ def _limits(scene: Scene, over: Coordinate) -> tuple[float, float]:
     return 2.0 / (high - low), min(1.0 / (PER_TURN * block), MOST_TURNS / (high - low))
 
 
-def _enough(scene: Scene, over: Coordinate) -> bool:
+def _enough(scene: BinnedData, over: Coordinate) -> bool:
     """Whether the blocks show all that is looked for over a coordinate."""
     slowest, fastest = _limits(scene, over)
     return fastest >= MOST_TURNS / 2.0 * slowest
 
 
-def _response(scene: Scene, state: State, action: str) -> list[FloatArray]:
+def _response(scene: BinnedData, state: Laplace, action: str) -> list[FloatArray]:
     """Force at the points of each run by a curve of height 1: Fy where it is added, what more capacity gives else."""
     histories = [part.history for part in scene.posterior.averages]
     if action == "added":
@@ -190,7 +190,7 @@ def _response(scene: Scene, state: State, action: str) -> list[FloatArray]:
     return [np.asarray((f[1] - f[0]) / rise) for f in forces]
 
 
-def _columns(scene: Scene, over: Coordinate, response: list[FloatArray], frequencies: FloatArray) -> FloatArray:
+def _columns(scene: BinnedData, over: Coordinate, response: list[FloatArray], frequencies: FloatArray) -> FloatArray:
     """Force of each block by a cosine and a sine of each frequency, shape (n, n_frequencies, 2), kN."""
     places = [over.values(part.history, scene.base) for part in scene.posterior.averages]
     parts = []
@@ -202,7 +202,7 @@ def _columns(scene: Scene, over: Coordinate, response: list[FloatArray], frequen
     return np.concatenate(parts, axis=1)
 
 
-def _gains(metric: Metric, state: State, columns: FloatArray) -> FloatArray:
+def _gains(metric: ErrorModel, state: Laplace, columns: FloatArray) -> FloatArray:
     """Log Bayes factor of a plain wave of each frequency, to first order, shape (n_frequencies,)."""
     beside, beside_taken = metric.factors(state.beside())
     k = columns.shape[1]
@@ -252,7 +252,7 @@ class Chatter:
     lowers: float
 
 
-def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
+def chatter_of(scene: BinnedData, state: Laplace, most_kN: float) -> Chatter | None:
     """Look for chatter beside a model; None where the scatter is no larger than that of noise.
 
     The noise of a load cell has a standard deviation of `most_kN` at most.
@@ -270,7 +270,7 @@ def chatter_of(scene: Scene, state: State, most_kN: float) -> Chatter | None:
     return found
 
 
-def _half_cycles(fine: Scene, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray, float]]:
+def _half_cycles(fine: BinnedData, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray, float]]:
     """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of so many readings.
 
     And its direction, 1 or -1.

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from shj_bayes.inference.squares import extended, orthogonal_to
-from shj_bayes.mismatch.scene import Metric, Scene
-from shj_bayes.mismatch.state import State
+from shj_bayes.mismatch.scene import BinnedData, ErrorModel
+from shj_bayes.mismatch.state import Laplace
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
@@ -18,7 +18,7 @@ HIDDEN = 0.1  # share of an effect that must survive a refit of the base law for
 ALIKE = 0.9  # cosine above which two effects look alike
 
 
-def aliases_of(scene: Scene) -> list[Alias]:
+def aliases_of(scene: BinnedData) -> list[Alias]:
     """Pairs of effects that the tested history cannot separate, strongest first.
 
     Each effect acts with the values that a search starts from on the base law with the parameters of the device.
@@ -58,7 +58,7 @@ SIDES = ("both", "push", "pull")
 WHERE = (("position", 11), ("speed", 6), ("slip", 8), ("travel", 12), ("amplitude", 6))  # and in how many intervals
 
 
-def regions_of(scene: Scene, metric: Metric, base: State) -> list[Location]:
+def regions_of(scene: BinnedData, metric: ErrorModel, base: Laplace) -> list[Location]:
     """List the regions in which the base law fails, the largest first, at most two for each coordinate."""
     sense, run = scene.channel("direction"), run_of(scene)
     cuts, columns = [], []
@@ -108,7 +108,7 @@ def regions_of(scene: Scene, metric: Metric, base: State) -> list[Location]:
     return kept
 
 
-def run_of(scene: Scene) -> NDArray[np.int64]:
+def run_of(scene: BinnedData) -> NDArray[np.int64]:
     """Give the number of the run of each block."""
     return np.concatenate([np.full(part.n, part.history.run) for part in scene.posterior.averages])
 
@@ -120,7 +120,7 @@ def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray
     return np.asarray(inside & (sense > 0 if word == "push" else sense < 0), dtype=np.float64)
 
 
-def _p_values(metric: Metric, base: State, table: FloatArray) -> FloatArray:
+def _p_values(metric: ErrorModel, base: Laplace, table: FloatArray) -> FloatArray:
     """Two-sided chance of each column's product with the residual, beside the parameters of the law."""
     rest = metric.gaussian(base.beside(table)).given(base.z.size)
     return np.asarray(2.0 * norm.sf(np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300))))

@@ -38,12 +38,12 @@ NOISE_MOST = 0.03  # of the largest force: noise beyond it is no noise of a load
 AVERAGED_S = 0.2  # over which noise is averaged before its size is judged: the same at any sampling rate
 DISCREPANCY = tuple(Curve("added", name, 0.15, True, 1.0) for name in ("position", "slip", "speed"))
 DISCREPANCY = (*DISCREPANCY, Curve("added", "time", 0.15, False, 1.0))
-N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `Metric.other`: the same in every run
+N_OF_DEVICE = sum(curve.n for curve in DISCREPANCY) + 1  # first columns of `ErrorModel.other`: the same in every run
 N_OF_RUN = 2  # its columns that belong to a run: where it starts, and the zero
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class BinnedData:
     """The recordings of a device in blocks."""
 
     posterior: Posterior  # its base model, held against blocks that follow the bends of the force
@@ -92,11 +92,11 @@ class Scene:
         return np.concatenate([part.count for part in self.posterior.averages]).astype(np.float64)
 
     @cached_property
-    def finer(self) -> Scene:
+    def finer(self) -> BinnedData:
         """Give the same recordings in blocks as fine as those of a fit of the base model."""
         return self.finer_at(self.device, self.z)
 
-    def finer_at(self, model: DeviceModel, z: FloatArray, longest_s: float | None = None) -> Scene:
+    def finer_at(self, model: DeviceModel, z: FloatArray, longest_s: float | None = None) -> BinnedData:
         """Give the same recordings in blocks as fine as those of a fit of a model, which has bends of its own.
 
         With blocks of at most `longest_s`; 0 for all samples.
@@ -245,33 +245,33 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class NoiseSetting:
+class ErrorParameters:
     """Noise and discrepancy of a device."""
 
     z: tuple[float, ...]  # parameters of the noise model in their unbounded space
     model_error_kN: float  # size of the discrepancy
     at_rest: float = 0.0  # logarithm of the standard deviation of the noise at low speed over that at high speed
 
-    def values(self, scene: Scene) -> dict[str, float]:
+    def values(self, scene: BinnedData) -> dict[str, float]:
         """Parameters of the noise model in their units, by name."""
         laws = scene.device.laws_of_parameters[scene.device.n_law :]
         return {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, self.z, strict=True)}
 
-    def size_kN(self, scene: Scene) -> float:
+    def size_kN(self, scene: BinnedData) -> float:
         """Give the standard deviation of the noise where it is roughest, on averages over `AVERAGED_S`, kN."""
         return max(1.0, math.exp(self.at_rest)) * math.hypot(*scene.parts_kN(self.values(scene)))
 
-    def log_prior(self, scene: Scene) -> float:
+    def log_prior(self, scene: BinnedData) -> float:
         """Log prior density, but for a constant."""
         relative = self.model_error_kN / (MODEL_ERROR * scene.scale_kN)
         return math.log(relative) - 0.5 * (float(np.dot(self.z, self.z)) + relative**2 + (self.at_rest / ROUGHER) ** 2)
 
-    def sizes(self, scene: Scene) -> FloatArray:
-        """Size before the test of each column of `Scene.missed`, shape (p + 1 + 2 n_runs,)."""
+    def sizes(self, scene: BinnedData) -> FloatArray:
+        """Size before the test of each column of `BinnedData.missed`, shape (p + 1 + 2 n_runs,)."""
         discrepancy = np.full(scene.discrepancy.shape[1], self.model_error_kN)
         return np.concatenate([discrepancy, [1.0], scene.start_mm, scene.zero_kN])
 
-    def whitened(self, scene: Scene, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
+    def whitened(self, scene: BinnedData, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
         """Columns in units of what is new in the noise of each block, and the log density of data that are all 0.
 
         The latter holds the prior of the noise. `slope`, shape (n,), is that of the modelled force in each block,
@@ -287,7 +287,7 @@ class NoiseSetting:
         white = np.concatenate(out)
         return white, self.log_prior(scene) - 0.5 * (white.shape[0] * LOG_2PI + total)
 
-    def at_most(self, scene: Scene, most_kN: float) -> NoiseSetting:
+    def at_most(self, scene: BinnedData, most_kN: float) -> ErrorParameters:
         """Give the same noise, smaller where its size is more than this."""
         size = self.size_kN(scene)
         if size <= most_kN:
@@ -300,14 +300,14 @@ class NoiseSetting:
         return replace(self, z=tuple(smaller))
 
 
-class Metric:
+class ErrorModel:
     """Scalar product in which noise and discrepancy count as they should; see the module.
 
     Parameters
     ----------
-    scene : Scene
+    scene : BinnedData
         The recordings.
-    setting : NoiseSetting
+    setting : ErrorParameters
         Noise and discrepancy.
     slope : array, shape (n,)
         Slope of the modelled force in each block, through which the error of the displacement acts, kN/mm.
@@ -317,12 +317,15 @@ class Metric:
     Attributes
     ----------
     missed : array, shape (n, p + 1 + 2 n_runs)
-        Functions of the discrepancy, Masing's rule, where each run starts, the zeros of the load cell: `Scene.missed`.
+        Functions of the discrepancy, Masing's rule, where each run starts, the zeros of the load cell; see
+        `BinnedData.missed`.
     other : array, shape (n_evidence, p + 1 + 2 n_runs)
         The same whitened, each at its size before the test.
     """
 
-    def __init__(self, scene: Scene, setting: NoiseSetting, slope: FloatArray, counts: BoolArray | None = None) -> None:
+    def __init__(
+        self, scene: BinnedData, setting: ErrorParameters, slope: FloatArray, counts: BoolArray | None = None
+    ) -> None:
         self.scene, self.setting, self.slope, self.counts = scene, setting, slope, counts
         self.missed = scene.missed(slope)
         white, constant = setting.whitened(scene, self.missed, slope)
@@ -330,9 +333,9 @@ class Metric:
         self._missed = Gaussian(0.0, np.zeros(white.shape[1]), self.other.T @ self.other, constant)
         self.log_constant = self._missed.log_evidence
 
-    def without(self, rows: BoolArray) -> Metric:
+    def without(self, rows: BoolArray) -> ErrorModel:
         """Give the same metric for a fit that does not see some of the evidence, `rows` of shape (n_evidence,)."""
-        return Metric(self.scene, self.setting, self.slope, ~rows)
+        return ErrorModel(self.scene, self.setting, self.slope, ~rows)
 
     def _counted(self, white: FloatArray) -> FloatArray:
         return white if self.counts is None else white * self.counts[:, None]
@@ -352,7 +355,7 @@ class Metric:
 
     @property
     def fluctuation(self) -> float:
-        """Size of the noise as a share of Fy; see `NoiseSetting.size_kN`."""
+        """Size of the noise as a share of Fy; see `ErrorParameters.size_kN`."""
         return self.setting.size_kN(self.scene) / self.scene.scale_kN
 
     @property
@@ -400,10 +403,10 @@ class Metric:
         return self.scene.discrepancy @ mean[:n], self.missed[:, n:] @ mean[n:]
 
 
-def scene_of(runs: Sequence[Run], device: DeviceModel) -> Scene:
+def scene_of(runs: Sequence[Run], device: DeviceModel) -> BinnedData:
     """Average consecutive runs of a device in blocks that follow the bends of its base model."""
     posterior = make_posterior(runs, device)
     posterior = started(posterior, device.natural_of_law(law_starts(posterior)[0][None])[0])
     z = law_starts(posterior)[0]
     theta = device.natural_of_law(z[None])[0]
-    return Scene(posterior.refined(theta, coarser=COARSER), z)
+    return BinnedData(posterior.refined(theta, coarser=COARSER), z)

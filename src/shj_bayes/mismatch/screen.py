@@ -8,14 +8,14 @@ from scipy.special import logsumexp
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
 from shj_bayes.mismatch.classes import Candidate, size_weights, sized
-from shj_bayes.mismatch.scene import Metric
-from shj_bayes.mismatch.state import State
+from shj_bayes.mismatch.scene import ErrorModel
+from shj_bayes.mismatch.state import Laplace
 from shj_bayes.model.curve import SIZES
 
 SIZES_OF_STARTS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of an effect at the values that a search starts from
 
 
-def screen(metric: Metric, state: State, candidates: Sequence[Candidate]) -> list[Candidate]:
+def screen(metric: ErrorModel, state: Laplace, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Give candidates, as from `classes.candidates`, their gain, best first, with curves of the size that fits."""
     wide = state.beside(*(c.columns for c in candidates))
     rest = metric.gaussian(wide).given(state.z.size)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from shj_bayes.mismatch.classes import DOUBT, MATTERS, Class, candidates
+from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, Dependence, candidates
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
 from shj_bayes.mismatch.hypothesis import CONSTANT, MOTION, TEETH, Hypothesis, replaced
 from shj_bayes.mismatch.moves import (
@@ -31,15 +31,15 @@ from shj_bayes.mismatch.moves import (
     try_constant,
 )
 from shj_bayes.mismatch.periodic import chatter_of, is_over_a_clock, of_whole_cycles, resolved, waves
-from shj_bayes.mismatch.scene import MODEL_ERROR, NoiseSetting, Scene
-from shj_bayes.mismatch.state import settle_under, zero_of
+from shj_bayes.mismatch.scene import MODEL_ERROR, BinnedData, ErrorParameters
+from shj_bayes.mismatch.state import laplace_under, zero_of
 
 MOST_FINAL = 6  # hypotheses that are weighed under noise of their own
 
 
 def search(
-    scene: Scene,
-    classes: Sequence[Class],
+    scene: BinnedData,
+    classes: Sequence[Dependence],
     hidden: frozenset[str] = frozenset(),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Search:
@@ -50,12 +50,12 @@ def search(
     tell("fitting the base law")
     whole = [of_whole_cycles(scene, of) for of in classes]
     size = float(np.std(scene.residual(scene.device, scene.z[None])[0]))
-    start = NoiseSetting(noise_of_size(scene.device, size), MODEL_ERROR * scene.scale_kN)
-    metric, rough = settle_under(scene, start, scene.device, scene.z)
+    start = ErrorParameters(noise_of_size(scene.device, size), MODEL_ERROR * scene.scale_kN)
+    metric, rough = laplace_under(scene, start, scene.device, scene.z)
     shown = resolved(scene, metric, rough, whole)
     if shown is not scene:
         scene = shown
-        metric, rough = settle_under(scene, start, scene.device, scene.z)
+        metric, rough = laplace_under(scene, start, scene.device, scene.z)
     looked = candidates(scene, rough, tuple(whole))
     again = [w for of in whole for w in waves(scene, metric, rough, of)]
     metric = noise_beside(scene, rough, [*looked, *again], None)
@@ -199,9 +199,9 @@ def _zero_apart(out: Search, h: Hypothesis) -> Search:
     if constant is None or CONSTANT in h.key:
         return out
     mean, sd = zero_of(h.metric, h.state)
-    limit = MATTERS * scale_kN
+    limit = MIN_EFFECT * scale_kN
     off = float(ndtr((mean - limit) / sd) + ndtr((-limit - mean) / sd))
-    if off < DOUBT:
+    if off < ALPHA:
         return out
     out = _under(out, h)
     start = np.append(h.state.z, free_size(constant, mean / scale_kN))

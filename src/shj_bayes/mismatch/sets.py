@@ -2,15 +2,15 @@
 
 The model, for the devices of a set (or of a campaign) and each class of coordinates:
 
-- the set has the class with probability `PRESENT`, as a device has;
+- the set has the class with probability `PRIOR_INCLUSION`, as a device has;
 - where the set has it, each device has it with probability theta, the share of devices that have it, of which nothing
   is known: uniform between 0 and 1, integrated out;
-- where the set has it not, a device may still have it alone, with the probability that leaves `PRESENT` for a device of
-  which nothing is known: PRESENT = PRESENT E(theta) + (1 - PRESENT) q;
+- where the set has it not, a device may still have it alone, with the probability q that leaves p = `PRIOR_INCLUSION`
+  for a device of which nothing is known: p = p E(theta) + (1 - p) q;
 - what a device says of a class is its Bayes factor B, from the log weights of the sets of classes that were weighed for
   it (`evidence`), the other classes of the device integrated out.
 
-So the set has class c with odds ``PRESENT / (1 - PRESENT)`` times ``integral of prod(1 - theta + theta B_i)`` over
+So the set has class c with odds ``p / (1 - p)`` times ``integral of prod(1 - theta + theta B_i)`` over
 ``prod(1 - q + q B_i)``. Classes that do the same in a test, such as travel and time, must not be counted twice: what is
 compared are combinations of classes that a set has, grown and shrunk until none is better, and a device's B of one
 class is taken with each other class of the combination at the share that was found for it.
@@ -25,14 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from shj_bayes.mismatch.classes import DOUBT, MATTERS, PRESENT
+from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, PRIOR_INCLUSION
 from shj_bayes.mismatch.moves import PROMISING
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.campaign import SharedDependence
-from shj_bayes.results.diagnosis import ClassId, EvidenceRecord
+from shj_bayes.results.diagnosis import DependenceId, EvidenceRecord
 
-ALONE = PRESENT * 0.5 / (1.0 - PRESENT)  # of a device whose set has not what it has; see the module
+ALONE = PRIOR_INCLUSION * 0.5 / (1.0 - PRIOR_INCLUSION)  # of a device whose set has not what it has; see the module
 NODES = (8, 100)  # of Gauss and Legendre for theta: exact for up to 2 n - 1 devices
 NEGLIGIBLE = 1e-4  # probability of a combination below which it is left out of sums
 Combination = frozenset[str]
@@ -140,7 +140,7 @@ class _Weighing:
                 gain, share = self.gain(known, name)
                 larger = known | {name}
                 self.odds[larger] = self.odds[known] | {name: _log_odds(share)}
-                self.weights[larger] = self.weights[known] + gain + _log_odds(PRESENT)
+                self.weights[larger] = self.weights[known] + gain + _log_odds(PRIOR_INCLUSION)
                 known = larger
         return self.weights[combination]
 
@@ -181,8 +181,8 @@ def common_to(devices: Sequence[DeviceEvidence]) -> Common:
         held = sum(p for key, p in listed if name in key)
         rivals = _rivals(listed, best, name) if name in best else ()
         # Nothing less than the best combination explains the devices as well: it holds this class, or a rival.
-        sure = name in best and sum(p for key, p in listed if key <= best - {name}) < DOUBT
-        action, coordinate = ClassId.read(name)
+        sure = name in best and sum(p for key, p in listed if key <= best - {name}) < ALPHA
+        action, coordinate = DependenceId.read(name)
         known, own = next(iter(coordinates_of(coordinate)), None), [device.record for device in devices]
         one = SharedDependence(
             action=action,
@@ -198,7 +198,7 @@ def common_to(devices: Sequence[DeviceEvidence]) -> Common:
             change_percent=tuple(record.change_percent.get(name) for record in own),
         )
         sizes = [one.size_percent[i] or 0.0 for i in one.holders]
-        large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING * MATTERS
+        large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING * MIN_EFFECT
         shared.append(replace(one, enters=sure and large))
     order = sorted(shared, key=lambda one: (-one.probability, str(one.id)))
     return Common(tuple(order), tuple(likely))
@@ -211,4 +211,4 @@ def _rivals(listed: Iterable[tuple[Combination, float]], best: Combination, name
         if name not in key and len(key) >= len(best):
             for other in sorted(key - best):
                 others[other] = others.get(other, 0.0) + p
-    return tuple(sorted((k for k, p in others.items() if p >= DOUBT), key=lambda k: -others[k]))
+    return tuple(sorted((k for k, p in others.items() if p >= ALPHA), key=lambda k: -others[k]))

@@ -9,7 +9,7 @@ import numpy as np
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.squares import orthogonal_to, reach_after, root_of, step_within
 from shj_bayes.inference.start import most_probable_noise
-from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene
+from shj_bayes.mismatch.scene import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -22,7 +22,7 @@ CLOSE = 1e-2  # square of the last step, in posterior standard deviations
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class Laplace:
     """A model at its most probable parameters under a metric."""
 
     model: DeviceModel  # the model
@@ -44,14 +44,16 @@ class State:
         return np.column_stack([self.residual + self.jacobian @ self.z, self.jacobian, *columns])
 
 
-def drawn_from(state: State, n: int, seed: int = 1) -> FloatArray:
+def drawn_from(state: Laplace, n: int, seed: int = 1) -> FloatArray:
     """Draw from the Gaussian around the most probable parameters, shape (n, n_law)."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
     root = root_of(state.covariance)
     return np.asarray(state.z + rng.standard_normal((n, state.z.size)) @ root.T)
 
 
-def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floor: float = -math.inf) -> State:
+def laplace(
+    scene: BinnedData, metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float = -math.inf
+) -> Laplace:
     """Go to the most probable parameters by steps of Gauss-Newton from `z`, shape (n_law,), and linearise there.
 
     Steps are kept as short as the derivatives have foretold them well: from far away a formula is no straight line.
@@ -95,17 +97,19 @@ def settle(scene: Scene, metric: Metric, model: DeviceModel, z: FloatArray, floo
         if now - left * gain > enough:
             break
     # At the top itself: the last step may have stopped beside it.
-    laplace = metric.log_constant - 0.5 * now - linear.half_log_det
-    return State(model, z, residual, slope, columns, linear, linear.covariance, laplace)
+    evidence = metric.log_constant - 0.5 * now - linear.half_log_det
+    return Laplace(model, z, residual, slope, columns, linear, linear.covariance, evidence)
 
 
-def settle_under(scene: Scene, setting: NoiseSetting, model: DeviceModel, z: FloatArray) -> tuple[Metric, State]:
+def laplace_under(
+    scene: BinnedData, setting: ErrorParameters, model: DeviceModel, z: FloatArray
+) -> tuple[ErrorModel, Laplace]:
     """Settle a model under a noise, with the metric that this noise has where the model starts."""
-    metric = Metric(scene, setting, scene.residual_and_slope(model, z[None])[1][0])
-    return metric, settle(scene, metric, model, z)
+    metric = ErrorModel(scene, setting, scene.residual_and_slope(model, z[None])[1][0])
+    return metric, laplace(scene, metric, model, z)
 
 
-def visible(scene: Scene, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
+def visible(scene: BinnedData, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
     """Size of changes of the force, shape (n, p), that no change of the parameters can make up for, as shares of Fy.
 
     The 99th percentile over the samples of what is left, or of the change itself where that is less, shape (p,).
@@ -126,7 +130,7 @@ def largest(columns: FloatArray, count: FloatArray) -> FloatArray:
     return np.asarray(ordered[reached.argmax(axis=0), np.arange(sizes.shape[1])])
 
 
-def zero_of(metric: Metric, state: State) -> tuple[float, float]:
+def zero_of(metric: ErrorModel, state: Laplace) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
     columns = np.column_stack([metric.whitened(state.beside()), metric.other])
     whole = Gaussian.of(columns.T @ columns)
@@ -136,16 +140,17 @@ def zero_of(metric: Metric, state: State) -> tuple[float, float]:
 
 
 def find_noise(
-    scene: Scene,
-    state: State,
+    scene: BinnedData,
+    state: Laplace,
     columns: FloatArray,
-    start: NoiseSetting | None = None,
+    start: ErrorParameters | None = None,
     most_kN: float = math.inf,
-) -> NoiseSetting:
+) -> ErrorParameters:
     """Find the noise of a device beside everything that a set of columns can take up.
 
     Of the state only residual and derivatives count; the columns, shape (n, p), have standard normal coefficients.
-    Begins at the best of a grid by default; `most_kN` is the largest standard deviation, as of `NoiseSetting.size_kN`.
+    Begins at the best of a grid by default; `most_kN` is the largest standard deviation, as of
+    `ErrorParameters.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
     missed = scene.missed(state.slope)
@@ -157,8 +162,8 @@ def find_noise(
     longest_s = np.asarray(lasts_s / (2.0 * VALUES_SEEN))
     most = np.array([float(law.to_free(longest_s)) if law.unit == "s" else math.inf for law in laws])
 
-    def setting(u: FloatArray) -> NoiseSetting:
-        noise = NoiseSetting(tuple(np.minimum(u[:-2], most).tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
+    def setting(u: FloatArray) -> ErrorParameters:
+        noise = ErrorParameters(tuple(np.minimum(u[:-2], most).tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
         return noise.at_most(scene, most_kN)
 
     def negative(u: FloatArray) -> float:
@@ -177,7 +182,7 @@ def find_noise(
     return setting(most_probable_noise(negative, firsts, np.append(np.full(firsts[0].size - 2, 8.0), [6.0, 4.0])))
 
 
-def _grid(law: Prior, scene: Scene) -> tuple[float, ...]:
+def _grid(law: Prior, scene: BinnedData) -> tuple[float, ...]:
     """Values of a noise parameter to begin with; the median of its prior where none are known."""
     shares = {"sigma": (0.003, 0.01), "sigma_white": (0.003, 0.01), "sigma_slow": (0.002, 0.01)}
     if law.name in shares:

@@ -21,8 +21,8 @@ from shj_bayes.inference.reduction import zero_noise_kN
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts
 from shj_bayes.margins.virtual_test import Readings, counted_from, of_readings, read_off
-from shj_bayes.mismatch.scene import Metric, Scene
-from shj_bayes.mismatch.state import settle
+from shj_bayes.mismatch.scene import BinnedData, ErrorModel
+from shj_bayes.mismatch.state import laplace
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate
@@ -150,14 +150,14 @@ def _separation(known: PretestPosterior, logs: FloatArray) -> float:
 
 
 def _lines(
-    known: PretestPosterior, scene: Scene, misread: FloatArray
+    known: PretestPosterior, scene: BinnedData, misread: FloatArray
 ) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, float]:
     """Linearise a planned run: mean and design of each rival, what all get wrong, and the largest force, kN.
 
     In units of the noise, in coordinates of the space that they span.
     """
     first = known.rivals[0]
-    metric = Metric(scene, known.setting, scene.residual_and_slope(first.model, first.z[None])[1][0])
+    metric = ErrorModel(scene, known.setting, scene.residual_and_slope(first.model, first.z[None])[1][0])
     columns, forces = [metric.whitened(misread[:, None]), metric.other], []
     for b in known.rivals:
         residual = scene.residual(b.model, b.z[None])[0]
@@ -176,7 +176,7 @@ def _lines(
 
 def as_read(
     known: PretestPosterior, protocol: Protocol, rate_Hz: float, rng: np.random.Generator
-) -> tuple[Scene, FloatArray]:
+) -> tuple[BinnedData, FloatArray]:
     """Give a planned run as the readers will see it, and what they will get wrong of it, kN, shape (n_blocks,).
 
     Every rival is held against the motion that is found in the samples. Where this is not the motion that was run, as
@@ -289,13 +289,13 @@ def weighed(
         alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
     parts = (*known.old, *alone.posterior.averages)
     runs = (*known.runs, Run(recording, motion))
-    scene = Scene(replace(alone.posterior, runs=runs, averages=parts), known.z, known.peak_mm_s)
+    scene = BinnedData(replace(alone.posterior, runs=runs, averages=parts), known.z, known.peak_mm_s)
     first = known.rivals[0]
     slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
-    metric = Metric(scene, known.setting, slope)
+    metric = ErrorModel(scene, known.setting, slope)
     logs, values, variances = [], [], []
     for i, b in enumerate(known.rivals):
-        state = settle(scene, metric, b.model, b.z)
+        state = laplace(scene, metric, b.model, b.z)
         logs.append(state.evidence - b.evidence)
         if quantity is not None:
             g = quantity.slopes[i][: b.z.size]

@@ -14,7 +14,7 @@ from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import PlanError, ShjError
 from shj_bayes.inference.store import versions
-from shj_bayes.mismatch.classes import DOUBT, MATTERS
+from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT
 from shj_bayes.planning.information import (
     OUTCOMES,
     WHICH,
@@ -26,7 +26,7 @@ from shj_bayes.planning.information import (
 from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig, changed
 from shj_bayes.planning.rivals import Further, PretestPosterior, mechanisms_of
 from shj_bayes.results.codec import IF_KNOWN
-from shj_bayes.results.diagnosis import ClassId
+from shj_bayes.results.diagnosis import DependenceId
 from shj_bayes.results.store import write
 
 SCHEMA: Literal["shj-bayes/plan/1"] = "shj-bayes/plan/1"
@@ -119,7 +119,7 @@ class RankedProtocol:
         Entropy alone would praise a test that makes sure of a wrong set. Protocols whose motion is read with an error
         that matters come last: a diagnosis would take the error for an effect.
         """
-        return self.misread <= MATTERS, self.apart_nats if self.sd is None else self.gain_nats, self.gain_nats
+        return self.misread <= MIN_EFFECT, self.apart_nats if self.sd is None else self.gain_nats, self.gain_nats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +272,7 @@ def _weighed(
 def _worth(known: Sequence[PretestPosterior], best: Sequence[RankedProtocol], question: str) -> WorthOfTest:
     left = 1.0
     if question == WHICH:
-        if all(max(k.probabilities.values()) >= 1.0 - DOUBT for k in known):
+        if all(max(k.probabilities.values()) >= 1.0 - ALPHA for k in known):
             return WorthOfTest.DECIDED
         left = float(np.mean([k.entropy for k in known]))
     return WorthOfTest.YES if best and best[0].gain_nats >= LITTLE * left else WorthOfTest.LITTLE
@@ -328,7 +328,7 @@ def _device(known: PretestPosterior) -> PlannedDevice:
     held = tuple(
         HeldChannel(coordinate=name, unit=one.unit, value=one.reference)
         for name, one in measured.items()
-        if any(str(ClassId("capacity", name)) in key for key in known.keys)
+        if any(str(DependenceId("capacity", name)) in key for key in known.keys)
     )
     sets = tuple(
         PossibleSet(classes=tuple(sorted(key)), mechanisms=tuple(mechanisms_of(key)), probability=p[key])

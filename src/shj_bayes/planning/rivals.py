@@ -20,12 +20,30 @@ from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
-from shj_bayes.mismatch.classes import CURVES, DOUBT, MATTERS, ODDS, PRESENT, TYPICAL, candidates, classes
+from shj_bayes.mismatch.classes import (
+    ALPHA,
+    CURVES,
+    LOG_PRIOR_ODDS,
+    MIN_EFFECT,
+    PRIOR_INCLUSION,
+    TYPICAL,
+    candidates,
+    classes,
+)
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
-from shj_bayes.mismatch.scene import COARSER, MODEL_ERROR, N_OF_DEVICE, N_OF_RUN, Metric, NoiseSetting, Scene, scene_of
-from shj_bayes.mismatch.state import find_noise, settle
+from shj_bayes.mismatch.scene import (
+    COARSER,
+    MODEL_ERROR,
+    N_OF_DEVICE,
+    N_OF_RUN,
+    BinnedData,
+    ErrorModel,
+    ErrorParameters,
+    scene_of,
+)
+from shj_bayes.mismatch.state import find_noise, laplace
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
@@ -37,7 +55,7 @@ from shj_bayes.planning.protocol import Protocol, Rig
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import BoolArray, Extra, Recording, Source
 from shj_bayes.results.device import DeviceResult
-from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
+from shj_bayes.results.diagnosis import DependenceId, DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import has
 
@@ -208,7 +226,7 @@ class PretestPosterior:
     z: FloatArray  # shape (n_law,): parameters of the base model, unbounded
     old: tuple[Averages, ...]  # the old runs in blocks, on the common scales
     scales: Mapping[str, Any]  # of the coordinates; from `common_scales`
-    setting: NoiseSetting  # noise and discrepancy
+    setting: ErrorParameters  # noise and discrepancy
     rivals: tuple[RivalModel, ...]  # what the device may be, most probable first; the shares add up to 1
     middle_mm: float  # displacement of the middle of the stroke
     peak_mm_s: float | None = None  # peak speed of the old tests, which low speeds are a share of
@@ -267,7 +285,7 @@ class PretestPosterior:
         noise = max((run.motion.noise_mm for run in self.runs), default=0.0)
         return displacement_mm + noise * rng.standard_normal(displacement_mm.size)
 
-    def scene(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray, coarser: float = COARSER) -> Scene:
+    def scene(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray, coarser: float = COARSER) -> BinnedData:
         """Hold the model against one further run, its blocks `coarser` times as long as those of a fit.
 
         Times are from 0, the displacement is from the middle of the stroke.
@@ -277,7 +295,7 @@ class PretestPosterior:
         part = _zero_within(reduce_runs((run,), bends, coarser=coarser)[0], self.largest_zero_kN)
         runs = (*self.runs, run)
         posterior = Posterior(runs, self.device, (replace(part, history=self.placed(part.history)),))
-        return Scene(posterior, self.z, self.peak_mm_s)
+        return BinnedData(posterior, self.z, self.peak_mm_s)
 
     def placed(self, history: History) -> History:
         """History of a first run as one that follows the old ones, with their further channels at the references."""
@@ -306,9 +324,9 @@ def largest_zero(keys: Iterable[Key], scale_kN: float) -> float:
     """Give the largest standard deviation of the load cell's zero, kN, at a sliding force of `scale_kN`.
 
     Where a constant force is among the rivals, a zero that is off by a size that matters is that constant, as in a
-    diagnosis: it has a chance of `DOUBT`. Where it is not, there is no limit.
+    diagnosis: it has a chance of `ALPHA`. Where it is not, there is no limit.
     """
-    return MATTERS * scale_kN / float(norm.isf(DOUBT / 2.0)) if any(CONSTANT in key for key in keys) else math.inf
+    return MIN_EFFECT * scale_kN / float(norm.isf(ALPHA / 2.0)) if any(CONSTANT in key for key in keys) else math.inf
 
 
 def entropy_of(probabilities: FloatArray) -> FloatArray:
@@ -355,7 +373,7 @@ def linearise(
     parts = [_zero_within(part, limit) for part in own.posterior.averages]
     old = tuple(replace(part, history=replace(part.history, **scales)) for part in parts)
     peak = own.posterior.averages[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
-    scene = Scene(Posterior(runs, device, old), own.z, peak)
+    scene = BinnedData(Posterior(runs, device, old), own.z, peak)
     known = {c.id: c for c in classes(tested.hidden, own.measured)}
     missing = sorted({c for key, _ in sets for c in key} - set(known))
     if missing:
@@ -364,8 +382,8 @@ def linearise(
     tell(f"{name}: fitting {len(sets)} rivals to the tests so far")
     slope = scene.residual_and_slope(device, scene.z[None])[1][0]
     size = float(np.std(scene.residual(device, scene.z[None])[0]))
-    start = NoiseSetting(noise_of_size(device, size), max(size, 1e-6))
-    rough = settle(scene, Metric(scene, start, slope), device, scene.z)
+    start = ErrorParameters(noise_of_size(device, size), max(size, 1e-6))
+    rough = laplace(scene, ErrorModel(scene, start, slope), device, scene.z)
     looked = candidates(scene, rough, needed)
     metric = noise_beside(scene, rough, looked, None)
     fitter = Fitter(scene, looked, metric, tested.hidden)
@@ -374,7 +392,7 @@ def linearise(
         raise PlanError(f"{name}: none of its rivals can be fitted; run diagnose again")
     best = max((h for _, _, h in found), key=lambda h: h.log_weight)
     setting = find_noise(scene, best.state, np.zeros((best.state.residual.size, 0)), metric.setting)
-    fitter = replace(fitter, metric=Metric(scene, setting, best.state.slope))
+    fitter = replace(fitter, metric=ErrorModel(scene, setting, best.state.slope))
     fits = [(key, p, fitter.fitted(h.members, h.state.z) or h) for key, p, h in found]
     shares = _shares(fits, even=tested.untold)
     further = replace(device, n_runs=len(runs) + 1)
@@ -390,13 +408,13 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> PretestPo
     """Give what the priors alone say: the base law, or one curve beside it, about the median device."""
     device = replace(device, n_runs=1, effects=())
     z = np.zeros(device.n_law)
-    setting = NoiseSetting((0.0,) * (len(device.names) - device.n_law), MODEL_ERROR * device.law_values(z)["Fy"])
+    setting = ErrorParameters((0.0,) * (len(device.names) - device.n_law), MODEL_ERROR * device.law_values(z)["Fy"])
     size = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL)))
     models: list[tuple[Key, float, DeviceModel]] = [(frozenset(), 1.0, device)]
     for action, coordinate in CURVES:
         curve = Curve(action, "heat2" if coordinate == "heat" else coordinate, SMOOTHNESS, False, size)
-        key, model = frozenset({str(ClassId(action, coordinate))}), device.with_effects((curve.effect(),))
-        models.append((key, PRESENT / (1.0 - PRESENT), model))
+        key, model = frozenset({str(DependenceId(action, coordinate))}), device.with_effects((curve.effect(),))
+        models.append((key, PRIOR_INCLUSION / (1.0 - PRIOR_INCLUSION), model))
     total, rivals = sum(p for _, p, _ in models), []
     for key, p, model in models:
         none = np.zeros(model.n_law + N_OF_DEVICE + N_OF_RUN)
@@ -407,7 +425,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> PretestPo
 
 def mechanisms_of(key: Key) -> tuple[str, ...]:
     """Mechanisms of the catalogue that a set of classes may be, in the order of its classes."""
-    acting = (e.mechanism for word in sorted(key) for e in catalogue().values() if ClassId.read(word) in e.acts)
+    acting = (e.mechanism for word in sorted(key) for e in catalogue().values() if DependenceId.read(word) in e.acts)
     return tuple(dict.fromkeys(acting))
 
 
@@ -421,12 +439,12 @@ def class_of(mechanism: str) -> Key:
     known = catalogue()
     if mechanism not in known:
         raise PlanError(f"'{mechanism}' is no mechanism; known are {', '.join(known)}{did_you_mean(mechanism, known)}")
-    return frozenset({str(ClassId(*known[mechanism].acts[0]))})
+    return frozenset({str(DependenceId(*known[mechanism].acts[0]))})
 
 
 def _shares(fits: Sequence[tuple[Key, float, Hypothesis]], *, even: bool) -> FloatArray:
     """Probability of each fit: that of its set, divided over the ways to write it by their evidence."""
-    logs = np.array([h.log_weight - len(h.members) * ODDS for _, _, h in fits])
+    logs = np.array([h.log_weight - len(h.members) * LOG_PRIOR_ODDS for _, _, h in fits])
     before = np.log([max(p, 1e-12) for _, p, _ in fits])
     if not even:
         for key in {key for key, _, _ in fits}:
@@ -478,7 +496,7 @@ def _joint(model: DeviceModel, further: DeviceModel, z: FloatArray) -> tuple[Flo
     return at, places
 
 
-def _rival(metric: Metric, key: Key, share: float, h: Hypothesis) -> RivalModel:
+def _rival(metric: ErrorModel, key: Key, share: float, h: Hypothesis) -> RivalModel:
     """Condense a fit to the Gaussian that it leaves behind."""
     further = replace(h.state.model, n_runs=h.state.model.n_runs + 1)
     z, places = _joint(h.state.model, further, h.state.z)

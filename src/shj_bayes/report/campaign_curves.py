@@ -14,7 +14,7 @@ from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import Picture
 from shj_bayes.results.campaign import WITH_SET, SetTogether, SharedDependence
 from shj_bayes.results.device import DeviceResult
-from shj_bayes.results.diagnosis import ClassId, DiagnosisRecord
+from shj_bayes.results.diagnosis import DependenceId, DiagnosisRecord
 from shj_bayes.results.store import DIAGNOSIS, read
 
 PLACES = 61  # of a curve
@@ -27,7 +27,7 @@ def pictures(folder: Path, together: Sequence[SetTogether], with_set: Mapping[st
 
     `with_set` says, for the folder of each device, whether it has a usable fit with what its set has.
     """
-    by_class: dict[ClassId, list[Panel]] = {}
+    by_class: dict[DependenceId, list[Panel]] = {}
     for group in together:
         for row in group.classes if group.set else ():
             if not certain(row) or row.action == "motion":

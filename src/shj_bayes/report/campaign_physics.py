@@ -3,16 +3,16 @@
 from collections.abc import Iterable
 from typing import Any
 
-from shj_bayes.mismatch.classes import DOUBT, MATTERS
+from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT
 from shj_bayes.report.diagnosis_words import over_words, percent
 from shj_bayes.results.campaign import SetTogether, SharedDependence
-from shj_bayes.results.diagnosis import ClassId
+from shj_bayes.results.diagnosis import DependenceId
 
 ALL = "all devices of the campaign"
 # Where a coordinate is no quantity that varies.
 PLAIN = {
-    ClassId("added", "constant"): "a constant force beside friction",
-    ClassId("capacity", "direction"): "another force in push than in pull",
+    DependenceId("added", "constant"): "a constant force beside friction",
+    DependenceId("capacity", "direction"): "another force in push than in pull",
 }
 ACTS = {"capacity": "Sliding force", "added": "Added force", "motion": "Motion"}
 NUMBERS = ("None", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine", "Ten")
@@ -20,7 +20,7 @@ NUMBERS = ("None", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight
 
 def certain(one: SharedDependence) -> bool:
     """Whether something is said of a class: the set has it, or it or a rival, with 95 %."""
-    return bool(one.holders) and (one.enters or one.probability >= 1.0 - DOUBT)
+    return bool(one.holders) and (one.enters or one.probability >= 1.0 - ALPHA)
 
 
 def statements(together: Iterable[SetTogether]) -> tuple[str, ...]:
@@ -58,14 +58,16 @@ def statement(row: SharedDependence, set_name: str) -> str:
     shows = shows if alone <= 1 or alone == n else f"{_count(alone).lower()} show it alone"
     text += f" (probability {percent(row.probability)}; {shows})."
     if row.rivals:
-        others = ", ".join(class_words(ClassId.read(word)) for word in row.rivals)
+        others = ", ".join(class_words(DependenceId.read(word)) for word in row.rivals)
         text += f" Their tests do not tell it from {others}."
-    if max(sizes) < 100.0 * MATTERS:
-        text += f" In none of them can more than {100 * MATTERS:g} % of Fy be seen beside the law: little for design."
+    if max(sizes) < 100.0 * MIN_EFFECT:
+        text += (
+            f" In none of them can more than {100 * MIN_EFFECT:g} % of Fy be seen beside the law: little for design."
+        )
     return text
 
 
-def class_words(one: ClassId) -> str:
+def class_words(one: DependenceId) -> str:
     """Name a class."""
     if one in PLAIN:
         return PLAIN[one]
@@ -83,14 +85,14 @@ def table(together: Iterable[SetTogether]) -> dict[str, Any] | None:
     groups = [group for group in together if group.classes]
     if not groups:
         return None
-    by_class: dict[ClassId, dict[str, SharedDependence]] = {}
+    by_class: dict[DependenceId, dict[str, SharedDependence]] = {}
     for group in groups:
         for one in group.classes:
             by_class.setdefault(one.id, {})[group.set] = one
     kept = {
         one: own
         for one, own in by_class.items()
-        if any(row.probability >= DOUBT or any(row.alone) for row in own.values())
+        if any(row.probability >= ALPHA or any(row.alone) for row in own.values())
     }
     order = sorted(kept, key=lambda one: (-max(row.probability for row in kept[one].values()), str(one)))
     return {
@@ -102,7 +104,7 @@ def table(together: Iterable[SetTogether]) -> dict[str, Any] | None:
     }
 
 
-def _by_action(classes: Iterable[ClassId]) -> dict[str, list[str]]:
+def _by_action(classes: Iterable[DependenceId]) -> dict[str, list[str]]:
     """Name classes by what they act on."""
     out: dict[str, list[str]] = {}
     for one in classes:

@@ -22,8 +22,8 @@ from shj_bayes.results.diagnosis import (
     FEWEST_CYCLES,
     NOTHING_MISSING,
     SIGMA_90,
-    ClassId,
-    Dependence,
+    DependenceId,
+    DependenceRecord,
     DiagnosisRecord,
     DiagnosisVerdict,
     DrawsInShort,
@@ -206,12 +206,12 @@ def worse_words(record: DiagnosisRecord) -> str:
     return " Larger: what was found does not carry over to cycles that it did not see." if worse else ""
 
 
-def way_words(c: Dependence) -> str:
+def way_words(c: DependenceRecord) -> str:
     """Say in which direction a dependence has a curve of its own; nothing where one curve holds in both."""
     return {"push": " in push", "pull": " in pull"}.get(c.direction, "")
 
 
-def curve_words(c: Dependence) -> str:
+def curve_words(c: DependenceRecord) -> str:
     """Say on what the force depends, and by how much."""
     what = {"capacity": "The sliding force", "added": "An added force"}.get(c.action, "The motion")
     size = c.range_percent
@@ -224,7 +224,7 @@ def dropped_words(record: DiagnosisRecord) -> list[str]:
     """Say what was found and left out again, as it does not improve cycles that were not fitted."""
     out = []
     for one in record.heldout.dropped:
-        of = ClassId.read(one.class_)
+        of = DependenceId.read(one.class_)
         errors = [number(one.without_kN), number(one.with_kN)]
         told = f" ({' to '.join(map(words.short, errors))} kN)" if all(map(math.isfinite, errors)) else ""
         what = {"capacity": "sliding force", "added": "added force"}.get(of.action, "motion")

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 from shj_bayes.errors import ReportError, ShjError, shown
 from shj_bayes.results import store
 from shj_bayes.results.codec import Probability
-from shj_bayes.results.diagnosis import ClassId, DiagnosisVerdict
+from shj_bayes.results.diagnosis import DependenceId, DiagnosisVerdict
 from shj_bayes.results.fit import USABLE, Trust
 
 SCHEMA: Literal["shj-bayes/campaign/1"] = "shj-bayes/campaign/1"
@@ -65,9 +65,9 @@ class SharedDependence:
     change_percent: tuple[float | None, ...]
 
     @property
-    def id(self) -> ClassId:
+    def id(self) -> DependenceId:
         """The class."""
-        return ClassId(self.action, self.coordinate)
+        return DependenceId(self.action, self.coordinate)
 
     @property
     def holders(self) -> tuple[int, ...]:

@@ -29,7 +29,7 @@ class DiagnosisVerdict(StrEnum):
     UNKNOWN = "unknown"
 
 
-class ClassId(NamedTuple):
+class DependenceId(NamedTuple):
     """A class by its action and its coordinate; its word is ``capacity over travel`` and the like."""
 
     action: str
@@ -117,7 +117,7 @@ class CurveRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dependence:
+class DependenceRecord:
     """A coordinate that the force depends on beyond the base law."""
 
     coordinate: str
@@ -320,7 +320,7 @@ class DiagnosisRecord:
     verdict: DiagnosisVerdict
     reason: str = ""
     p_value: Probability
-    coordinates: tuple[Dependence, ...] = ()  # most probable first
+    coordinates: tuple[DependenceRecord, ...] = ()  # most probable first
     sets: tuple[SetProbability, ...] = ()
     evidence: EvidenceRecord | None = None
     effects: tuple[EffectRecord, ...]

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import Class
+from shj_bayes.mismatch.classes import Dependence
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.periodic import SURE, Chatter, _at_scale, chatter_of
-from shj_bayes.mismatch.scene import NoiseSetting, scene_of
-from shj_bayes.mismatch.state import settle_under
+from shj_bayes.mismatch.scene import ErrorParameters, scene_of
+from shj_bayes.mismatch.state import laplace_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
@@ -39,7 +39,7 @@ def beside_the_law(recordings):
     """Chatter beside the base law."""
     runs = runs_of(recordings)
     scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    _, state = settle_under(scene, NoiseSetting((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
+    _, state = laplace_under(scene, ErrorParameters((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
     return scene, chatter_of(scene, state, scene.noise_most_kN)
 
 
@@ -129,6 +129,6 @@ def _matters(action, coordinate, value):
     quiet = SimpleNamespace(fluctuation=0.0, is_rough=False)
     scene = SimpleNamespace(scale_kN=1.0, largest_kN=1.0, device=SimpleNamespace(effects=()))
     model = SimpleNamespace(effects=(SimpleNamespace(id="own"),), law_names=("Fy", "own.size"))
-    member = SimpleNamespace(of=Class(action, coordinate, "1", ()))
+    member = SimpleNamespace(of=Dependence(action, coordinate, "1", ()))
     h = SimpleNamespace(members=(member,), state=SimpleNamespace(model=model, z=np.array([0.0, value])))
     return Search(Fitter(scene, [], quiet), chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)

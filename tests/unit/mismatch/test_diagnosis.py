@@ -19,9 +19,9 @@ from shj_bayes.mismatch.fitter import noise_beside
 from shj_bayes.mismatch.heldout import held_out, proven
 from shj_bayes.mismatch.moves import add_one
 from shj_bayes.mismatch.regions import aliases_of
-from shj_bayes.mismatch.scene import NoiseSetting, Scene, scene_of
+from shj_bayes.mismatch.scene import BinnedData, ErrorParameters, scene_of
 from shj_bayes.mismatch.search import search
-from shj_bayes.mismatch.state import find_noise, settle_under
+from shj_bayes.mismatch.state import find_noise, laplace_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.priors import read_priors
@@ -62,8 +62,8 @@ def is_right(record, truth: set[str]) -> bool:
     return found == truth if record["verdict"] == "named" else record["verdict"] == "family" and truth <= names(record)
 
 
-def scene_of_key(key: Key) -> Scene:
-    """Scene of the device that a key of the proof describes, under the rule that it follows."""
+def scene_of_key(key: Key) -> BinnedData:
+    """BinnedData of the device that a key of the proof describes, under the rule that it follows."""
     runs = runs_of([one.recording for one in make(key)])
     return scene_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
 
@@ -180,7 +180,7 @@ def test_noise_beside_what_the_law_misses_is_at_most_that_of_a_load_cell(trials)
     several = {"slack": {"size": 3.0}, "asymmetry": {"size": 0.25}}
     runs = runs_of(trials.simulate(several, 63))
     scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    _, state = settle_under(scene, NoiseSetting((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
+    _, state = laplace_under(scene, ErrorParameters((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
     free = find_noise(scene, state, np.zeros((state.residual.size, 0)))
     bound = noise_beside(scene, state, [], None).setting
     assert free.size_kN(scene) > 2.0 * scene.noise_most_kN

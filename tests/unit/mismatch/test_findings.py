@@ -13,7 +13,7 @@ from shj_bayes.mismatch import hypothesis as sizes
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.periodic import Chatter
-from shj_bayes.mismatch.scene import Metric
+from shj_bayes.mismatch.scene import ErrorModel
 
 ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", "bearing": "added"}
 
@@ -137,7 +137,7 @@ def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(
     out = SimpleNamespace(scene=None, fitter=fitter, best_within=lambda key: -100.0)
     monkeypatch.setattr(sizes, "size_of", lambda scene, h, place: size)
     monkeypatch.setattr(findings, "largest_size_of", lambda scene, h, place: size)
-    monkeypatch.setattr("shj_bayes.mismatch.moves.away", lambda scene, a, b: away)
+    monkeypatch.setattr("shj_bayes.mismatch.moves.force_distance", lambda scene, a, b: away)
     assert (findings._followed(out, as_curve, 0) is as_form) == is_name
 
 
@@ -166,7 +166,7 @@ def test_noise_at_the_most_that_a_load_cell_may_have_is_capped(size_kN, capped):
     """Then no two dependences are looked for in the place of a curve: what is left fluctuates."""
     setting = SimpleNamespace(size_kN=lambda scene: size_kN)
     metric = SimpleNamespace(setting=setting, scene=SimpleNamespace(noise_most_kN=0.3))
-    assert Metric.is_capped.fget(metric) == capped
+    assert ErrorModel.is_capped.fget(metric) == capped
 
 
 def test_a_curve_without_a_name_is_no_riddle_while_nothing_may_be_missing():

@@ -12,9 +12,9 @@ from shj_bayes.mismatch.fitter import Fitter, noise_of_size
 from shj_bayes.mismatch.hypothesis import joined
 from shj_bayes.mismatch.missed import beside_missed, curves_of, missed_by
 from shj_bayes.mismatch.moves import Search
-from shj_bayes.mismatch.scene import Metric, NoiseSetting, scene_of
+from shj_bayes.mismatch.scene import ErrorModel, ErrorParameters, scene_of
 from shj_bayes.mismatch.search import search
-from shj_bayes.mismatch.state import find_noise, settle_under
+from shj_bayes.mismatch.state import find_noise, laplace_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 
@@ -90,12 +90,12 @@ def test_what_a_formula_may_miss_over_its_own_coordinate_is_no_other_class(trial
     runs = runs_of(trials.simulate({"wear": {"size": 0.1}} | other, 5))
     scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
     travel, over = (next(c for c in classes() if c.id == f"capacity over {name}") for name in ("travel", coordinate))
-    metric, rough = settle_under(scene, NoiseSetting(noise_of_size(scene.device, 1.0), 0.1), scene.device, scene.z)
+    metric, rough = laplace_under(scene, ErrorParameters(noise_of_size(scene.device, 1.0), 0.1), scene.device, scene.z)
     fitter = Fitter(scene, candidates(scene, rough, (travel, over)), metric)
     form = next(form for form in fitter.forms_of(travel, (), scene.z) if form.variant.effect.id == "wear")
     rest = fitter.fitted((form,), form.start)
     noise = find_noise(scene, rest.state, np.zeros((rest.state.residual.size, 0)))
-    fitter = replace(fitter, metric=Metric(scene, noise, rough.slope))
+    fitter = replace(fitter, metric=ErrorModel(scene, noise, rough.slope))
     rest = fitter.fitted((form,), rest.state.z)
     curve = next(c for c in fitter.screen(rest) if c.of.id == over.id)
     both = fitter.fitted((form, curve), joined(rest, curve))

@@ -9,11 +9,11 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from shj_bayes.mismatch.classes import FORMS, PRESENT, Class, candidates, classes, size_weights, sized
+from shj_bayes.mismatch.classes import FORMS, PRIOR_INCLUSION, Dependence, candidates, classes, size_weights, sized
 from shj_bayes.mismatch.heldout import PARTS, Gain, HeldOut, cycles_of, held_out
-from shj_bayes.mismatch.scene import MODEL_ERROR, Metric, NoiseSetting, Scene
+from shj_bayes.mismatch.scene import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
-from shj_bayes.mismatch.state import State, find_noise, settle, settle_under, visible
+from shj_bayes.mismatch.state import Laplace, find_noise, laplace, laplace_under, visible
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.noise.low_speed import rougher
 
@@ -21,22 +21,22 @@ NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
 
 
 @pytest.fixture(scope="module")
-def scene(small_device, as_vector) -> Scene:
+def scene(small_device, as_vector) -> BinnedData:
     """Two short runs, at the parameters that they were simulated from."""
     z = small_device.model.unbounded(as_vector(small_device))[0, : small_device.model.n_law]
-    return Scene(small_device, z)
+    return BinnedData(small_device, z)
 
 
 @pytest.fixture(scope="module")
-def metric(scene: Scene) -> Metric:
+def metric(scene: BinnedData) -> ErrorModel:
     laws = scene.device.laws_of_parameters[scene.device.n_law :]
     z = tuple(float(law.to_free(np.asarray(NOISE[law.name]))) for law in laws)
     slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
-    return Metric(scene, NoiseSetting(z, 0.7), slope)
+    return ErrorModel(scene, ErrorParameters(z, 0.7), slope)
 
 
 @pytest.fixture(scope="module")
-def covariance(scene: Scene, metric: Metric) -> np.ndarray:
+def covariance(scene: BinnedData, metric: ErrorModel) -> np.ndarray:
     """Of all that is no parameter, of the blocks that are evidence; `whiten` has its own tests."""
     root = metric.whitened(np.eye(scene.used.size))
     used = scene.used > 0
@@ -53,24 +53,24 @@ def covariance(scene: Scene, metric: Metric) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def state(scene: Scene, metric: Metric) -> State:
-    return settle(scene, metric, scene.device, scene.z)
+def state(scene: BinnedData, metric: ErrorModel) -> Laplace:
+    return laplace(scene, metric, scene.device, scene.z)
 
 
-def test_the_parameters_of_the_noise_are_read_back(scene: Scene, metric: Metric) -> None:
+def test_the_parameters_of_the_noise_are_read_back(scene: BinnedData, metric: ErrorModel) -> None:
     assert metric.setting.values(scene) == pytest.approx(NOISE)
 
 
-def test_noise_may_be_rougher_at_low_speed(scene: Scene, metric: Metric) -> None:
+def test_noise_may_be_rougher_at_low_speed(scene: BinnedData, metric: ErrorModel) -> None:
     """The covariance is scaled on both sides by a factor of the speed; the constant follows it."""
-    rough = Metric(scene, replace(metric.setting, at_rest=math.log(3.0)), metric.slope)
+    rough = ErrorModel(scene, replace(metric.setting, at_rest=math.log(3.0)), metric.slope)
     used = scene.used > 0
     speed = scene.channel("speed_mm_s")[used]
     more = rougher(math.log(3.0), scene.slow)
     assert more[used][np.argmin(speed)] == pytest.approx(3.0, rel=0.02)
     assert more[used][np.argmax(speed)] == pytest.approx(1.0, abs=0.01)
-    still = Metric(scene, rough.setting, np.zeros(metric.slope.size))
-    plain = Metric(scene, metric.setting, np.zeros(metric.slope.size))
+    still = ErrorModel(scene, rough.setting, np.zeros(metric.slope.size))
+    plain = ErrorModel(scene, metric.setting, np.zeros(metric.slope.size))
     column = np.random.default_rng(3).normal(0, 1, (scene.used.size, 1))
     columns = (column, column / more[:, None])
     own, other = (m.whitened(c) for m, c in zip((still, plain), columns, strict=True))
@@ -102,7 +102,7 @@ def test_derivatives_after_the_coefficients_of_curves(make_small, effects, varia
     model = posterior.model
     z = 0.3 * np.random.default_rng(4).standard_normal(model.n_law)
     z[model.index("K")] = -2.5
-    own = Scene(posterior, z)
+    own = BinnedData(posterior, z)
     steps = 1e-5 * np.eye(z.size)
     expected = (own.residual(model, z - steps) - own.residual(model, z + steps)).T / 2e-5
     found = own.jacobian(model, z, own.residual(model, z[None])[0])
@@ -111,9 +111,11 @@ def test_derivatives_after_the_coefficients_of_curves(make_small, effects, varia
     assert np.all(wrong < 5e-3 * np.abs(expected).max(axis=0)[model.linear] + 1e-6)
 
 
-def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(scene: Scene, metric: Metric) -> None:
+def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
+    scene: BinnedData, metric: ErrorModel
+) -> None:
     """Columns of such a size that only under large noise something is left of one beside the other."""
-    _, state = settle_under(scene, metric.setting, scene.device, scene.z)
+    _, state = laplace_under(scene, metric.setting, scene.device, scene.z)
     rng = np.random.default_rng(4)
     columns = 1e9 * rng.normal(0, 1, (scene.used.size, 1)) * scene.used[:, None] * rng.uniform(0.5, 2.0, 12)
     with pytest.raises(np.linalg.LinAlgError):
@@ -122,9 +124,9 @@ def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
     assert np.all(np.isfinite(found.z))
 
 
-def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(scene: Scene, metric: Metric) -> None:
+def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(scene: BinnedData, metric: ErrorModel) -> None:
     """A force that goes one way throughout is a drift: it is not known to come back."""
-    _, state = settle_under(scene, metric.setting, scene.device, scene.z)
+    _, state = laplace_under(scene, metric.setting, scene.device, scene.z)
     time = scene.channel("time_s")
     lasts = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
     drifting = replace(state, residual=state.residual + 20.0 * time / lasts * scene.used)
@@ -134,7 +136,7 @@ def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(scene: Scene, metric
     assert find_noise(scene, state, none, metric.setting).values(scene)["tau_slow"] < 0.2 * lasts
 
 
-def test_products_are_those_of_the_covariance(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
+def test_products_are_those_of_the_covariance(scene: BinnedData, metric: ErrorModel, covariance: np.ndarray) -> None:
     columns = np.random.default_rng(1).normal(0, 3, (scene.used.size, 4))
     own = columns[scene.used > 0]
     np.testing.assert_allclose(metric.products(columns), own.T @ np.linalg.solve(covariance, own), rtol=1e-7)
@@ -142,7 +144,7 @@ def test_products_are_those_of_the_covariance(scene: Scene, metric: Metric, cova
 
 
 def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
-    scene: Scene, metric: Metric, covariance: np.ndarray
+    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
     rng = np.random.default_rng(2)
     used = scene.used > 0
@@ -157,7 +159,7 @@ def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
 
 
 def test_solving_gives_mean_and_covariance_of_the_parameters(
-    scene: Scene, metric: Metric, covariance: np.ndarray
+    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
     rng = np.random.default_rng(3)
     used = scene.used > 0
@@ -169,7 +171,9 @@ def test_solving_gives_mean_and_covariance_of_the_parameters(
     np.testing.assert_allclose(found.mean, inverse @ a.T @ np.linalg.solve(covariance, y[used]), rtol=1e-7)
 
 
-def test_the_discrepancy_takes_up_what_is_most_probable(scene: Scene, metric: Metric, covariance: np.ndarray) -> None:
+def test_the_discrepancy_takes_up_what_is_most_probable(
+    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray
+) -> None:
     used = scene.used > 0
     residual = np.random.default_rng(4).normal(0, 2, used.size)
     functions = scene.discrepancy
@@ -177,14 +181,14 @@ def test_the_discrepancy_takes_up_what_is_most_probable(scene: Scene, metric: Me
     np.testing.assert_allclose(metric.discrepancy_of(residual), expected, rtol=1e-6, atol=1e-9)
 
 
-def test_a_difference_of_push_and_pull_is_no_discrepancy(scene: Scene) -> None:
+def test_a_difference_of_push_and_pull_is_no_discrepancy(scene: BinnedData) -> None:
     for sign in (-1.0, 1.0):
         own = (np.sign(scene.channel("direction")) == sign) & (scene.used > 0)
         assert np.abs(scene.discrepancy[own].mean(axis=0)).max() < 1e-12
     assert np.abs(scene.discrepancy).max() > 0.1
 
 
-def test_derivatives_are_those_of_the_force(scene: Scene) -> None:
+def test_derivatives_are_those_of_the_force(scene: BinnedData) -> None:
     residual = scene.residual(scene.device, scene.z[None])[0]
     columns = scene.jacobian(scene.device, scene.z, residual)
     step = 1e-3
@@ -198,7 +202,7 @@ def test_derivatives_are_those_of_the_force(scene: Scene) -> None:
 
 
 def test_settling_reaches_the_least_squares_of_a_law(
-    scene: Scene, metric: Metric, covariance: np.ndarray, state: State
+    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray, state: Laplace
 ) -> None:
     """From afar, against a general minimiser with the covariance written out; and the truth lies near."""
     used = scene.used > 0
@@ -208,7 +212,7 @@ def test_settling_reaches_the_least_squares_of_a_law(
         return np.concatenate([root @ scene.residual(scene.device, z[None])[0][used], z])
 
     best = least_squares(misfit, scene.z, method="lm", diff_step=1e-4).x
-    far = settle(scene, metric, scene.device, scene.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: scene.z.size]))
+    far = laplace(scene, metric, scene.device, scene.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: scene.z.size]))
     sd = np.sqrt(np.diag(state.covariance))
     for one in (state, far):
         assert np.all(np.abs(one.z - best) < 0.2 * sd)
@@ -217,18 +221,20 @@ def test_settling_reaches_the_least_squares_of_a_law(
     np.testing.assert_allclose(state.residual, scene.residual(scene.device, state.z[None])[0])
 
 
-def test_settling_stops_where_steps_like_the_last_would_not_do(scene: Scene, metric: Metric, state: State) -> None:
+def test_settling_stops_where_steps_like_the_last_would_not_do(
+    scene: BinnedData, metric: ErrorModel, state: Laplace
+) -> None:
     """One that is out of reach costs a step; one within reach changes nothing."""
     start = scene.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: scene.z.size])
-    whole = settle(scene, metric, scene.device, start)
-    within, beyond = (settle(scene, metric, scene.device, start, whole.evidence + up) for up in (-10.0, 1e6))
+    whole = laplace(scene, metric, scene.device, start)
+    within, beyond = (laplace(scene, metric, scene.device, start, whole.evidence + up) for up in (-10.0, 1e6))
     np.testing.assert_array_equal(within.z, whole.z)
     first = metric.log_constant - 0.5 * float(metric.products(scene.residual(scene.device, start[None]).T)[0, 0])
     assert first < beyond.evidence < whole.evidence - 1.0
     np.testing.assert_array_equal(beyond.residual, scene.residual(scene.device, beyond.z[None])[0])
 
 
-def test_what_parameters_can_make_up_for_is_not_visible(scene: Scene, state: State) -> None:
+def test_what_parameters_can_make_up_for_is_not_visible(scene: BinnedData, state: Laplace) -> None:
     follow = state.jacobian @ np.arange(1.0, state.z.size + 1)
     wave = np.sin(scene.channel("position_mm")) * scene.scale_kN * 0.1
     sizes = visible(scene, state.jacobian, np.column_stack([follow, wave + follow]))
@@ -237,7 +243,7 @@ def test_what_parameters_can_make_up_for_is_not_visible(scene: Scene, state: Sta
 
 
 def test_the_size_of_a_change_is_that_of_99_percent_of_the_samples_not_of_the_blocks(
-    scene: Scene, state: State
+    scene: BinnedData, state: Laplace
 ) -> None:
     """Blocks lie close where the force bends, and hold many samples where the device is slow."""
     used = scene.used > 0
@@ -253,11 +259,13 @@ WANTED = ("capacity over travel", "capacity over position", "added over time", "
           "capacity over direction")  # fmt: skip
 
 
-def wanted() -> tuple[Class, ...]:
+def wanted() -> tuple[Dependence, ...]:
     return tuple(one for one in classes() if one.id in WANTED)
 
 
-def test_the_gain_of_a_candidate_is_a_difference_of_evidence(scene: Scene, metric: Metric, state: State) -> None:
+def test_the_gain_of_a_candidate_is_a_difference_of_evidence(
+    scene: BinnedData, metric: ErrorModel, state: Laplace
+) -> None:
     """Averaged over sizes before the test, with the weight of the variant; each on its own."""
     looked = candidates(scene, state, wanted())
     wide = [state.residual + state.jacobian @ state.z, state.jacobian]
@@ -284,7 +292,7 @@ def test_the_gain_of_a_candidate_is_a_difference_of_evidence(scene: Scene, metri
     assert gains == sorted(gains, reverse=True)
 
 
-def test_a_change_is_what_the_larger_model_would_add(scene: Scene, metric: Metric, state: State) -> None:
+def test_a_change_is_what_the_larger_model_would_add(scene: BinnedData, metric: ErrorModel, state: Laplace) -> None:
     """Of a residual that holds a known curve, to first order."""
     looked = [c for c in candidates(scene, state, wanted()) if c.of.id == "added over time" and c.variant.curve]
     one = min(looked, key=lambda c: c.columns.shape[1])
@@ -305,7 +313,7 @@ def test_weights_of_sizes_and_variants_are_probabilities() -> None:
 def test_what_needs_two_coordinates_has_the_probability_of_both() -> None:
     """With the probability of one, weak wear would be taken for a speed coefficient that changes."""
     (one,) = (c for c in classes() if c.coordinate == "speed_by_travel")
-    assert sum(v.weight for v in one.variants) == pytest.approx(PRESENT * (1.0 - FORMS))
+    assert sum(v.weight for v in one.variants) == pytest.approx(PRIOR_INCLUSION * (1.0 - FORMS))
 
 
 def test_a_class_goes_when_all_its_mechanisms_are_hidden() -> None:
@@ -317,18 +325,18 @@ def test_a_class_goes_when_all_its_mechanisms_are_hidden() -> None:
 
 
 def test_held_out_cycles_are_those_of_a_refit(
-    scene: Scene, metric: Metric, state: State, monkeypatch: pytest.MonkeyPatch
+    scene: BinnedData, metric: ErrorModel, state: Laplace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For a linear model the refit has a closed form: here it is written out with the covariance of what is left."""
     rng = np.random.default_rng(5)
     used = scene.used > 0
     y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, state.jacobian.shape) * used[:, None]
 
-    def residual_and_slope(self: Scene, model: object, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def residual_and_slope(self: BinnedData, model: object, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return y - z @ columns.T, np.repeat(metric.slope[None], z.shape[0], axis=0)
 
-    monkeypatch.setattr(Scene, "residual_and_slope", residual_and_slope)
-    monkeypatch.setattr(Scene, "jacobian", lambda *_: columns)
+    monkeypatch.setattr(BinnedData, "residual_and_slope", residual_and_slope)
+    monkeypatch.setattr(BinnedData, "jacobian", lambda *_: columns)
     got = held_out(scene, metric, state)
     cycle = cycles_of(scene)
     first = {int(cycle[0]), int(cycle[scene.posterior.averages[0].n])}
@@ -349,7 +357,7 @@ def test_held_out_cycles_are_those_of_a_refit(
         np.testing.assert_allclose(got.residual[raw], y[raw] - everything[raw] @ mean, rtol=1e-3, atol=2e-2)
 
 
-def test_an_error_of_the_start_moves_the_first_half_cycle(scene: Scene, metric: Metric) -> None:
+def test_an_error_of_the_start_moves_the_first_half_cycle(scene: BinnedData, metric: ErrorModel) -> None:
     """Against the law itself along a motion whose first turning point lies elsewhere, and with another first force."""
     theta = scene.device.natural_of_law(scene.z[None])
     column = scene.starts(metric.slope)

@@ -11,7 +11,7 @@ from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_formula
 from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
-from shj_bayes.mismatch.scene import Metric, scene_of
+from shj_bayes.mismatch.scene import ErrorModel, scene_of
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.device import DeviceModel
@@ -127,7 +127,7 @@ def test_a_fit_that_is_singular_to_rounding_is_no_fit(monkeypatch):
     out = search(scene, [one for one in classes() if one.coordinate == "direction"])
     given = out.best.state.gaussian
     steep = replace(given, inner=given.inner - 2.0 * given.inner.max() * np.eye(given.along.size))
-    monkeypatch.setattr("shj_bayes.mismatch.fitter.settle", lambda *_: replace(out.best.state, gaussian=steep))
+    monkeypatch.setattr("shj_bayes.mismatch.fitter.laplace", lambda *_: replace(out.best.state, gaussian=steep))
     assert out.fitter.fitted(out.best.members, out.best.state.z) is None
 
 
@@ -152,6 +152,6 @@ def test_what_acts_on_the_motion_is_followed_while_the_noise_is_capped(trials, m
     ahead = replace(out, found={key: h for key, h in out.found.items() if len(key) < 2}, curves={})
     assert ahead.best is tapers
     for capped in (True, False):
-        monkeypatch.setattr(Metric, "is_capped", capped)
+        monkeypatch.setattr(ErrorModel, "is_capped", capped)
         assert moving(ahead, 1) == ([moves] if capped else [])
         assert (moves.key in refit_noise(ahead).found) == capped

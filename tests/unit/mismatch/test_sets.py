@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from shj_bayes.mismatch.classes import ODDS, PRESENT
+from shj_bayes.mismatch.classes import LOG_PRIOR_ODDS, PRIOR_INCLUSION
 from shj_bayes.mismatch.sets import ALONE, DeviceEvidence, common_to, log_shared
 from shj_bayes.mismatch.together import DiagnosedDevice, together
 from shj_bayes.results.codec import from_json
@@ -21,7 +21,7 @@ def device(evidence, *, own=(), sizes=None):
     """A device of classes a and b from the log Bayes factors of a, b and both."""
     classes = (A, B)
     sets = ((), (0,), (1,), (0, 1))
-    nats = tuple(n + ODDS * len(s) for n, s in zip((0.0, *evidence), sets, strict=True))
+    nats = tuple(n + LOG_PRIOR_ODDS * len(s) for n, s in zip((0.0, *evidence), sets, strict=True))
     names = dict.fromkeys(own, "effect")
     rest = {c: f"curve {c}" for c in classes if c not in own}
     return evidence_of(classes, sets, nats, own=names, written=rest, size_percent=sizes or {A: 2.0, B: 2.0})
@@ -29,7 +29,7 @@ def device(evidence, *, own=(), sizes=None):
 
 def evidence_of(classes, sets, nats, **said):
     said = {"own": {}, "written": {}, "size_percent": {}, "change_percent": {}, "fitted": 0} | said
-    return DeviceEvidence(EvidenceRecord(classes=classes, sets=sets, nats=nats, log_odds=ODDS, **said))
+    return DeviceEvidence(EvidenceRecord(classes=classes, sets=sets, nats=nats, log_odds=LOG_PRIOR_ODDS, **said))
 
 
 def by_brute_force(devices):
@@ -37,12 +37,12 @@ def by_brute_force(devices):
     theta = (np.arange(N) + 0.5) / N
     weights, has_a = {}, {}
     for combination in itertools.product((False, True), repeat=2):
-        prior = math.prod(PRESENT if c else 1.0 - PRESENT for c in combination)
+        prior = math.prod(PRIOR_INCLUSION if c else 1.0 - PRIOR_INCLUSION for c in combination)
         shares = [theta if c else np.array([ALONE]) for c in combination]
         a, b = np.meshgrid(*shares, indexing="ij")
         each, held = [], []
         for one in devices:
-            bayes = np.exp(np.array(one.record.nats) - ODDS * one.holds.sum(axis=1))
+            bayes = np.exp(np.array(one.record.nats) - LOG_PRIOR_ODDS * one.holds.sum(axis=1))
             parts = [(1 - a) * (1 - b), a * (1 - b) * bayes[1], (1 - a) * b * bayes[2], a * b * bayes[3]]
             each.append(sum([parts[0], *parts[1:]]))
             held.append((parts[1] + parts[3]) / each[-1])
@@ -55,8 +55,8 @@ def by_brute_force(devices):
 
 
 def test_a_device_alone_has_the_prior_of_the_search():
-    of_a_device = PRESENT * 0.5 + (1.0 - PRESENT) * ALONE
-    assert of_a_device == pytest.approx(PRESENT)
+    of_a_device = PRIOR_INCLUSION * 0.5 + (1.0 - PRIOR_INCLUSION) * ALONE
+    assert of_a_device == pytest.approx(PRIOR_INCLUSION)
 
 
 def test_one_class_is_the_integral_over_the_share():
@@ -82,7 +82,7 @@ def test_three_devices_that_cannot_tell_two_classes_make_a_set_sure(n, enters):
     first, second = common.shared
     assert (first.enters, {str(first.id), str(second.id)}) == (enters, {A, B})
     nothing_shared = dict(common.combinations)[frozenset()]
-    apart = PRESENT / (1.0 - PRESENT) / ((n + 1) * (2.0 * ALONE) ** n) * 2.0
+    apart = PRIOR_INCLUSION / (1.0 - PRIOR_INCLUSION) / ((n + 1) * (2.0 * ALONE) ** n) * 2.0
     assert nothing_shared == pytest.approx(1.0 / (1.0 + apart), rel=0.2)
 
 
@@ -145,7 +145,7 @@ def test_what_is_too_small_to_be_followed_does_not_enter():
 
 
 def test_devices_that_say_nothing_of_a_class_do_not_count():
-    silent = evidence_of((B,), ((), (0,)), (0.0, ODDS - 1.0))
+    silent = evidence_of((B,), ((), (0,)), (0.0, LOG_PRIOR_ODDS - 1.0))
     lone = common_to([device((1.2, -1.0, 0.2))] * 8)
     with_silent = common_to([*[device((1.2, -1.0, 0.2))] * 8, silent])
     p, q = (next(one for one in c.shared if str(one.id) == A).probability for c in (lone, with_silent))
@@ -159,7 +159,7 @@ def test_the_order_of_devices_does_not_matter():
 
 
 RECORD = {
-    "classes": [A, B], "log_odds": ODDS, "own": {A: "x"}, "written": {B: "y"}, "size_percent": {A: 1.0},
+    "classes": [A, B], "log_odds": LOG_PRIOR_ODDS, "own": {A: "x"}, "written": {B: "y"}, "size_percent": {A: 1.0},
     "change_percent": {A: -1.0},
     "sets": [[], [0], [0, 1]], "nats": [0.0, 3.0, -1.0], "fitted": 2,
 }  # fmt: skip
@@ -169,7 +169,7 @@ def test_a_record_is_read_as_it_was_written():
     one = DeviceEvidence(from_json(EvidenceRecord, RECORD))
     assert one.record.classes == (A, B)
     assert one.holds.tolist() == [[False, False], [True, False], [True, True]]
-    assert one.log_factor(A, {A: ODDS, B: -50.0}) == pytest.approx(3.0 - ODDS)
+    assert one.log_factor(A, {A: LOG_PRIOR_ODDS, B: -50.0}) == pytest.approx(3.0 - LOG_PRIOR_ODDS)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.scene import N_OF_RUN, Metric
+from shj_bayes.mismatch.scene import N_OF_RUN, ErrorModel
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.information import _separation, as_read, expected_information, quantity_named, simulate_outcomes
@@ -131,7 +131,7 @@ def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Prete
     seen = expected_information(alone, LONG, 5.0, 1, gamma)
     scene, _ = as_read(alone, LONG, 5.0, np.random.default_rng(np.random.SeedSequence(1, spawn_key=(3,))))
     residual, slope = scene.residual_and_slope(first.model, first.z[None])
-    metric = Metric(scene, alone.setting, slope[0])
+    metric = ErrorModel(scene, alone.setting, slope[0])
     jacobian = scene.jacobian(first.model, first.z, residual[0])
     of_old_run = np.zeros((metric.other.shape[0], N_OF_RUN))
     white = np.column_stack([metric.whitened(jacobian), metric.other, of_old_run])

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import ModelError
-from shj_bayes.mismatch.classes import MATTERS
+from shj_bayes.mismatch.classes import MIN_EFFECT
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
@@ -110,7 +110,7 @@ def test_a_mass_on_a_spring_whose_friction_does_not_weaken_is_no_effect():
     mass = spring / (2 * np.pi * 5.5) ** 2 * 1000.0
     driven = rate_free(drive, DEVICE, Acts(mass_t=mass, spring_kN_mm=spring))
     held = rate_free(replace(drive, frame_kN_mm=spring), DEVICE, Acts())
-    assert np.percentile(np.abs(driven - held), 99) < MATTERS * DEVICE.Fy
+    assert np.percentile(np.abs(driven - held), 99) < MIN_EFFECT * DEVICE.Fy
 
 
 @pytest.mark.parametrize("kind", dict.fromkeys((*NOISES, *TRIAL_NOISES)))
