@@ -29,10 +29,9 @@ from one_set import draws_of_one_set
 
 from shj_bayes.inference.posterior import make_posterior
 from shj_bayes.inference.run import Run, runs_of
-from shj_bayes.inference.squares import LawOnly, descend
+from shj_bayes.inference.start import LawOnly, descend, find_start
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
-from shj_bayes.inference.start import find_start
 from shj_bayes.margins.basis import DEFAULT, NONE, DesignBasis, Environment, least_favourable, sliding_force_bounds
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.row import HIGH, LOW

@@ -40,10 +40,9 @@ from tqdm import tqdm
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.convergence import judge
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.posterior import Density, Posterior, make_posterior
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
-from shj_bayes.inference.shared import Density
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import force

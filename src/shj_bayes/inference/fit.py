@@ -1,6 +1,9 @@
 """The fit of one device, from recordings to its files, without the page."""
 
-from collections.abc import Sequence
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,10 +12,9 @@ import pandas as pd
 import xarray as xr
 
 from shj_bayes.inference import store
-from shj_bayes.inference.compiling import told_when_slow
 from shj_bayes.inference.convergence import Diagnostics, FitVerdict, judge
-from shj_bayes.inference.floor import Floor, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.robust import Floor, floor_of
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
@@ -20,6 +22,25 @@ from shj_bayes.inference.store import remarks_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.results.fit import FitRecord, Trust
 from shj_bayes.results.store import CHECKPOINT
+
+WAIT_S = 2.0  # reading the cache takes a tenth of it
+TEXT = "compiling the law for this machine: once after installation, up to a minute\n"
+
+
+@contextmanager
+def told_when_slow(tell: bool, wait_s: float = WAIT_S) -> Iterator[None]:
+    """Print one line to a terminal if what is inside takes `wait_s` seconds, longer than the cache would."""
+    if not (tell and sys.stderr.isatty()):
+        yield
+        return
+    timer = threading.Timer(wait_s, lambda: (sys.stderr.write(TEXT), sys.stderr.flush()))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
 
 DEFAULT_PLAN = SamplingPlan()
 

@@ -4,21 +4,53 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 import shj_bayes
 from shj_bayes.errors import InferenceError, PriorError
-from shj_bayes.inference.reduction import Averages, reduce_runs
+from shj_bayes.inference.binning import BinnedRun, reduce_runs
 from shj_bayes.inference.run import Run, histories_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import LANES, log_density
 from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.parameters import FloatArray, base_of
+
+
+class Density(Protocol):
+    """What a search or a sampler needs: a log density of many points at once."""
+
+    def log_posterior_free(self, z: FloatArray) -> FloatArray:
+        """Log density of points of shape (m, d), shape (m,)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SharedDensity:
+    """A density whose points are evaluated by several threads; each point's value is the same to the bit."""
+
+    density: Density  # log density in the unbounded space; it must let go of the interpreter lock to be any faster here
+    pool: ThreadPoolExecutor  # the threads
+    n: int  # into how many parts a call is divided
+
+    def log_posterior_free(self, z: FloatArray) -> FloatArray:
+        """Log density of points of shape (m, d), shape (m,)."""
+        if self.n < 2 or z.shape[0] < 2:
+            return self.density.log_posterior_free(z)
+        return np.concatenate(list(self.pool.map(self.density.log_posterior_free, np.array_split(z, self.n))))
+
+
+def n_threads(asked: int) -> int:
+    """Threads that are asked for, 0 for one per processor."""
+    return asked or os.cpu_count() or 1
+
 
 FREE_LIMIT = 30.0  # in prior standard deviations; no prior has mass beyond
 
@@ -29,7 +61,7 @@ class Posterior:
 
     runs: tuple[Run, ...]  # consecutive runs
     model: DeviceModel  # what is believed of the device
-    averages: tuple[Averages, ...]  # the runs in blocks
+    averages: tuple[BinnedRun, ...]  # the runs in blocks
     at_rest: float = 0.0  # logarithm of the white noise at rest over that at speed; see `rougher`
 
     def __post_init__(self) -> None:

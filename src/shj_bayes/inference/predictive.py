@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numba import njit
 
+from shj_bayes.inference.binning import BinnedRun
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.reduction import Averages
 from shj_bayes.inference.run import Run
 from shj_bayes.model.noise.filter import Timing, density_and_zero, table_of
 from shj_bayes.model.noise.noise import Noise, Values
@@ -84,7 +84,7 @@ def half_cycles(
     return np.concatenate(likely, axis=1), np.concatenate(predicted, axis=1), np.concatenate(measured)
 
 
-def _means(force_kN: FloatArray, part: Averages) -> FloatArray:
+def _means(force_kN: FloatArray, part: BinnedRun) -> FloatArray:
     """Mean over the evidence of each half-cycle, in the direction of motion, of a force by blocks, shape (..., n)."""
     first = part.timing.half[:-1]
     total = np.add.reduceat(force_kN * part.count, first, axis=-1)

@@ -6,9 +6,8 @@ from math import lgamma, log, pi
 import numpy as np
 from scipy.special import logsumexp
 
-from shj_bayes.inference.shared import Density
-from shj_bayes.inference.squares import root_of
-from shj_bayes.inference.start import Start
+from shj_bayes.inference.posterior import Density
+from shj_bayes.inference.start import Start, root_of
 from shj_bayes.model.parameters import FloatArray
 
 TAIL = 5.0  # degrees of freedom: a knee that is bounded from below, or noise without a slow part, has long tails

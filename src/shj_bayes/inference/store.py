@@ -48,7 +48,7 @@ from shj_bayes.results.store import CHECKPOINT, FILES, write
 
 if TYPE_CHECKING:
     from shj_bayes.inference.convergence import Diagnostics, FitVerdict
-    from shj_bayes.inference.floor import Floor
+    from shj_bayes.inference.robust import Floor
 
 
 UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away

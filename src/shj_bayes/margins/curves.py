@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from shj_bayes.inference.shared import n_threads
+from shj_bayes.inference.posterior import n_threads
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named

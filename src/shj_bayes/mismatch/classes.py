@@ -7,9 +7,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from shj_bayes.inference.squares import extended, start_values
-from shj_bayes.mismatch.scene import BinnedData
-from shj_bayes.mismatch.state import Laplace
+from shj_bayes.inference.start import extended, start_values
+from shj_bayes.mismatch.data import BinnedData
+from shj_bayes.mismatch.laplace import Laplace
 from shj_bayes.model.coordinates import coordinate_named, coordinates, coordinates_of
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel

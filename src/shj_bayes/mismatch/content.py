@@ -8,14 +8,14 @@ import numpy as np
 import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
+from shj_bayes.mismatch.data import BinnedData
 from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, Proven, cycles_of
 from shj_bayes.mismatch.hypothesis import TEETH, formula_of
+from shj_bayes.mismatch.laplace import Laplace, drawn_from
 from shj_bayes.mismatch.moves import LARGEST_OF, Search
 from shj_bayes.mismatch.periodic import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.regions import WORDS, run_of
-from shj_bayes.mismatch.scene import BinnedData
-from shj_bayes.mismatch.state import Laplace, drawn_from
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect

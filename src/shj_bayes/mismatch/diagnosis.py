@@ -15,13 +15,13 @@ from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
 from shj_bayes.mismatch.classes import classes
+from shj_bayes.mismatch.data import ErrorModel, scene_of
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.heldout import Proven, proven
-from shj_bayes.mismatch.missed import beside_missed
+from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under
 from shj_bayes.mismatch.regions import aliases_of, regions_of
-from shj_bayes.mismatch.scene import ErrorModel, scene_of
+from shj_bayes.mismatch.screen import beside_missed
 from shj_bayes.mismatch.search import search
-from shj_bayes.mismatch.state import Laplace, find_noise, laplace, laplace_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import DiagnoseOptions

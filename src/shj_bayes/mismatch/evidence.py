@@ -14,8 +14,8 @@ from scipy.special import logsumexp
 from shj_bayes.mismatch.classes import LOG_PRIOR_ODDS, Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.hypothesis import Hypothesis
+from shj_bayes.mismatch.laplace import visible
 from shj_bayes.mismatch.moves import RIVAL, Search
-from shj_bayes.mismatch.state import visible
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import EvidenceRecord
 

@@ -25,10 +25,9 @@ from shj_bayes.mismatch.hypothesis import (
     tolerance,
     without,
 )
-from shj_bayes.mismatch.missed import missed_by
+from shj_bayes.mismatch.laplace import Laplace, visible
 from shj_bayes.mismatch.moves import Search, beside_direction, following
-from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import Laplace, visible
+from shj_bayes.mismatch.screen import missed_by, screen
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, DiagnosisVerdict

@@ -9,13 +9,13 @@ from itertools import product
 import numpy as np
 from scipy.special import logsumexp
 
-from shj_bayes.inference.squares import start_values
+from shj_bayes.inference.start import start_values
 from shj_bayes.mismatch.classes import FORMS, LOG_PRIOR_ODDS, Candidate, Dependence, Parametrisation, size_weights
+from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis, columns_of, same_twice, without
+from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace
 from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
-from shj_bayes.mismatch.scene import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import Laplace, find_noise, laplace
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Candidate
-from shj_bayes.mismatch.scene import BinnedData, ErrorModel
-from shj_bayes.mismatch.state import Laplace, drawn_from, largest, visible
+from shj_bayes.mismatch.data import BinnedData, ErrorModel
+from shj_bayes.mismatch.laplace import Laplace, drawn_from, largest, visible
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import DependenceId
 

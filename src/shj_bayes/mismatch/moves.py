@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shj_bayes.mismatch.classes import EXPLAINED, LOG_PRIOR_ODDS, MIN_EFFECT, Candidate, Dependence, candidates
+from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.fitter import Fitter, noise_beside
 from shj_bayes.mismatch.hypothesis import (
     DIRECTION,
@@ -26,10 +27,9 @@ from shj_bayes.mismatch.hypothesis import (
     tolerance,
     without,
 )
+from shj_bayes.mismatch.laplace import laplace_under, visible
 from shj_bayes.mismatch.periodic import Chatter
-from shj_bayes.mismatch.scene import BinnedData, ErrorModel
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import laplace_under, visible
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.parameters import FloatArray
 

@@ -12,9 +12,9 @@ from scipy.special import logsumexp, ndtri
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
 from shj_bayes.mismatch.classes import FORMS, Candidate, Dependence, Parametrisation, candidates, size_weights
-from shj_bayes.mismatch.scene import AVERAGED_S, BinnedData, ErrorModel
+from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
+from shj_bayes.mismatch.laplace import Laplace, laplace_under
 from shj_bayes.mismatch.screen import screen
-from shj_bayes.mismatch.state import Laplace, laplace_under
 from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.effects.effect import Effect, Values

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from shj_bayes.inference.squares import extended, orthogonal_to
-from shj_bayes.mismatch.scene import BinnedData, ErrorModel
-from shj_bayes.mismatch.state import Laplace
+from shj_bayes.inference.start import extended, orthogonal_to
+from shj_bayes.mismatch.data import BinnedData, ErrorModel
+from shj_bayes.mismatch.laplace import Laplace
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray

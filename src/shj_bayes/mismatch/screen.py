@@ -1,16 +1,26 @@
-"""Which classes a residual speaks for, to first order: the log Bayes factor of each, all in one sweep."""
+"""What a residual speaks for to first order, and what the formulas of an answer may miss."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
-from shj_bayes.mismatch.classes import Candidate, size_weights, sized
-from shj_bayes.mismatch.scene import ErrorModel
-from shj_bayes.mismatch.state import Laplace
-from shj_bayes.model.curve import SIZES
+from shj_bayes.mismatch.classes import (
+    EXPLAINED,
+    LOG_PRIOR_ODDS,
+    Candidate,
+    Dependence,
+    candidates,
+    size_weights,
+    sized,
+    unit_columns,
+)
+from shj_bayes.mismatch.data import BinnedData, ErrorModel
+from shj_bayes.mismatch.laplace import Laplace
+from shj_bayes.model.curve import SIZES, Curve
+from shj_bayes.model.parameters import FloatArray
 
 SIZES_OF_STARTS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of an effect at the values that a search starts from
 
@@ -42,3 +52,65 @@ def _gained(c: Candidate, own: Gaussian) -> Candidate:
     effect = curve.effect()
     model = c.model.with_effects((*c.model.effects[:-1], effect))
     return replace(c, gain=gain, model=model, variant=replace(c.variant, curve=curve, effect=effect))
+
+
+def curves_of(scene: BinnedData, state: Laplace, of: Dependence) -> FloatArray | None:
+    """Give the curves of a class, kN by unit of normal coefficients, shape (n, p); None where it has none.
+
+    To first order, with the standard deviation of `Curve.size`. A class may have several: heat decays sooner or later.
+    What acts on the motion has none.
+    """
+    curves = [v for v in of.variants if v.curve is not None and not v.curve.sides]
+    if not curves:
+        return None
+    likely = {v.curve.coordinate: v for v in sorted(curves, key=lambda v: v.weight) if v.curve is not None}
+    one = replace(of, variants=tuple(likely.values()))
+    return np.column_stack([c.columns for c in candidates(scene, state, (one,))])
+
+
+def missed_by(scene: BinnedData, state: Laplace, of: Dependence, size: float) -> FloatArray | None:
+    """Give what a form of a size, a share of Fy, may miss over the coordinate of a class: curves as of `curves_of`.
+
+    With a standard deviation of 1 - `EXPLAINED` of the size.
+    """
+    curves = curves_of(scene, state, of)
+    return None if curves is None else curves * ((1.0 - EXPLAINED) * size / Curve.size)
+
+
+def beside_missed(
+    scene: BinnedData,
+    metric: ErrorModel,
+    state: Laplace,
+    found: Sequence[tuple[Candidate, float]],
+    others: Sequence[Dependence] = (),
+) -> Laplace:
+    """Give a state with a covariance that counts what its formulas may miss, and the classes that it does not hold.
+
+    A formula may miss a curve, `missed_by`: `found` holds the classes of the model with their sizes, as shares of Fy.
+    Each of the `others` counts with its probability: one that is too small to matter for the force may still move the
+    parameters by more than noise does. All to first order. The parameters stay as they are; how far they would move is
+    uncertainty.
+    """
+    covariance = state.covariance.copy()
+    missed = [
+        curves
+        for member, size in found
+        if member.variant.curve is None and (curves := missed_by(scene, state, member.of, size)) is not None
+    ]
+    if missed:
+        covariance = _spread(metric, state, *missed)
+    best: dict[str, Candidate] = {}
+    for c in screen(metric, state, candidates(scene, state, tuple(others))):
+        best.setdefault(c.of.id, c)
+    for c in best.values():
+        column = c.change[:, None] if c.variant.curve is None else unit_columns(c)
+        covariance += expit(c.gain + LOG_PRIOR_ODDS) * (_spread(metric, state, column) - state.covariance)
+    return replace(state, covariance=covariance)
+
+
+def _spread(metric: ErrorModel, state: Laplace, *columns: FloatArray) -> FloatArray:
+    """Covariance of the parameters beside further columns, with the square of how far they move from where they are."""
+    d = state.z.size
+    wide = metric.gaussian(state.beside(*columns))
+    moved = wide.mean[:d] - state.z
+    return np.asarray(wide.covariance[:d, :d] + np.outer(moved, moved))

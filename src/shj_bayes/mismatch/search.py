@@ -8,8 +8,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, Dependence, candidates
+from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
 from shj_bayes.mismatch.hypothesis import CONSTANT, MOTION, TEETH, Hypothesis, replaced
+from shj_bayes.mismatch.laplace import laplace_under, zero_of
 from shj_bayes.mismatch.moves import (
     BEAM,
     DEPTH,
@@ -31,8 +33,6 @@ from shj_bayes.mismatch.moves import (
     try_constant,
 )
 from shj_bayes.mismatch.periodic import chatter_of, is_over_a_clock, of_whole_cycles, resolved, waves
-from shj_bayes.mismatch.scene import MODEL_ERROR, BinnedData, ErrorParameters
-from shj_bayes.mismatch.state import laplace_under, zero_of
 
 MOST_FINAL = 6  # hypotheses that are weighed under noise of their own
 

@@ -17,12 +17,12 @@ from scipy.special import logsumexp
 
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes.errors import PlanError, did_you_mean
-from shj_bayes.inference.reduction import zero_noise_kN
+from shj_bayes.inference.binning import zero_noise_kN
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import law_starts
 from shj_bayes.margins.virtual_test import Readings, counted_from, of_readings, read_off
-from shj_bayes.mismatch.scene import BinnedData, ErrorModel
-from shj_bayes.mismatch.state import laplace
+from shj_bayes.mismatch.data import BinnedData, ErrorModel
+from shj_bayes.mismatch.laplace import laplace
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.history import histories
 from shj_bayes.model.noise.filter import simulate

@@ -16,9 +16,9 @@ from scipy.stats import chi2, nct, norm
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError, did_you_mean
+from shj_bayes.inference.binning import BinnedRun, reduce_runs
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run
 from shj_bayes.mismatch.classes import (
     ALPHA,
@@ -30,10 +30,7 @@ from shj_bayes.mismatch.classes import (
     candidates,
     classes,
 )
-from shj_bayes.mismatch.findings import most_probable
-from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
-from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
-from shj_bayes.mismatch.scene import (
+from shj_bayes.mismatch.data import (
     COARSER,
     MODEL_ERROR,
     N_OF_DEVICE,
@@ -43,7 +40,10 @@ from shj_bayes.mismatch.scene import (
     ErrorParameters,
     scene_of,
 )
-from shj_bayes.mismatch.state import find_noise, laplace
+from shj_bayes.mismatch.findings import most_probable
+from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
+from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
+from shj_bayes.mismatch.laplace import find_noise, laplace
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
@@ -224,7 +224,7 @@ class PretestPosterior:
     runs: tuple[Run, ...]  # its tests so far; none where only priors are known
     device: DeviceModel  # base model of the old runs and the planned one
     z: FloatArray  # shape (n_law,): parameters of the base model, unbounded
-    old: tuple[Averages, ...]  # the old runs in blocks, on the common scales
+    old: tuple[BinnedRun, ...]  # the old runs in blocks, on the common scales
     scales: Mapping[str, Any]  # of the coordinates; from `common_scales`
     setting: ErrorParameters  # noise and discrepancy
     rivals: tuple[RivalModel, ...]  # what the device may be, most probable first; the shares add up to 1
@@ -334,7 +334,7 @@ def entropy_of(probabilities: FloatArray) -> FloatArray:
     return np.asarray(-np.sum(probabilities * np.log(np.maximum(probabilities, 1e-300)), axis=-1))
 
 
-def _zero_within(part: Averages, limit_kN: float) -> Averages:
+def _zero_within(part: BinnedRun, limit_kN: float) -> BinnedRun:
     """Blocks whose zero has a standard deviation of no more than a limit."""
     timing = part.timing
     return replace(part, timing=replace(timing, zero_noise_kN=min(timing.zero_noise_kN, limit_kN)))

@@ -23,7 +23,7 @@ from tqdm import tqdm
 from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import PopulationError, did_you_mean
 from shj_bayes.inference.convergence import ess_bulk, rhat
-from shj_bayes.inference.shared import n_threads
+from shj_bayes.inference.posterior import n_threads
 from shj_bayes.population.device import DeviceEstimate, RangeTested, Tags, sets_of
 from shj_bayes.population.kernel import log_likelihood_of_set, run_chain
 from shj_bayes.population.quantities import (

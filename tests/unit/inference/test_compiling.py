@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from shj_bayes.inference.compiling import TEXT, told_when_slow
+from shj_bayes.inference.fit import TEXT, told_when_slow
 
 
 @pytest.mark.parametrize(

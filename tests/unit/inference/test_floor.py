@@ -8,8 +8,8 @@ import pytest
 
 from shj_bayes.inference.convergence import FitVerdict
 from shj_bayes.inference.fit import fit, with_floor
-from shj_bayes.inference.floor import FEWEST, Floor, _scores, floor_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.robust import FEWEST, Floor, _scores, floor_of
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.inference.start import Start, find_start

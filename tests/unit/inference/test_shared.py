@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.convergence import Diagnostics
-from shj_bayes.inference.posterior import make_posterior
+from shj_bayes.inference.posterior import SharedDensity, make_posterior
 from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import LEAST_ROUND, SamplingPlan, _next_round
-from shj_bayes.inference.shared import SharedDensity
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.catalogue import noise_model

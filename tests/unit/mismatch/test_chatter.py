@@ -7,12 +7,12 @@ import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import Dependence
+from shj_bayes.mismatch.data import ErrorParameters, scene_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.fitter import Fitter
+from shj_bayes.mismatch.laplace import laplace_under
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.periodic import SURE, Chatter, _at_scale, chatter_of
-from shj_bayes.mismatch.scene import ErrorParameters, scene_of
-from shj_bayes.mismatch.state import laplace_under
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions

@@ -13,15 +13,15 @@ from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes as all_classes
 from shj_bayes.mismatch.content import heldout as heldout_row
+from shj_bayes.mismatch.data import BinnedData, ErrorParameters, scene_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.findings import Reason, answer_of
 from shj_bayes.mismatch.fitter import noise_beside
 from shj_bayes.mismatch.heldout import held_out, proven
+from shj_bayes.mismatch.laplace import find_noise, laplace_under
 from shj_bayes.mismatch.moves import add_one
 from shj_bayes.mismatch.regions import aliases_of
-from shj_bayes.mismatch.scene import BinnedData, ErrorParameters, scene_of
 from shj_bayes.mismatch.search import search
-from shj_bayes.mismatch.state import find_noise, laplace_under
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.priors import read_priors

@@ -10,10 +10,10 @@ from scipy.special import expit
 
 from shj_bayes.mismatch import content, findings
 from shj_bayes.mismatch import hypothesis as sizes
+from shj_bayes.mismatch.data import ErrorModel
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.periodic import Chatter
-from shj_bayes.mismatch.scene import ErrorModel
 
 ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", "bearing": "added"}
 

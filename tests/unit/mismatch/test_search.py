@@ -7,11 +7,11 @@ import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
+from shj_bayes.mismatch.data import ErrorModel, scene_of
 from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_formula
 from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
-from shj_bayes.mismatch.scene import ErrorModel, scene_of
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.device import DeviceModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import ModelError
-from shj_bayes.inference.reduction import reduce_runs
+from shj_bayes.inference.binning import reduce_runs
 from shj_bayes.inference.run import further_of, histories_of, measured_of, runs_of
 from shj_bayes.mismatch.classes import classes
 from shj_bayes.model.coordinates import coordinate_named, coordinates

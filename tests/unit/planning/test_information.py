@@ -8,7 +8,7 @@ import pytest
 
 from shj_bayes.errors import PlanError
 from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.scene import N_OF_RUN, ErrorModel
+from shj_bayes.mismatch.data import N_OF_RUN, ErrorModel
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.planning.information import _separation, as_read, expected_information, quantity_named, simulate_outcomes

@@ -19,8 +19,7 @@ import numpy as np
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.run import Run
-from shj_bayes.inference.squares import STEP
-from shj_bayes.inference.start import law_starts, started
+from shj_bayes.inference.start import STEP, law_starts, started
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base

@@ -37,7 +37,7 @@ OF_DEGREE = {4: 225.0 / 64.0, 6: 1225.0 / 256.0}
 
 
 @dataclass(frozen=True, eq=False)
-class Averages:
+class BinnedRun:
     """One run in blocks."""
 
     history: History  # at the points of all blocks
@@ -79,7 +79,7 @@ class Averages:
 
 def reduce_runs(
     runs: Sequence[Run], force_at: Force | None = None, *, longest_s: float | None = None, coarser: float = 1.0
-) -> tuple[Averages, ...]:
+) -> tuple[BinnedRun, ...]:
     """Average the runs of a device.
 
     Parameters
@@ -127,7 +127,7 @@ def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> li
 
 def _reduce(
     run: Run, history: History, bend: FloatArray | None, longest_s: float | None, coarser: float, zero_kN: float
-) -> Averages:
+) -> BinnedRun:
     """Average one run."""
     recording, motion = run.recording, run.motion
     time, x = recording.time_s, motion.displacement_mm
@@ -166,7 +166,7 @@ def _reduce(
     reduced = history.reduced(points, np.searchsorted(half[of_point], np.arange(n_half + 1)))
     timing = _timing(run, order, begin, count, np.searchsorted(half, np.arange(n_half + 1)), zero_kN)
     force = np.where(count > 0, mean(recording.force_kN), 0.0)
-    return Averages(reduced, first, force, count, timing, run.start_force_kN)
+    return BinnedRun(reduced, first, force, count, timing, run.start_force_kN)
 
 
 def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half: IntArray, zero_kN: float) -> Timing:

@@ -7,9 +7,8 @@ from itertools import product
 import numpy as np
 
 from shj_bayes.inference.gaussian import Gaussian
-from shj_bayes.inference.squares import orthogonal_to, reach_after, root_of, step_within
-from shj_bayes.inference.start import most_probable_noise
-from shj_bayes.mismatch.scene import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
+from shj_bayes.inference.start import most_probable_noise, orthogonal_to, reach_after, root_of, step_within
+from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from shj_bayes.inference.binning import BinnedRun, reduce_runs
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.reduction import Averages, reduce_runs
 from shj_bayes.inference.run import Run, histories_of, runs_of
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel
@@ -52,7 +52,7 @@ def holed(run: Run) -> Run:
     return Run(recording, replace(run.motion, unsure=unsure))
 
 
-def samples_of_blocks(run: Run, part: Averages) -> list[np.ndarray]:
+def samples_of_blocks(run: Run, part: BinnedRun) -> list[np.ndarray]:
     """Samples of each block: blocks take the used samples one after the other."""
     own = np.flatnonzero(run.used)
     assert part.count.sum() == own.size
@@ -60,7 +60,7 @@ def samples_of_blocks(run: Run, part: Averages) -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module", params=["first look", "refined"])
-def averaged(request) -> tuple[Run, Averages]:
+def averaged(request) -> tuple[Run, BinnedRun]:
     """A run with holes, and its averages."""
     run = holed(exact_runs(50.0)[0])
     return run, reduce_runs([run], law_force if request.param == "refined" else None)[0]
