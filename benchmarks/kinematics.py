@@ -1,7 +1,8 @@
 """Motion recovered from noisy displacement, against the exact motion of Table 1: ``python benchmarks/kinematics.py``.
 
 Prints the tables of docs/decisions/0002: ten recordings a line (two at 1 kHz), white noise or a 10-bit encoder; then
-when a device that rested at the end of a stroke leaves it; then the turning points of triangles with rounded corners.
+when a device that rested at the end of a stroke leaves it; then the turning points of triangles
+and of ramps with rests.
 """
 
 from __future__ import annotations
@@ -49,14 +50,15 @@ def left_late_s(rate_Hz: float, noise_mm: float, seed: int) -> float:
     return float(time[found.start[1]] - 35.0)
 
 
-def triangle_errors(rate_Hz: float, noise_mm: float) -> FloatArray:
-    """Errors of the turning points of triangles whose corners an actuator rounds, outward, mm."""
+def turning_errors(protocol: str, rate_Hz: float, noise_mm: float) -> FloatArray:
+    """Errors of the turning points of straight strokes whose corners an actuator rounds, outward, mm."""
     fine = 40
-    exact = course("triangles", rate_Hz, fine).x_mm
+    exact = course(protocol, rate_Hz, fine).x_mm
     x = exact[::fine]
     x = x + noise_mm * np.random.default_rng(int(rate_Hz)).standard_normal(x.size)
     found = motion_of(Recording(np.arange(x.size) / rate_Hz, x, np.zeros(x.size))).turning_mm[1:]
-    turns = exact[np.flatnonzero(np.diff(np.sign(np.diff(exact))) != 0) + 1]
+    moving = np.diff(exact)[np.flatnonzero(np.diff(exact))]
+    turns = exact[np.flatnonzero(np.diff(exact))[1:]][np.diff(np.sign(moving)) != 0]
     return np.asarray((found - turns) * np.sign(turns))
 
 
@@ -88,11 +90,12 @@ def main() -> None:
         for noise in (0.005, 0.02):
             late = np.array([left_late_s(rate, noise, seed) for seed in range(20)])
             print(f"| {rate:g} Hz | {noise:g} mm | {late.mean():+.3f}, {rms(late):.3f} |", flush=True)
-    print("\n| rate | noise | turning points of triangles outward: bias, rms (mm) |\n|---|---|---|")
-    for rate in (5.0, 10.0, 20.0, 100.0):
-        for noise in (0.005, 0.02):
-            wrong = triangle_errors(rate, noise)
-            print(f"| {rate:g} Hz | {noise:g} mm | {wrong.mean():+.4f}, {rms(wrong):.4f} |", flush=True)
+    for protocol in ("triangles", "ramps with rests"):
+        print(f"\n| {protocol}: rate | noise | turning points outward: bias, rms (mm) |\n|---|---|---|")
+        for rate in (5.0, 10.0, 20.0, 100.0):
+            for noise in (0.005, 0.02):
+                wrong = turning_errors(protocol, rate, noise)
+                print(f"| {rate:g} Hz | {noise:g} mm | {wrong.mean():+.4f}, {rms(wrong):.4f} |", flush=True)
 
 
 if __name__ == "__main__":
