@@ -282,7 +282,7 @@ def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
     if member.variant.curve is not None:
         return h
     members, z = without(fitter.scene, h, place)
-    looked = fitter.curves(member.of.id)
+    looked = fitter.candidates_of(member.of.id, curves=True)
     if not looked or any(same_twice(looked[0], m) for m in members):
         return None
     rest = fitter.fitted(members, z)

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from shj_bayes.inference.start import start_values
 from shj_bayes.mismatch.classes import FORMS, LOG_PRIOR_ODDS, Candidate, Dependence, Parametrisation, size_weights
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
-from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis, columns_of, same_twice, without
+from shj_bayes.mismatch.hypothesis import Hypothesis, columns_of, same_twice, without
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace
 from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
 from shj_bayes.mismatch.screen import screen
@@ -56,14 +56,9 @@ class Fitter:
         """Classes that are looked for, by their ids."""
         return {c.of.id: c.of for c in self.looked}
 
-    @property
-    def constant(self) -> Candidate | None:
-        """A constant force; None where it is not looked for."""
-        return next((c for c in self.looked if c.of.id == CONSTANT), None)
-
-    def curves(self, of: str) -> list[Candidate]:
-        """Curves of a class, by its id."""
-        return [c for c in self.looked if c.of.id == of and c.variant.curve is not None]
+    def candidates_of(self, of: str, *, curves: bool = False) -> list[Candidate]:
+        """Candidates of a class, by its id; its curves alone, if asked for."""
+        return [c for c in self.looked if c.of.id == of and not (curves and c.variant.curve is None)]
 
     def model_of(self, members: Iterable[Candidate]) -> DeviceModel:
         """Model that holds given classes."""

@@ -13,6 +13,7 @@ from shj_bayes.mismatch.classes import EXPLAINED, LOG_PRIOR_ODDS, MIN_EFFECT, Ca
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.fitter import Fitter, noise_beside
 from shj_bayes.mismatch.hypothesis import (
+    CONSTANT,
     DIRECTION,
     DISTANCE,
     MOTION,
@@ -141,12 +142,17 @@ def _with(hypotheses: Mapping[frozenset[str], Hypothesis], new: Hypothesis) -> M
 
 def try_constant(search: Search) -> Search:
     """Fit the base law beside a constant force, from where the search begins: the law alone may lie far off."""
-    scene, constant = search.scene, search.fitter.constant
+    scene, constant = search.scene, constant_of(search.fitter)
     residual = scene.residual(scene.device, scene.z[None])[0]
     size = float(residual @ scene.used / scene.used.sum()) / scene.scale_kN
     if constant is None or abs(size) <= MIN_EFFECT:
         return search
     return search.add((constant,), np.append(scene.z, free_size(constant, size)))
+
+
+def constant_of(fitter: Fitter) -> Candidate | None:
+    """Give the constant force that is looked for; None where it is not."""
+    return next(iter(fitter.candidates_of(CONSTANT)), None)
 
 
 def free_size(constant: Candidate, size: float) -> FloatArray:
@@ -233,7 +239,7 @@ def replace_by_formula(search: Search, h: Hypothesis, first: int = 0, *, again: 
 def _beside_distance(search: Search, one: Hypothesis, first: int) -> Search:
     """Try a function of the distance beside a formula in the place of a curve over position, which holds both."""
     # A curve: to first order a formula beside one that is far off may seem to do what it cannot.
-    other = search.fitter.curves(DISTANCE)
+    other = search.fitter.candidates_of(DISTANCE, curves=True)
     if not other:
         return search
     best = screen(search.metric, one.state, other)[0]
@@ -255,11 +261,11 @@ def beside_direction(search: Search, h: Hypothesis, place: int) -> Search:
     rest = fitter.fitted(*without(search.scene, h, place))
     if rest is None:
         return search
-    best = screen(search.metric, rest.state, [c for c in fitter.looked if c.of.id == DIRECTION])[0]
+    best = screen(search.metric, rest.state, fitter.candidates_of(DIRECTION))[0]
     one = fitter.fitted((*rest.members, best), joined(rest, best))
     if one is None:
         return search
-    curve = screen(search.metric, one.state, fitter.curves(of.id))[0]
+    curve = screen(search.metric, one.state, fitter.candidates_of(of.id, curves=True))[0]
     search = search.keep(one).add((*one.members, curve), joined(one, curve))
     for form in fitter.forms_of(of, one.members, one.state.z):
         search = search.add((*one.members, form), form.start)

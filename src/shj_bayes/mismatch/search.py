@@ -19,6 +19,7 @@ from shj_bayes.mismatch.moves import (
     RIVAL,
     Search,
     add_one,
+    constant_of,
     drop_one,
     follow_bends,
     free_size,
@@ -194,7 +195,7 @@ def _zero_apart(out: Search, h: Hypothesis) -> Search:
 
     The probability that it is goes to the hypothesis with the constant.
     """
-    constant, found, scale_kN = out.fitter.constant, out.found, out.scene.scale_kN
+    constant, found, scale_kN = constant_of(out.fitter), out.found, out.scene.scale_kN
     assert h.metric is not None
     if constant is None or CONSTANT in h.key:
         return out

@@ -98,7 +98,7 @@ def test_where_a_constant_was_fitted_first_the_law_alone_is_followed_too(trials,
     followed: list[frozenset[str]] = []
 
     def constant_first(out):
-        h = out.fitter.fitted((out.fitter.constant,), np.append(out.scene.z, 0.5))
+        h = out.fitter.fitted((out.fitter.candidates_of("added over constant")[0],), np.append(out.scene.z, 0.5))
         return out.keep(replace(h, log_weight=h.log_weight + 1e4))
 
     monkeypatch.setattr("shj_bayes.mismatch.search.try_constant", constant_first)
