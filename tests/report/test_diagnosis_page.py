@@ -14,8 +14,7 @@ from page_tools import Page, check_safe, folded
 
 from shj_bayes.app.device import diagnosis_text
 from shj_bayes.errors import ReportError
-from shj_bayes.report.diagnosis_data import read_diagnosis
-from shj_bayes.report.diagnosis_numbers import profile
+from shj_bayes.report.diagnosis_numbers import profile, read_diagnosis
 from shj_bayes.report.diagnosis_page import draw, moves, render_diagnosis
 from shj_bayes.report.diagnosis_words import (
     VERDICTS,

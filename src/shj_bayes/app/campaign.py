@@ -121,7 +121,7 @@ def _together(
         return list(outcomes), (), {}
 
     def add_up() -> dict[str, Any]:
-        from shj_bayes.mismatch.together import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
+        from shj_bayes.mismatch.sets import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
 
         devices, failed = [], {}
         for o in diagnosed:

@@ -1,14 +1,137 @@
-"""Show a finished page: in the browser of the desk, or printed to PDF. Nothing is served."""
+"""Open the pages of results, and the viewer that lists them."""
 
+import math
 import os
 import subprocess
 import webbrowser
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
 
 from shj_bayes._util.processes import program
 from shj_bayes.errors import ReportError
+from shj_bayes.model.parameters import FloatArray
+from shj_bayes.report import numbers as n
+from shj_bayes.report.diagnosis_numbers import DiagnosisData
+from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.numbers import DeviceFigures
 from shj_bayes.report.page import is_ours
+from shj_bayes.results.device import DeviceData, IntArray
+
+MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
+MOST = 6  # runs that can be looked into
+STEPS = 20_000  # of the range of a channel: finer than a screen, and coarse enough for short numbers
+
+
+def device_viewer(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
+    """Loops of a device with the model and the 90 % band.
+
+    ``runs`` (whole numbers by channel, ``cycles`` as places in them, ``every`` how they were thinned), ``scale`` (s, mm
+    and force of one step), ``unit`` of the force, ``names`` of what is drawn, ``ink`` of the only law ("base" as on a
+    diagnosis page, or "model"), ``cycle`` to show first.
+    """
+    runs, unit = [], force_unit(device.record)
+    shown = list(zip(device.runs, numbers.bands, strict=True))[:MOST]
+    for run, band in shown:
+        marks = np.round(n.cycle_marks(run)).astype(np.int64)
+        channels = {
+            "t": run.time_s,
+            "x": run.displacement_mm,
+            "measured": unit.factor * run.force_kN,
+            "before": unit.factor * band.median,
+            "low": unit.factor * band.force_low,
+            "high": unit.factor * band.force_high,
+        }
+        runs.append(_run(f"run {run.number}", channels, marks, run.reversals, MAX_POINTS // len(shown)))
+    names = {"before": "model", "after": "", "band": "90 % of points expected"}
+    return _whole(runs, names, "model", unit.name)
+
+
+def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
+    """Loops of a diagnosis, before and after; as `device_viewer`."""
+    c = data.channels
+    which = np.unique(c.run)[:MOST]
+    runs = []
+    for run in which:
+        mine = c.run == run
+        turns = np.flatnonzero(np.diff(c.direction[mine])) + 1
+        cycles = np.concatenate([[0], turns[::2], [int(mine.sum())]])  # whole loops, from one end of the stroke
+        channels = {
+            "t": c.time_s[mine],
+            "x": c.position_mm[mine],
+            "measured": data.force.factor * c.force_kN[mine],
+            "before": data.force.factor * c.before_kN[mine],
+        }
+        if c.changed:
+            channels["after"] = data.force.factor * c.after_kN[mine]
+        runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
+    names = {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}
+    return _whole(runs, names, "base", data.force.name)
+
+
+def thinning_words(viewer: Mapping[str, Any]) -> str:
+    """Say how the points were chosen."""
+    every = max(int(run["every"]) for run in viewer["runs"])
+    if every == 1:
+        return "Every sample of the calculation is here."
+    last = {2: "nd", 3: "rd"}.get(every, "th")
+    return f"Every {every}{last} sample and every turning point is here; the calculation used them all."
+
+
+def _run(name: str, channels: Mapping[str, FloatArray], cycles: IntArray, turns: IntArray, most: int) -> dict[str, Any]:
+    """One run, thinned; `cycles` holds the places where cycles begin and the last one ends."""
+    size = channels["t"].size
+    every = max(1, math.ceil(size / most))
+    keep = np.unique(np.concatenate([np.arange(0, size, every), turns, [size - 1]]))
+    keep = keep[np.all([np.isfinite(values[keep]) for values in channels.values()], axis=0)]
+    places = np.unique(np.clip(np.searchsorted(keep, cycles), 0, keep.size))
+    if places.size < 2:
+        places = np.array([0, keep.size])
+    return {
+        "name": name,
+        "every": every,
+        "cycles": places.tolist(),
+        **{role: values[keep] for role, values in channels.items()},
+    }
+
+
+def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str], ink: str, unit: str) -> dict[str, Any]:
+    """Channels as whole numbers of steps that all runs share, and the cycle of the first run to show first."""
+    forces = ("measured", "before", "after", "low", "high")
+    scale = {
+        "t": _step([run["t"] for run in runs]),
+        "x": _step([run["x"] for run in runs]),
+        "force": _step([run[role] for run in runs for role in forces if role in run]),
+    }
+    out = []
+    for run in runs:
+        steps = {
+            role: np.round(values / scale["force" if role in forces else role]).astype(np.int64).tolist()
+            for role, values in run.items()
+            if isinstance(values, np.ndarray)
+        }
+        out.append({"name": run["name"], "every": run["every"], "cycles": run["cycles"], **steps})
+    return {"runs": out, "scale": scale, "names": names, "ink": ink, "cycle": _first_cycle(runs[0]), "unit": unit}
+
+
+def _first_cycle(run: Mapping[str, Any]) -> int:
+    """Last of the largest cycles that close; the largest where none does."""
+    parts = [run["x"][a:b] for a, b in pairwise(run["cycles"])]
+    reach = np.array([float(np.ptp(part)) for part in parts])
+    gap = np.array([abs(float(part[-1] - part[0])) for part in parts])
+    closed = (reach >= 0.95 * reach.max()) & (gap <= 0.15 * reach)
+    return int(np.flatnonzero(closed)[-1]) if closed.any() else int(np.argmax(reach))
+
+
+def _step(channels: Sequence[FloatArray]) -> float:
+    """Power of ten that cuts the range of a channel into `STEPS` or more."""
+    reach = max((float(np.max(np.abs(values))) for values in channels if values.size), default=0.0)
+    return float(10.0 ** math.floor(math.log10(reach / STEPS))) if reach > 0 else 1.0
+
 
 PAGES = ("report", "diagnosis", "margins", "plan")  # in the order in which they are looked for
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")

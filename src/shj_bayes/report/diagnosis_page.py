@@ -9,11 +9,18 @@ from jinja2 import UndefinedError
 from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import diagnosis_words as say
-from shj_bayes.report.diagnosis_data import DiagnosisData, read_diagnosis
-from shj_bayes.report.diagnosis_numbers import N_BINS, position_travel, profile, shown_cycle, travel_bins
+from shj_bayes.report.browse import diagnosis_viewer, thinning_words
+from shj_bayes.report.diagnosis_numbers import (
+    N_BINS,
+    DiagnosisData,
+    position_travel,
+    profile,
+    read_diagnosis,
+    shown_cycle,
+    travel_bins,
+)
 from shj_bayes.report.figures import diagnosis as draw_
 from shj_bayes.report.page import LOOPS, PAGE, write_page
-from shj_bayes.report.viewer import diagnosis_viewer, thinning_words
 from shj_bayes.results.device import BoolArray, Channels
 
 FIRST = 2  # loops on the first screen

@@ -16,7 +16,7 @@ from shj_bayes.model.measured import PREFIX
 from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
-from shj_bayes.report.diagnosis_data import DiagnosisData, number
+from shj_bayes.report.diagnosis_numbers import DiagnosisData, number
 from shj_bayes.report.force_unit import ForceUnit, unit_for
 from shj_bayes.results.diagnosis import (
     FEWEST_CYCLES,

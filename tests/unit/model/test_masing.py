@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from shj_bayes.model.law import force_of_laws
-from shj_bayes.model.masing import masing_force
+from shj_bayes.model.law import force_of_laws, masing_force
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 

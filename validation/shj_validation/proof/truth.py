@@ -9,8 +9,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from shj_bayes.inference.run import runs_of
-from shj_bayes.model.law import BETA_RANGE, force_of_laws
-from shj_bayes.model.masing import masing_force
+from shj_bayes.model.law import BETA_RANGE, force_of_laws, masing_force
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key
