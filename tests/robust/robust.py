@@ -101,11 +101,11 @@ def _place(error: BaseException) -> str:
     return place
 
 
-def _watched(seed: int, number: int, recordings: Path | None, seconds: float) -> dict[str, Any]:
+def _watched(seed: int, number: int, recordings: Path | None, seconds: float, longest: int | None) -> dict[str, Any]:
     """Run one case in a process of its own."""
     where = [str(recordings)] if recordings else []
-    command = [sys.executable, __file__, "--case", str(seed), str(number), *where]
-    row: dict[str, Any] = {"number": number, "case": case(seed, number, recordings).words}
+    command = [sys.executable, __file__, "--case", str(seed), str(number), str(longest or 0), *where]
+    row: dict[str, Any] = {"number": number, "case": case(seed, number, recordings, longest=longest).words}
     said, ended = "", ""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
@@ -143,10 +143,11 @@ def breaches_of(rows: list[dict[str, Any]]) -> list[tuple[int, str, str]]:
 def main() -> int:
     """Read the command line."""
     if sys.argv[1:2] == ["--case"]:
-        seed, number, *where = sys.argv[2:]
+        seed, number, longest, *where = sys.argv[2:]
         warnings.simplefilter("ignore")
         with tempfile.TemporaryDirectory() as folder:
-            for said in outcomes(int(seed), int(number), Path(where[0]) if where else None, Path(folder)):
+            public = Path(where[0]) if where else None
+            for said in outcomes(int(seed), int(number), public, Path(folder), longest=int(longest) or None):
                 print(json.dumps(said), flush=True)
         return 0
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -154,6 +155,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of what is drawn (1)")
     parser.add_argument("--first", type=int, default=0, help="first case (0)")
     parser.add_argument("--seconds", type=float, default=600.0, help="that a case may take (600)")
+    parser.add_argument("--longest", type=int, help="most rows of a file, for a quick run; drawn if not given")
     parser.add_argument("--again", action="store_true", help="run cases that are done once more")
     parser.add_argument(
         "--recordings", type=Path, default=ROOT.parent / "shared" / "recordings", help="public recordings"
@@ -163,7 +165,8 @@ def main() -> int:
     if public is None:
         print(f"{asked.recordings} is not there: simulated recordings are changed instead", file=sys.stderr)
     BUILD.mkdir(parents=True, exist_ok=True)
-    kept = BUILD / f"{'seed' if public else 'simulated'}-{asked.seed}.jsonl"
+    name = f"{'seed' if public else 'simulated'}-{asked.seed}{f'-longest-{asked.longest}' if asked.longest else ''}"
+    kept = BUILD / f"{name}.jsonl"
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
     done = {row["number"]: row for row in map(json.loads, lines)}
     numbers = range(asked.first, asked.first + asked.n)
@@ -171,7 +174,7 @@ def main() -> int:
         for number in numbers:
             if number in done and not asked.again:
                 continue
-            row = done[number] = _watched(asked.seed, number, public, asked.seconds)
+            row = done[number] = _watched(asked.seed, number, public, asked.seconds, asked.longest)
             said = ", ".join(f"{name} {row[name][:90]}" for name in STEPS if name in row)
             print(f"{number:4} {row['case']}: {said}", flush=True)
             file.write(json.dumps(row) + "\n")
