@@ -167,7 +167,7 @@ def family(out: Search, answer: Answer) -> tuple[Member, ...]:
     for key, probability in rivals_of(answer):
         for name in sorted(key - sure):
             for effect in mechanisms(out, answer, name) or [out.fitter.classes[name].coordinate]:
-                listed[effect] = listed.get(effect, 0.0) + probability
+                listed[effect] = min(listed.get(effect, 0.0) + probability, 1.0)
     for finding in answer.findings:
         if finding.member.of.id in sure and len(finding.names) > 1:
             listed |= {name: finding.probability * p for name, p in finding.names}

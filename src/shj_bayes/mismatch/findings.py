@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import expit, logsumexp, softmax
 
 from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, Candidate, Dependence
 from shj_bayes.mismatch.fitter import Fitter
@@ -104,8 +104,7 @@ class Answer:
 def answer_of(out: Search) -> Answer:
     """Weigh what a finished search found."""
     ranked = sorted(out.found.values(), key=lambda h: -h.log_weight)
-    weights = np.array([h.log_weight for h in ranked])
-    probability = np.exp(weights - logsumexp(weights))
+    probability = softmax([h.log_weight for h in ranked])
     # A set is what matters of a hypothesis; improbable hypotheses are taken as they are.
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
@@ -120,7 +119,7 @@ def answer_of(out: Search) -> Answer:
     inclusion: dict[str, float] = {}
     for key, p in reduced.items():
         for name in sorted(key):
-            inclusion[name] = inclusion.get(name, 0.0) + p
+            inclusion[name] = min(inclusion.get(name, 0.0) + p, 1.0)  # or more than 1 by rounding
     sure = nothing >= 1.0 - ALPHA
     top = next((key for key, _ in sets if key and not sure), frozenset[str]())
     shown = best[top]
@@ -335,7 +334,9 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
     by_mechanism: dict[str, list[Hypothesis]] = {}
     for one in forms.values():
         by_mechanism.setdefault(one.members[place].variant.effect.mechanism, []).append(one)
-    shares = {name: sum(math.exp(one.log_weight - whole) for one in ones) for name, ones in by_mechanism.items()}
+    shares = {
+        name: min(sum(math.exp(one.log_weight - whole) for one in ones), 1.0) for name, ones in by_mechanism.items()
+    }
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     return max(by_mechanism[ranked[0][0]], key=lambda one: one.log_weight), most_probable(ranked)
 

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 from shj_bayes.errors import shown
 
 IF_KNOWN = {"if_known": True}  # metadata of a field that is written only where it is not None
+ROUNDING = 1e-9  # by which a sum of probabilities may pass its bound
 LARGEST = 2**1000  # of whole numbers in the place of a number: larger ones are none in double precision
 Probability = Annotated[float, {"minimum": 0, "maximum": 1}]
 ProbabilityOrNone = Annotated[float | None, {"minimum": 0, "maximum": 1}]
@@ -127,8 +128,11 @@ def _bounded(_: Any, args: tuple[Any, ...], given: Any, at: str) -> Any:
     value, bounds = _value(args[0], given, at), args[1]
     for word, (allowed, kept) in _BOUNDS.items():
         bound = bounds.get(word)
-        if None not in (value, bound) and not kept(value, bound):
+        if None in (value, bound) or kept(value, bound):
+            continue
+        if not (isinstance(value, float) and abs(value - bound) < ROUNDING):
             raise _wrong(given, allowed.format(", ".join(bound) if isinstance(bound, tuple) else bound), at)
+        value = float(bound)
     return value
 
 

@@ -161,6 +161,23 @@ def test_that_nothing_is_missing_must_hold_with_95_per_cent_as_every_verdict_mus
     assert (answer.verdict, bool(answer.findings)) == (verdict, verdict != "adequate")
 
 
+def test_a_class_in_every_hypothesis_is_there_with_a_probability_of_1_at_most(monkeypatch):
+    """Sums of weights of 10^4 nats pass 1 by rounding, and a probability beyond 1 is refused when it is written."""
+    sets = [("drift",), ("drift", "taper"), ("drift", "wear"), ("drift", "slip")]
+    hypotheses = [_hypothesis(*names) for names in sets]
+    for h, nats in zip(hypotheses, (0.0, -0.4, -1.1, -2.3), strict=True):
+        h.log_weight, h.state = 54321.123456789 + nats, None
+    monkeypatch.setattr(findings, "that_matter", lambda out, h: h.key)
+    monkeypatch.setattr(findings, "truly_there", lambda out, h, key: {key: 1.0})
+    monkeypatch.setattr(findings, "_split", lambda out, h: h)
+    monkeypatch.setattr(findings, "discrepancy_size", lambda out, state: 0.0)
+    monkeypatch.setattr(findings, "_p_value", lambda out: 0.0)
+    monkeypatch.setattr(findings, "_findings", lambda out, h, top, p: ((), h))
+    answer = findings.answer_of(_quiet(found={h.key: h for h in hypotheses}))
+    assert answer.inclusion["drift"] == pytest.approx(1.0, abs=1e-15)
+    assert answer.inclusion["drift"] <= 1.0
+
+
 @pytest.mark.parametrize(("size_kN", "capped"), [(0.30, True), (0.29, False)])
 def test_noise_at_the_most_that_a_load_cell_may_have_is_capped(size_kN, capped):
     """Then no two dependences are looked for in the place of a curve: what is left fluctuates."""

@@ -49,6 +49,11 @@ def test_what_is_written_is_read() -> None:
         assert from_json(kind, json.loads(json.dumps(to_json(again)))) == again
 
 
+@pytest.mark.parametrize(("held", "read"), [(1.0 + 2e-13, 1.0), (-1e-13, 0.0), (1e-124, 1e-124), (0.3, 0.3)])
+def test_a_sum_that_rounding_took_past_its_bound_is_the_bound(held: float, read: float) -> None:
+    assert from_json(Sample, {"number": 1.0, "share": held}).share == read
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
