@@ -4,7 +4,8 @@ Cuts, decimates, shifts, scales, joins and repeats the public recordings and run
 margins on each combination, as a user would; a short chain, as its numbers are not looked at. A refusal in words is
 right; a traceback, or a number that no file can hold, is a breach. Each case is a process of its own; one that takes
 longer than ``--seconds`` is ended and counted as such. A line for each case goes to ``build/robust/seed-N.jsonl``, and
-cases that stand there are not run again. ``--first 17 -n 1 --again`` repeats one. Exit status 1 if there is a breach.
+cases that stand there are not run again. ``--longest 300 --without diagnose`` runs short ones, and one command less.
+``--first 17 -n 1 --again`` repeats one. Exit status 1 if there is a breach.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ recordings = {recordings}
 
 
 def outcomes(
-    seed: int, number: int, recordings: Path | None, folder: Path, *, longest: int | None = None
+    seed: int, number: int, recordings: Path | None, folder: Path, *, longest: int | None = None, without: str = ""
 ) -> Iterator[tuple[str, str]]:
-    """Run the four commands on one case; give each command with what came of it, in words."""
+    """Run the commands on one case, all but one if asked; give each with what came of it, in words."""
     made = case(seed, number, recordings, longest=longest)
     paths = made.write(folder)
     options: dict[str, Any] = made.options | {"max_steps": MAX_STEPS}
@@ -76,7 +77,8 @@ def outcomes(
 
     commands: tuple[tuple[str, Callable[[], Any]], ...] = tuple(zip(STEPS, (fit, diagnose, plan, margins), strict=True))
     for name, command in commands:
-        yield name, _word(command)
+        if name != without:
+            yield name, _word(command)
 
 
 def _word(command: Callable[[], Any]) -> str:
@@ -101,21 +103,22 @@ def _place(error: BaseException) -> str:
     return place
 
 
-def _watched(seed: int, number: int, recordings: Path | None, seconds: float, longest: int | None) -> dict[str, Any]:
+def _watched(asked: argparse.Namespace, number: int, recordings: Path | None) -> dict[str, Any]:
     """Run one case in a process of its own."""
+    seed, longest, without = asked.seed, asked.longest, asked.without
     where = [str(recordings)] if recordings else []
-    command = [sys.executable, __file__, "--case", str(seed), str(number), str(longest or 0), *where]
+    command = [sys.executable, __file__, "--case", str(seed), str(number), str(longest or 0), without or "none", *where]
     row: dict[str, Any] = {"number": number, "case": case(seed, number, recordings, longest=longest).words}
     said, ended = "", ""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=asked.seconds, check=False)
         said, ended = done.stdout, f"{BREACH} the process ended with status {done.returncode}: {done.stderr[-300:]}"
     except subprocess.TimeoutExpired as error:
         said, ended = (error.stdout or b"").decode(), LATE
     for line in said.splitlines():
         name, words = json.loads(line)
         row[name] = words
-    missing = [name for name in STEPS if name not in row]
+    missing = [name for name in STEPS if name not in row and name != without]
     return row | ({missing[0]: ended} if missing else {})
 
 
@@ -143,11 +146,12 @@ def breaches_of(rows: list[dict[str, Any]]) -> list[tuple[int, str, str]]:
 def main() -> int:
     """Read the command line."""
     if sys.argv[1:2] == ["--case"]:
-        seed, number, longest, *where = sys.argv[2:]
+        seed, number, longest, without, *where = sys.argv[2:]
         warnings.simplefilter("ignore")
         with tempfile.TemporaryDirectory() as folder:
             public = Path(where[0]) if where else None
-            for said in outcomes(int(seed), int(number), public, Path(folder), longest=int(longest) or None):
+            most = int(longest) or None
+            for said in outcomes(int(seed), int(number), public, Path(folder), longest=most, without=without):
                 print(json.dumps(said), flush=True)
         return 0
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -156,6 +160,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="first case (0)")
     parser.add_argument("--seconds", type=float, default=600.0, help="that a case may take (600)")
     parser.add_argument("--longest", type=int, help="most rows of a file, for a quick run; drawn if not given")
+    parser.add_argument("--without", choices=STEPS, help="a command that is left out")
     parser.add_argument("--again", action="store_true", help="run cases that are done once more")
     parser.add_argument(
         "--recordings", type=Path, default=ROOT.parent / "shared" / "recordings", help="public recordings"
@@ -165,7 +170,8 @@ def main() -> int:
     if public is None:
         print(f"{asked.recordings} is not there: simulated recordings are changed instead", file=sys.stderr)
     BUILD.mkdir(parents=True, exist_ok=True)
-    name = f"{'seed' if public else 'simulated'}-{asked.seed}{f'-longest-{asked.longest}' if asked.longest else ''}"
+    name = f"{'seed' if public else 'simulated'}-{asked.seed}"
+    name += "".join(f"-{k}-{v}" for k, v in (("longest", asked.longest), ("without", asked.without)) if v)
     kept = BUILD / f"{name}.jsonl"
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
     done = {row["number"]: row for row in map(json.loads, lines)}
@@ -174,7 +180,7 @@ def main() -> int:
         for number in numbers:
             if number in done and not asked.again:
                 continue
-            row = done[number] = _watched(asked.seed, number, public, asked.seconds, asked.longest)
+            row = done[number] = _watched(asked, number, public)
             said = ", ".join(f"{name} {row[name][:90]}" for name in STEPS if name in row)
             print(f"{number:4} {row['case']}: {said}", flush=True)
             file.write(json.dumps(row) + "\n")
