@@ -103,7 +103,7 @@ def laplace(
 def laplace_under(
     scene: BinnedData, setting: ErrorParameters, model: DeviceModel, z: FloatArray
 ) -> tuple[ErrorModel, Laplace]:
-    """Settle a model under a noise, with the metric that this noise has where the model starts."""
+    """Fit a model under a noise, with the error model that this noise makes where the model starts."""
     metric = ErrorModel(scene, setting, scene.residual_and_slope(model, z[None])[1][0])
     return metric, laplace(scene, metric, model, z)
 

@@ -36,10 +36,10 @@ from shj_bayes.model.parameters import FloatArray
 
 PROMISING = 0.7  # of what matters, to first order; less is not followed
 ROUGHLY = 2.0  # factor by which an effect may be larger than it is to first order where its search begins
-BEAM = 2
+BEAM = 2  # hypotheses of each number of classes to which another class is added
 BEAM_IN_PLACE = 4  # wider: one of two classes that do together what a curve does comes nowhere near it alone
 MOST = 5  # candidates that are followed at each step
-DEPTH = 5
+DEPTH = 5  # classes in a hypothesis at most
 LARGEST_OF = 2.576  # 99th percentile of a normal distribution, in standard deviations
 LARGEST = 160  # parameters of a model that is grown further
 RIVAL = 30.0  # nats; hypotheses that are worse are not followed
