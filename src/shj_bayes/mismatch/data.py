@@ -47,6 +47,7 @@ class BinnedData:
     posterior: Posterior  # its base model, held against blocks that follow the bends of the force
     z: FloatArray  # shape (n_law,): least squares of the base model, where the search begins
     peak_mm_s: float | None = None  # peak speed that low speeds are a share of; that of the first run unless given
+    longest_s: float | None = None  # longest block, s, where something comes again soon; as in a fit unless given
 
     @property
     def device(self) -> DeviceModel:
@@ -100,6 +101,7 @@ class BinnedData:
         With blocks of at most `longest_s`; 0 for all samples.
         """
         theta = model.natural_of_law(z[None])[0]
+        longest_s = self.longest_s if longest_s is None else longest_s
         averages = replace(self.posterior, model=model).refined(theta, longest_s=longest_s).averages
         return replace(self, posterior=replace(self.posterior, averages=averages))
 

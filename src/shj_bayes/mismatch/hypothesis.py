@@ -13,8 +13,8 @@ from shj_bayes.results.diagnosis import DependenceId
 
 CONSTANT = str(DependenceId("added", "constant"))
 TEETH = DependenceId("motion", "stick-slip")
-POSITION, DISTANCE, DIRECTION, SLIP = (
-    str(DependenceId("capacity", name)) for name in ("position", "distance", "direction", "slip")
+POSITION, DISTANCE, DIRECTION, SLIP, TRAVEL, TIME = (
+    str(DependenceId("capacity", name)) for name in ("position", "distance", "direction", "slip", "travel", "time")
 )
 
 

@@ -11,7 +11,15 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import logsumexp, ndtri
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
-from shj_bayes.mismatch.classes import FORMS, Candidate, Dependence, Parametrisation, candidates, size_weights
+from shj_bayes.mismatch.classes import (
+    EXPLAINED,
+    FORMS,
+    Candidate,
+    Dependence,
+    Parametrisation,
+    candidates,
+    size_weights,
+)
 from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace, laplace_under
 from shj_bayes.mismatch.screen import screen
@@ -32,6 +40,12 @@ def is_clock(over: Coordinate) -> bool:
 def is_over_a_clock(of: Dependence) -> bool:
     """Whether a class is a dependence on time."""
     return any(is_clock(over) for over in coordinates_of(of.coordinate))
+
+
+def comes_again_in_place(of: Dependence) -> bool:
+    """Whether curves of a class may come again along the stroke."""
+    over = _repeating(of)
+    return over is not None and not is_clock(over)
 
 
 def of_whole_cycles(scene: BinnedData, of: Dependence) -> Dependence:
@@ -65,6 +79,17 @@ def follows_cycles(scene: BinnedData, effect: Effect, values: Values) -> bool:
     return bool(keep_step(by_stroke(scene, columns), sides="side" in values)[0])
 
 
+def goes_one_way(scene: BinnedData, effect: Effect, values: Values) -> bool:
+    """Whether what an effect does to the capacity goes one way from stroke to stroke, by most of all its changes."""
+    columns = []
+    for part in scene.posterior.averages:
+        share = np.broadcast_to(effect.act(part.history, values, scene.base).clamping, part.history.time_s.shape)
+        columns.append(share[:, None])
+    courses = [own.mean(axis=(1, 2)) for own in by_stroke(scene, columns)]
+    net = sum(abs(course[-1] - course[0]) for course in courses)
+    return bool(net >= EXPLAINED * sum(np.abs(np.diff(course)).sum() for course in courses))
+
+
 def by_stroke(scene: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArray]:
     """Functions at `PER_STROKE` places of each push and of each pull, shapes (strokes, places, p).
 
@@ -96,9 +121,12 @@ def keep_step(strokes: Sequence[NDArray[Any]], *, sides: bool = False) -> NDArra
 
 
 LENGTH = 0.15  # correlation length of a curve that comes again, as a share of its period
-PER_TURN = 2.5  # blocks to a period at least, for it to be seen at all
+PER_TURN = 2.2  # blocks to a period at least, for it to be seen at all
 MOST_TURNS = 200.0  # in all tests: what is faster counts as noise
 AT_ONCE = 128  # frequencies
+BINS_PER_TURN, FEWEST_PASSES = 4.0, 4  # bins to the shortest period; blocks in one of them
+GOOD_PART = 0.3  # of the variance of a residual
+STANDS_OUT = 2.5  # of the variance that the means of noise have
 
 
 def waves(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> list[Candidate]:
@@ -127,7 +155,7 @@ def waves(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence,
     out = []
     for peak in peaks[np.argsort(-gains[peaks], kind="stable")][:most]:
         near = frequencies[peak] + spacing * np.linspace(-0.75, 0.75, 13)
-        best = near[np.argmax(_gains(metric, state, _columns(scene, over, response, near)))]
+        best = _top_of(near, _gains(metric, state, _columns(scene, over, response, near)))
         period = round(PERIODS_PER_UNIT / best) / PERIODS_PER_UNIT
         curve = Curve(of.action, over.id, LENGTH, period=period)
         variant = Parametrisation(curve, curve.effect(), weight)
@@ -135,24 +163,82 @@ def waves(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence,
     return out
 
 
+def _top_of(at: FloatArray, height: FloatArray) -> float:
+    """Where the parabola through the highest of evenly spaced points and its neighbours is highest."""
+    k = int(np.clip(np.argmax(height), 1, at.size - 2))
+    below, middle, above = height[k - 1 : k + 2]
+    bend = 2.0 * middle - below - above
+    shift = 0.5 * (above - below) / bend if bend > 0.0 else 0.0
+    return float(at[k] + np.clip(shift, -1.0, 1.0) * (at[1] - at[0]))
+
+
 def resolved(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> BinnedData:
-    """Give the recordings in blocks that show what comes again: finer ones where its period is too short for these.
+    """Give the recordings in blocks that show what comes again: shorter ones where its period is too short for these.
 
     The state is that of the base law.
     """
-    short = [one for one in of if (over := _repeating(one)) is not None and not _enough(scene, over)]
-    if not short:
-        return scene
-    fine = scene.finer
-    own, base = laplace_under(fine, metric.setting, state.model, state.z)
-    for one in short:
-        best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
-        if best is None or best.gain < 0.0:
+    shown = scene
+    for one in of:
+        over = _repeating(one)
+        if over is None or (fine := _finest(scene, state, over)) is None:
             continue
-        curve = best.variant.curve
-        if curve is not None and curve.period is not None and curve.period * _limits(scene, curve.over)[1] < 1.0:
-            return fine
-    return scene
+        own, base = laplace_under(fine, metric.setting, state.model, state.z)
+        best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
+        curve = best.variant.curve if best is not None and best.gain > 0.0 else None
+        if best is None or curve is None or curve.period is None or curve.period * _limits(scene, over)[1] >= 1.0:
+            continue
+        if is_clock(over):
+            shown = fine if shown is scene else shown
+        elif _is_most_of(base.residual, best.change, round(PER_TURN * fine.count.size / scene.count.size)):
+            longest_s = 0.5 * curve.period / (PER_TURN * scene.posterior.averages[0].history.peak_speed_mm_s)
+            # From the first reading of a block to its last.
+            shown = replace(scene, longest_s=max(0.0, longest_s - scene.step_s)).finer_at(state.model, state.z)
+    return shown
+
+
+def _is_most_of(residual: FloatArray, wave: FloatArray, n_smooth: int) -> bool:
+    """Whether a wave is a good part of what a residual does within so many blocks."""
+    quick = [f - uniform_filter1d(f, n_smooth) for f in (residual, residual - wave)]
+    return float(np.var(quick[1])) < (1.0 - GOOD_PART) * float(np.var(quick[0]))
+
+
+def _finest(scene: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | None:
+    """Give the recordings in blocks that may show what comes again sooner over a coordinate than these do.
+
+    None where all is shown, or where no place is passed with another force each time than the places beside it.
+    """
+    slowest, fastest = _limits(scene, over)
+    if fastest >= MOST_TURNS / 2.0 * slowest:
+        return None
+    if is_clock(over):
+        return scene.finer
+    history = scene.posterior.averages[0].history
+    low, high = over.reach(history)
+    shortest = (high - low) / MOST_TURNS
+    fine = scene.finer_at(state.model, state.z, longest_s=shortest / (PER_TURN * history.peak_speed_mm_s))
+    residual = fine.residual(state.model, state.z[None])[0]
+    place = (fine.channel(over.id + "_mm") - low) / shortest * BINS_PER_TURN
+    return fine if _comes_again(residual, place, fine, round(BINS_PER_TURN / (fastest * shortest))) else None
+
+
+def _comes_again(residual: FloatArray, place: FloatArray, scene: BinnedData, n_smooth: int) -> bool:
+    """Whether the residual is another one in some places than in those beside them, pass for pass.
+
+    Its means in bins of the place, in push and in pull apart, less their smooth course over `n_smooth` bins, are held
+    against the scatter of single passes.
+    """
+    sense, used = np.sign(scene.channel("direction")), scene.used > 0
+    ratio = []
+    for sign in (-1.0, 1.0):
+        own = used & (sense == sign)
+        bins = np.clip(place[own], 0, BINS_PER_TURN * MOST_TURNS).astype(np.int64)
+        count = np.bincount(bins)
+        known = count > FEWEST_PASSES
+        mean = np.bincount(bins, residual[own])[known] / count[known]
+        rest = mean - uniform_filter1d(mean, n_smooth)
+        each = residual[own] - np.interp(bins, np.flatnonzero(known), mean - rest)
+        ratio.append(float(np.mean(rest**2 * count[known])) / float(np.var(each)) if known.sum() > n_smooth else 0.0)
+    return max(ratio) > STANDS_OUT
 
 
 def _repeating(of: Dependence) -> Coordinate | None:
@@ -168,12 +254,6 @@ def _limits(scene: BinnedData, over: Coordinate) -> tuple[float, float]:
     block = float(np.quantile(np.abs(np.diff(place[scene.used > 0])), 0.9))  # all but the longest tenth
     low, high = over.reach(scene.posterior.averages[0].history)
     return 2.0 / (high - low), min(1.0 / (PER_TURN * block), MOST_TURNS / (high - low))
-
-
-def _enough(scene: BinnedData, over: Coordinate) -> bool:
-    """Whether the blocks show all that is looked for over a coordinate."""
-    slowest, fastest = _limits(scene, over)
-    return fastest >= MOST_TURNS / 2.0 * slowest
 
 
 def _response(scene: BinnedData, state: Laplace, action: str) -> list[FloatArray]:

@@ -5,12 +5,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
-from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, Dependence, candidates
+from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Dependence, candidates
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
-from shj_bayes.mismatch.hypothesis import CONSTANT, MOTION, TEETH, Hypothesis, replaced
+from shj_bayes.mismatch.hypothesis import (
+    CONSTANT,
+    MOTION,
+    TEETH,
+    TIME,
+    TRAVEL,
+    Hypothesis,
+    joined,
+    replaced,
+    without,
+)
 from shj_bayes.mismatch.laplace import laplace_under, zero_of
 from shj_bayes.mismatch.moves import (
     BEAM,
@@ -22,6 +32,7 @@ from shj_bayes.mismatch.moves import (
     constant_of,
     drop_one,
     follow_bends,
+    following,
     free_size,
     is_no_better_than_noise,
     look_for,
@@ -33,8 +44,21 @@ from shj_bayes.mismatch.moves import (
     swap_one,
     try_constant,
 )
-from shj_bayes.mismatch.periodic import chatter_of, is_over_a_clock, of_whole_cycles, resolved, waves
+from shj_bayes.mismatch.periodic import (
+    chatter_of,
+    comes_again_in_place,
+    goes_one_way,
+    is_over_a_clock,
+    of_whole_cycles,
+    resolved,
+    waves,
+)
+from shj_bayes.mismatch.screen import screen
 
+PROPORTION = 0.01  # of what a class explains: the error of a good curve of it
+# Blocks in which all classes are looked for. What needs more comes again after so short a way that no formula is known
+# for it; it is found, and nothing beside it.
+MOST_BLOCKS = 8000
 MOST_FINAL = 6  # hypotheses that are weighed under noise of their own
 
 
@@ -57,6 +81,8 @@ def search(
     if shown is not scene:
         scene = shown
         metric, rough = laplace_under(scene, start, scene.device, scene.z)
+    if scene.count.size > MOST_BLOCKS:
+        classes = whole = [of for of in whole if comes_again_in_place(of)]
     looked = candidates(scene, rough, tuple(whole))
     again = [w for of in whole for w in waves(scene, metric, rough, of)]
     metric = noise_beside(scene, rough, [*looked, *again], None)
@@ -147,6 +173,7 @@ def finish(out: Search) -> Search:
     out = _without_each(out)
     if out.best is not first:
         out = _share_noise(out)
+    out = _travel_or_time(out)
     for h in out.found.values():
         out = _zero_apart(out, h)
     return _under(out, out.best)
@@ -188,6 +215,76 @@ def _without_each(out: Search) -> Search:
     }
     out = replace(out, found={key: h for key, h in own.items() if h is not None})
     return _without_each(out) if out.best.key < best.key else out
+
+
+def _travel_or_time(out: Search) -> Search:
+    """Weigh travel against time in each hypothesis in contention that holds one of them; see `_odds_of_other`.
+
+    A test goes on in both. That time has a step among its formulas makes no change with time more probable: formulas
+    say what a class may be called. Both together keep the probability of the better one.
+    """
+    for h in sorted(out.found.values(), key=lambda h: -h.log_weight):
+        own, key = {TRAVEL, TIME} & h.key, h.key ^ {TRAVEL, TIME}
+        rival = out.found.get(key)
+        near = h.log_weight > out.best.log_weight - RIVAL and not (rival and rival.log_weight > h.log_weight)
+        if len(own) != 1 or not near or not {TRAVEL, TIME} <= out.fitter.classes.keys():
+            continue
+        weighed = _odds_of_other(out, h, *own, *({TRAVEL, TIME} - own))
+        if weighed is not None:
+            odds, other = weighed
+            less, more = -float(np.logaddexp(0.0, odds)), -float(np.logaddexp(0.0, -odds))
+            pair = {one.key: replace(one, log_weight=h.log_weight + p) for one, p in ((h, less), (other, more))}
+            out = replace(out, found={**out.found, **pair})
+    return out
+
+
+def _odds_of_other(out: Search, h: Hypothesis, own: str, other: str) -> tuple[float, Hypothesis] | None:
+    """Log odds of travel in the place of time, or of time in that of travel, and the best hypothesis with it.
+
+    They are those of curves of equal freedom. A curve is known to be right to about `PROPORTION` of itself, so evidence
+    that is a smaller share of what the class explains says nothing: the likelihood counts with a power that lets this
+    share weigh one nat (Miller and Dunson 2019, J. Am. Stat. Assoc. 114, 1113). None where the force goes back and
+    forth, as what is worn stays worn, or changes in one direction only. A class that no formula follows is no more
+    probable than one with a name.
+    """
+    place = [m.of.id for m in h.members].index(own)
+    effect, law = h.members[place].variant.effect, h.state.model.law_values(h.state.z)
+    if not goes_one_way(out.scene, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names}):
+        return None
+    fitter = replace(out.fitter, metric=h.metric or out.metric)
+    rest = fitter.fitted(*without(out.scene, h, place))
+    if rest is None:
+        return None
+    fits = {name: _with_curves(fitter, rest, name) for name in (own, other)}
+    if not all(fits.values()):
+        return None
+    weight = {name: float(logsumexp([one.log_weight for one in ones])) for name, ones in fits.items()}
+    if weight[own] - rest.log_weight < EXPLAINED * (h.log_weight - rest.log_weight):
+        return None
+    best = max(fits[other], key=lambda one: one.log_weight)
+    named = max(following(fitter, best, len(rest.members)), key=lambda one: one.log_weight, default=best)
+    rival = out.found.get(h.key ^ {own, other}, replace(named, metric=h.metric))
+    gain = h.log_weight - out.best_within(h.key - {own})
+    odds = (weight[other] - weight[own]) / (1.0 + PROPORTION * gain)
+    if _has_formula(h, own) and not _has_formula(rival, other):
+        odds = min(odds, 0.0)
+    return odds, rival
+
+
+def _has_formula(h: Hypothesis, name: str) -> bool:
+    """Whether a hypothesis has a formula for one of its classes."""
+    return any(m.of.id == name and m.variant.curve is None for m in h.members)
+
+
+def _with_curves(fitter: Fitter, rest: Hypothesis, name: str) -> list[Hypothesis]:
+    """Fit smooth curves over travel or time, each as probable before the test, beside the members of a hypothesis."""
+    listed = []
+    for c in fitter.candidates_of(name, curves=True):
+        curve = c.variant.curve
+        if curve and curve.over.scale is None and not curve.sides:
+            listed.append(replace(c, variant=replace(c.variant, weight=1.0)))
+    tried = screen(fitter.metric, rest.state, listed)
+    return fitter.all_fitted(((*rest.members, c), replace(c, start=joined(rest, c))) for c in tried)
 
 
 def _zero_apart(out: Search, h: Hypothesis) -> Search:

@@ -26,6 +26,7 @@ STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one un
 # How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or
 # wanders.
 SMOOTH, EITHER = MappingProxyType({0.5: 1.0}), MappingProxyType({0.15: 0.5, 0.5: 0.5})
+SUDDEN = MappingProxyType({0.05: 0.45, 0.15: 0.45, 0.5: 0.1})
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +173,8 @@ ALL = (
         symbol="|x|",
     ),
     TRAVEL,
+    # A coating that is worn through late does so within a small part of the travel.
+    replace(TRAVEL, id="late_travel", group="travel", scale=None, lengths=SUDDEN),
     # A film of debris grows as the device slides, and makes the friction depend on speed more or less.
     replace(
         TRAVEL,
@@ -188,7 +191,7 @@ ALL = (
         "the time",
         lambda h, b: h.begun_s + h.time_s,
         lambda h: (0.0, h.tested_s),
-        lengths=MappingProxyType({0.05: 0.45, 0.15: 0.45, 0.5: 0.1}),
+        lengths=SUDDEN,
         repeats=0.2,
         sides=0.2,
         adds=True,

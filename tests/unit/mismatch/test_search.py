@@ -14,6 +14,7 @@ from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_form
 from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.augmented import force_with_effects
+from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Base
@@ -88,6 +89,40 @@ def test_curves_over_time_do_not_change_within_a_cycle():
             continue
         assert sum(v.weight for v in own.variants) == pytest.approx(sum(v.weight for v in one.variants))
         assert {v.curve.length for v in own.variants if v.curve} == {0.15, 0.5}  # a cycle is 1/7 of the test
+
+
+@pytest.mark.parametrize(
+    ("effects", "either"),
+    [
+        ({"wear_power": {"size": 0.15, "power": 3.0}}, True),  # late: most of it within the last third of the travel
+        ({"tension_step": {"size": -0.1, "begin": 0.45, "length": 2.0, "side": 0.0}}, True),
+        ({"tension_step_swing": {"size": 0.06, "period": 0.2, "phase": 0.1}}, False),
+    ],
+)
+def test_travel_and_time_are_told_apart_only_by_what_curves_of_equal_freedom_show(trials, effects, either):
+    """A test goes on in both; that time has a step among its formulas makes it no more probable."""
+    out = _searched(trials, effects, ("travel", "time"))
+    inclusion = answer_of(out).inclusion
+    least = min(inclusion.get(f"capacity over {name}", 0.0) for name in ("travel", "time"))
+    assert (least > 0.05) == either
+    assert sum(inclusion.values()) == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("period_mm", [2.6, 5.3])
+def test_a_ripple_shorter_than_the_blocks_is_position_with_its_period(period_mm):
+    """And no stick-slip: it comes again at the same places."""
+    ripple = Curve("capacity", "position", 0.15, period=period_mm).effect()
+    values = dict.fromkeys(ripple.names, 0.0) | {"c1": 3.0}
+    rng, time = np.random.default_rng(6), np.arange(0.0, 140.0, 0.05)
+    motion = motion_of(Recording(time, 25.0 * np.sin(2 * np.pi * time / 20.0), np.zeros(time.size)))
+    (history,) = histories([time], [motion])
+    force = force_with_effects(history, Base(6.5, 10.0, 20.0, 0.0, 10.0), [(ripple, values)])
+    recording = Recording(time, motion.displacement_mm, force + 0.05 * rng.standard_normal(time.size))
+    scene = scene_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
+    out = search(scene, [one for one in classes() if one.coordinate in ("position", "stick-slip", "slip")])
+    assert all(member.of.coordinate == "position" for member in out.best.members)
+    assert out.best.members[0].variant.curve.period == pytest.approx(period_mm, rel=0.01)
+    assert out.chatter is None
 
 
 @pytest.fixture

@@ -94,6 +94,15 @@ def test_the_coordinate_that_leads_must_be_the_right_one(given, right):
     assert coordinate_right(SWING, given) is right
 
 
+def test_an_answer_that_leaves_two_sets_open_is_right_if_either_is():
+    open_ones = [{"classes": ["capacity over travel"], "probability": 0.6}, {"classes": ["capacity over time"]}]
+    given = placed("family", (*TIME, 0.4), (*TRAVEL, 0.6))
+    assert coordinate_right(SWING, given | {"sets": open_ones})
+    assert not coordinate_right(SWING, given | {"sets": [*open_ones, {"classes": []}]})
+    assert not coordinate_right(SWING, given | {"sets": [{"classes": ["capacity over speed"]}, open_ones[0]]})
+    assert not coordinate_right(SWING, given | {"sets": open_ones, "verdict": "named"})
+
+
 def test_of_two_effects_both_coordinates_are_asked_for():
     key = replace(SWING, effects=(*SWING.effects, *stated_key("wear_power", 0.1, seed=3).effects), kind="two")
     assert coordinate_right(key, placed("named", (*TIME, 0.99), (*TRAVEL, 0.98)))

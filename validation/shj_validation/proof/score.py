@@ -10,6 +10,7 @@ from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
+from shj_bayes.results.diagnosis import DependenceId
 from shj_validation.proof.cases import Key
 from shj_validation.proof.make import make
 from shj_validation.proof.predict import predict
@@ -17,6 +18,7 @@ from shj_validation.proof.simulators.simulator import simulators_by_id
 from shj_validation.proof.truth import Truth, effect_truths, kept_base, truth_of
 
 LIKELY = 0.5  # a coordinate that is more likely there than not is claimed
+EITHER = 2  # sets of coordinates between which an answer may leave open which is the true one
 SHORT_LIST = 4  # ids for each concealed effect; a longer list holds the truth as a telephone book does
 Z90 = 1.6449  # half width of a 90 % interval of a normal law, in standard deviations
 
@@ -135,7 +137,8 @@ def coordinate_right(key: Key, record: Mapping[str, Any], required: set[str] | N
     """Whether the coordinates that lead the answer are those of what is concealed.
 
     As many lead as effects must be found, and beside them every one that is more likely there than not. Each must be
-    true of something that is concealed, and what must be found has one among them.
+    true of something that is concealed, and what must be found has one among them. Where the answer says that it is one
+    of two sets of coordinates, travel or time for instance, it is right if either is.
 
     Returns
     -------
@@ -148,8 +151,13 @@ def coordinate_right(key: Key, record: Mapping[str, Any], required: set[str] | N
     needed = (set(wanted) & required if required else set()) or set(wanted)
     ranked = sorted(_once(record["coordinates"]), key=lambda entry: -float(entry["probability"]))
     lead = [entry for i, entry in enumerate(ranked) if i < len(needed) or float(entry["probability"]) >= LIKELY]
-    pairs = {(entry["action"], entry["coordinate"]) for entry in lead}
-    return all(wanted[name] & pairs for name in needed) and pairs <= set.union(*wanted.values())
+    answers = [{(entry["action"], entry["coordinate"]) for entry in lead}]
+    sets = record.get("sets", []) if record["verdict"] == "family" else []
+    if len(sets) == EITHER:
+        answers += [set(map(DependenceId.read, one["classes"])) for one in sets]
+    return any(
+        all(wanted[name] & pairs for name in needed) and pairs <= set.union(*wanted.values()) for pairs in answers
+    )
 
 
 def _once(entries: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
