@@ -10,7 +10,7 @@ closed form.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -332,6 +332,7 @@ class ErrorModel:
         self.other = self._counted(white) * setting.sizes(scene)
         self._missed = Gaussian(0.0, np.zeros(white.shape[1]), self.other.T @ self.other, constant)
         self.log_constant = self._missed.log_evidence
+        self._known: dict[Hashable, tuple[FloatArray, FloatArray]] = {}
 
     def without(self, rows: BoolArray) -> ErrorModel:
         """Give the same metric for a fit that does not see some of the evidence, `rows` of shape (n_evidence,)."""
@@ -386,6 +387,21 @@ class ErrorModel:
         """
         white = self.whitened(columns)
         return white, self._missed.whitened(self.other.T @ white)
+
+    def factors_of(self, columns: Mapping[Hashable, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Give the factors of columns side by side; those of a key are worked out once, as many models ask for them."""
+        new = {key: own for key, own in columns.items() if key not in self._known}
+        if new:
+            ends = np.cumsum([own.shape[1] for own in new.values()])[:-1]
+            parts = (np.split(whole, ends, axis=1) for whole in self.factors(np.column_stack(list(new.values()))))
+            self._known |= dict(zip(new, zip(*parts, strict=True), strict=True))
+        white, taken = zip(*(self._known[key] for key in columns), strict=True)
+        return np.concatenate(white, axis=1), np.concatenate(taken, axis=1)
+
+    def squares(self, columns: FloatArray) -> FloatArray:
+        """Scalar product of each column with itself, shape (n, p) to (p,)."""
+        white, taken = self.factors(columns)
+        return np.asarray(np.sum(white**2, axis=0) - np.sum(taken**2, axis=0))
 
     def discrepancy_of(self, residual: FloatArray) -> FloatArray:
         """Give what the discrepancy takes up of a residual, shape (n,), kN."""

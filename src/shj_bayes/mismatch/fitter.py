@@ -162,7 +162,7 @@ class Fitter:
             starts = np.array([np.insert(z, first, tail) for tail in tails])
             with np.errstate(all="ignore"):
                 residual = self.scene.residual(model, starts)
-                heights = np.diag(self.metric.products(np.nan_to_num(residual.T, nan=1e6)))
+                heights = self.metric.squares(np.nan_to_num(residual.T, nan=1e6))
             best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else 2]
             out += [replace(form, start=starts[i], model=model, gain=-0.5 * float(heights[i])) for i in best]
         return out

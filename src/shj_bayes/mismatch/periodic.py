@@ -1,7 +1,7 @@
 """What comes again: whole cycles, periods of a coordinate, chatter."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,7 +149,7 @@ def waves(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence,
     response = _response(scene, state, of.action)
     if (of.action, over.id) not in scene.waves:  # what more capacity gives differs little from model to model
         scene.waves[of.action, over.id] = _columns(scene, over, response, frequencies)
-    gains = _gains(metric, state, scene.waves[of.action, over.id])
+    gains = _gains(metric, state, scene.waves[of.action, over.id], (of.action, over.id))
     peaks = np.flatnonzero((gains >= np.append(gains[1:], -np.inf)) & (gains >= np.append(-np.inf, gains[:-1])))
     weight = (1.0 - FORMS) * over.repeats / frequencies.size
     out = []
@@ -282,11 +282,15 @@ def _columns(scene: BinnedData, over: Coordinate, response: list[FloatArray], fr
     return np.concatenate(parts, axis=1)
 
 
-def _gains(metric: ErrorModel, state: Laplace, columns: FloatArray) -> FloatArray:
-    """Log Bayes factor of a plain wave of each frequency, to first order, shape (n_frequencies,)."""
+def _gains(metric: ErrorModel, state: Laplace, columns: FloatArray, known: Hashable = None) -> FloatArray:
+    """Log Bayes factor of a plain wave of each frequency, to first order, shape (n_frequencies,).
+
+    Columns that are asked for again have a key, by which they are `known`.
+    """
     beside, beside_taken = metric.factors(state.beside())
     k = columns.shape[1]
-    wave, taken = metric.factors(columns.reshape(columns.shape[0], 2 * k))
+    flat = columns.reshape(columns.shape[0], 2 * k)
+    wave, taken = metric.factors(flat) if known is None else metric.factors_of({known: flat})
     own = beside.T @ beside - beside_taken.T @ beside_taken
     along, cross = np.split(beside.T @ wave - beside_taken.T @ taken, [1])
     law = Gaussian.of(own)

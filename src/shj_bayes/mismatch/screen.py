@@ -27,13 +27,20 @@ SIZES_OF_STARTS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of an effect at the va
 
 def screen(metric: ErrorModel, state: Laplace, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Give candidates, as from `classes.candidates`, their gain, best first, with curves of the size that fits."""
-    wide = state.beside(*(c.columns for c in candidates))
-    rest = metric.gaussian(wide).given(state.z.size)
+    if not candidates:
+        return []
+    beside, beside_taken = metric.factors(state.beside())
+    columns, taken = metric.factors_of({c: c.columns for c in candidates})
+    law = Gaussian.of(beside.T @ beside - beside_taken.T @ beside_taken)
+    along, cross = np.split(beside.T @ columns - beside_taken.T @ taken, [1])
+    solved = law.solve(cross)
+    along = along[0] - law.along @ solved
     out, first = [], 0
     for c in candidates:
         own = slice(first, first + c.columns.shape[1])
         first = own.stop
-        out.append(_gained(c, rest.some(own)))
+        inner = columns[:, own].T @ columns[:, own] - taken[:, own].T @ taken[:, own] - cross[:, own].T @ solved[:, own]
+        out.append(_gained(c, Gaussian(0.0, along[own], inner)))
     return sorted(out, key=lambda c: -c.gain)
 
 
