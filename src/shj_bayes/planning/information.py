@@ -7,8 +7,8 @@ and a posterior without sampling (expected information of a design: Lindley 1956
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -31,8 +31,7 @@ WHICH, FORCE = "which", "force"
 MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
 
 
-@dataclass(frozen=True, eq=False)
-class LinearQuantity:
+class LinearQuantity(NamedTuple):
     """A design quantity as a linear function of each rival's parameters."""
 
     unit: str
@@ -47,8 +46,7 @@ class LinearQuantity:
         return float(known.shares @ self.values), math.sqrt(spread_of(known.shares, self.values, np.array(own)))
 
 
-@dataclass(frozen=True)
-class ExpectedInformation:
+class ExpectedInformation(NamedTuple):
     """What a protocol is expected to give."""
 
     entropy: float  # expected entropy of the probabilities of the sets after it, nats

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,12 +15,7 @@ from shj_bayes._util.files import write_text
 from shj_bayes.errors import PlanError, ShjError
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT
-from shj_bayes.planning.information import (
-    OUTCOMES,
-    WHICH,
-    LinearQuantity,
-    expected_information,
-)
+from shj_bayes.planning.information import OUTCOMES, WHICH, LinearQuantity, expected_information
 from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig
 from shj_bayes.planning.rivals import Further, PretestPosterior, mechanisms_of
 from shj_bayes.results.codec import IF_KNOWN
@@ -141,8 +136,7 @@ class PlanRecord:
     further_devices: Further | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(NamedTuple):
     """The answer to which test is next: what is written of it, and what its histories and pictures are made from."""
 
     record: PlanRecord
