@@ -160,16 +160,14 @@ def _trial(key: Key, seed: int, number: int, question: str) -> dict[str, Any]:
     minutes = first.duration_s / 60.0
     rig = Rig(95.0, SPEED_MM_S, 1.3 * float(np.abs(first.force_kN).max()), minutes + 0.1, RATE_HZ)
     expert = Protocol("expert", within([ProtocolBlock(a, v, n, Waveform.SINE, r) for a, v, n, r in IMPROVED], rig))
-    proposed = proposals(rig, seed)
+    proposed = proposals(rig)
     runs = runs_of([first])
     scales = common_scales(runs, rig, (*proposed, expert))
     tested = DeviceUnderTest("device", runs, device, found.sets, DiagnoseOptions(quick=True).hidden(device))
     known = linearise(tested, scales)
     quantity = None if question == "which" else quantity_named(known, question)
     quantities = () if quantity is None else (quantity,)
-    plan = make_plan(
-        [known], rig, proposed, (expert,), question=question, quantities=quantities, seed=number, rehearsals=0
-    )
+    plan = make_plan([known], rig, proposed, (expert,), question=question, quantities=quantities, seed=number)
     if not plan.best:
         return out | {"outcome": "none"}
     out |= {"outcome": "counted", "tests": {}}
@@ -235,7 +233,7 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
         recording = make(key)[0].recording
         runs = runs_of([recording])
         rig = Rig(95.0, SPEED_MM_S, 1.3 * float(np.abs(recording.force_kN).max()), minutes, RATE_HZ)
-        proposed = proposals(rig, 1)
+        proposed = proposals(rig)
         rivals = ((class_of("velocity"), 0.5), (class_of("prying"), 0.5))
         scales = common_scales(runs, rig, proposed)
         device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
@@ -245,7 +243,7 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
         mean, sd = gamma.now(known)
         prying = 100 * known.probabilities.get(class_of("prying"), 0.0)
         print(f"prying of {100 * size:.1f} %: after Table 1 {prying:.1f} %, gamma {mean:.5f} +- {sd:.5f} s/mm")
-        plan = make_plan([known], rig, proposed, question="gamma", quantities=(gamma,), rehearsals=0)
+        plan = make_plan([known], rig, proposed, question="gamma", quantities=(gamma,))
         rows = zip((*plan.best[:1], proposed[0]), (*plan.record.candidates[:1], *plan.record.compared), strict=True)
         for protocol, r in rows:
             then = _weighed(tested, [recording, _second(key, protocol)], scales)
@@ -257,6 +255,7 @@ def paper(sizes: Sequence[float] = (0.005, 0.05), minutes: float = 20.0) -> None
             )
             print(
                 "   ",
+                f"{r.times} times",
                 ", ".join(f"{b.amplitude_mm:g} mm {b.speed_mm_s:.3g} mm/s {b.cycles}x" for b in r.blocks),
             )
 

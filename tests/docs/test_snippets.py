@@ -21,8 +21,6 @@ from shj_bayes.app.device import write_simulated
 from shj_bayes.cli import EXAMPLES, main
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
-from shj_bayes.planning import plan
-from shj_bayes.planning.information import simulate_outcomes
 from shj_bayes.report.browse import find_browser
 
 TOP = Path(__file__).resolve().parents[2]
@@ -82,7 +80,7 @@ def commands() -> list[str]:
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory, short_populations: None, no_workers: None) -> Iterator[Path]:
-    """A folder with the files that the documents speak of; chains and rehearsals are cut short."""
+    """A folder with the files that the documents speak of; chains are cut short."""
     folder = tmp_path_factory.mktemp("desk")
     for number, stem in enumerate(("run", "plain-run"), start=3):
         made = [p for p in write_simulated(folder / "x", TRUTH, seed=number, rate_Hz=3.0) if p.suffix == ".csv"]
@@ -111,11 +109,6 @@ def desk(tmp_path_factory: pytest.TempPathFactory, short_populations: None, no_w
     with pytest.MonkeyPatch.context() as patch:
         for limit, loose in (("RHAT_LIMIT", 2.0), ("ESS_LIMIT", 100.0), ("TAU_LIMIT", 1.0)):
             patch.setattr(convergence, limit, loose)
-        patch.setattr(
-            plan,
-            "simulate_outcomes",
-            lambda known, protocol, rate_Hz, n, *rest: simulate_outcomes(known, protocol, rate_Hz, 1, *rest),
-        )
         patch.chdir(folder)
         yield folder
 

@@ -123,7 +123,7 @@ def test_a_summary_stands_until_something_that_it_rests_on_or_wrote_changes(
     def run(devices=slice(0, 3), tags=NO_TAGS, seed=1, package="one", **more):
         monkeypatch.setattr("shj_bayes.results.store.package", lambda: package)
         chosen = tuple(replace(device, tags=tags) for device in manifest.devices[devices])
-        given = replace(manifest, devices=chosen, **more)
+        given = manifest._replace(devices=chosen, **more)
         return summarise_campaign(run_campaign(given, out, workers=1, diagnose="off"), out, seed=seed)
 
     first, again = run(), run()

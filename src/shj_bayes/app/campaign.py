@@ -16,11 +16,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from shj_bayes._util.files import (
-    alone_in,
-    make_writable,
-    shipped,
-)
+from shj_bayes._util.files import alone_in, make_writable, shipped
 from shj_bayes._util.tasks import results_here, results_on
 from shj_bayes.app.manifest import Device, Manifest
 from shj_bayes.app.resume import MARGINS, PAGE, POPULATION, CommandResult, campaign_inputs, kept_result
@@ -28,14 +24,7 @@ from shj_bayes.errors import CampaignError, ShjError, did_you_mean, plain_text, 
 from shj_bayes.options import DIAGNOSES, DiagnoseOptions
 from shj_bayes.population.device import Claim
 from shj_bayes.report.campaign_physics import statements
-from shj_bayes.results.campaign import (
-    WITH_SET,
-    CampaignRecord,
-    DeviceEntry,
-    SetEntry,
-    SetTogether,
-    read_campaign,
-)
+from shj_bayes.results.campaign import WITH_SET, CampaignRecord, DeviceEntry, SetEntry, SetTogether, read_campaign
 from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord, Trust

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from shj_bayes._util.files import folder_name, plain_name, read_toml, toml_line
 from shj_bayes.app.resume import check_priors
@@ -63,8 +63,7 @@ class Device:
         return f"devices/{folder_name(self.set_name, self.name)}{self.below}"
 
 
-@dataclass(frozen=True)
-class Manifest:
+class Manifest(NamedTuple):
     """A campaign: its name and its devices in order."""
 
     name: str  # title of the report
@@ -99,14 +98,14 @@ def _devices(top: _Table) -> Iterator[Device]:
     defaults, diagnose = top.options(FitOptions(), "defaults"), top.diagnose(DIAGNOSES[0])
     for group in top.tables("set", "has no [[set]] table; each set needs a name and [[set.device]] tables"):
         set_name = group.text("name")
-        at = replace(group, words=f"set '{set_name}'")
+        at = group._replace(words=f"set '{set_name}'")
         at.know(("name", "diagnose", "options", "device", *TAG_KINDS), "[set.options]")
         tags, for_set = at.tags(), at.diagnose(diagnose)
         members = at.tables("device", "has no [[set.device]] table (mind the double brackets)")
         own = at.options(defaults)
         for member in members:
-            name = replace(member, words=at.words).text("name")
-            here = replace(member, words=f"{at.words}, device '{name}'")
+            name = member._replace(words=at.words).text("name")
+            here = member._replace(words=f"{at.words}, device '{name}'")
             here.know(("name", "recordings", "runs", "diagnose", "options"), "[set.device.options]")
             recordings, options = here.recordings(), own
             if "runs" in here.content:
@@ -124,8 +123,7 @@ _priors = lru_cache(read_priors)
 _check = lru_cache(check_priors)
 
 
-@dataclass(frozen=True)
-class _Table:
+class _Table(NamedTuple):
     """A table of a manifest, which may hold anything: what a message calls it, its content, and the way to it."""
 
     path: Path

@@ -56,7 +56,7 @@ def plan_next(
         return _written(out, force_record(further, tuple(one.name for one in tested), asked.seed), None)
     base = DeviceModel(1, read_priors(asked.priors))
     limited = _rig(tested, base, limits)
-    proposed = proposals(limited, asked.seed)
+    proposed = proposals(limited)
     given = tuple(_protocol(Path(path), tell) for path in asked.histories)
     known = _known(tested, base, limited, (*proposed, *given), asked.among, tell)
     undecided = any(len(k.keys) > 1 for k in known)

@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import shj_bayes
 from shj_bayes._util.files import damage_told, file_digest, need_population, plain_name, shipped
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from shj_bayes.model.priors import Prior, Priors
 
 
-@dataclass(frozen=True, eq=False)
-class CommandResult:
+class CommandResult(NamedTuple):
     """What a command made."""
 
     record: Any  # for machines: the record, or content, of the file that it wrote

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.augmented import UNLOADED
-from shj_bayes.model.history import History, histories
-from shj_bayes.model.measured import Measured, measured_in
+from shj_bayes.model.history import History, Measured, histories, measured_in
 from shj_bayes.recording.motion import Motion, motion_of
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.smoothing import Channel, Refusal, channel_of

@@ -15,7 +15,7 @@ from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.measured import Measured
+from shj_bayes.model.history import Measured
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import DependenceId
 

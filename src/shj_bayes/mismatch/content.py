@@ -19,7 +19,7 @@ from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.measured import Measured, coordinate_of
+from shj_bayes.model.history import Measured, coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
 from shj_bayes.results.diagnosis import (
     SCHEMA,

@@ -23,8 +23,8 @@ from shj_bayes.inference.start import STEP, law_starts, started
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.history import Measured
 from shj_bayes.model.law import force_of_laws, masing_force
-from shj_bayes.model.measured import Measured
 from shj_bayes.model.noise.filter import LOG_2PI, Timing, whiten
 from shj_bayes.model.noise.low_speed import ROUGHER, rougher, slowness
 from shj_bayes.model.parameters import FloatArray

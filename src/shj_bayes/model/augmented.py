@@ -1,8 +1,7 @@
 """The law with physical effects: Eq. (1) and (2) plus whatever a list of effects contributes."""
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +71,7 @@ def _lags_s(acting: Sequence[tuple[Effect, Mapping[str, float]]]) -> tuple[float
     return tuple(whole + filtered * TWO_POLES) if filtered else (whole,)
 
 
-@dataclass(frozen=True, eq=False)
-class _Late:
+class _Late(NamedTuple):
     """What acts on the law in one run as it is recorded with a delay."""
 
     history: History  # as recorded

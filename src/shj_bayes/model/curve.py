@@ -19,8 +19,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from shj_bayes.model.coordinates import Coordinate, coordinate_named, coordinates
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.effects.sliding import felt
-from shj_bayes.model.history import History
-from shj_bayes.model.measured import PREFIX
+from shj_bayes.model.history import PREFIX, History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
@@ -35,19 +34,9 @@ FOLLOWS = "{what} follows {title}: it changes by {{change:+.1%}} of Fy from {{lo
 
 @lru_cache(maxsize=256)
 def components(length: float, zero: float) -> CubicSpline:
-    """Principal components of a pinned Gaussian process on 0 to 1, each times its standard deviation.
+    """Principal components, shape (r,) at each place, of a pinned Gaussian process on 0 to 1, times their sds.
 
-    Parameters
-    ----------
-    length : float
-        Correlation length.
-    zero : float
-        Where it is 0.
-
-    Returns
-    -------
-    CubicSpline
-        Of shape (r,) at each place.
+    `length` is the correlation length, `zero` where the process is 0.
     """
     n = int(np.clip(np.ceil(4.0 / length), 16, 96)) + 1
     at = np.linspace(0.0, 1.0, n)
@@ -65,10 +54,7 @@ def components(length: float, zero: float) -> CubicSpline:
 def harmonics(length: float) -> FloatArray:
     """Give the standard deviations of the waves of a period and its parts, the whole period first; the variance is 1.
 
-    Parameters
-    ----------
-    length : float
-        Correlation length of the squared-exponential kernel, as a share of the period.
+    `length` is the correlation length of the squared-exponential kernel, as a share of the period.
     """
     k = np.arange(1.0, 65.0)
     power = np.exp(-0.5 * (2.0 * np.pi * k * length) ** 2)

@@ -1,7 +1,8 @@
-"""What physical effects may depend on: position, slip since reversal, travel, time, speed, amplitude block, run."""
+"""What physical effects may depend on: position, slip since reversal, travel, time, speed, block, further channels."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.arrays import frozen
+from shj_bayes._util.arrays import freeze, frozen
 from shj_bayes.errors import ModelError
-from shj_bayes.model.course import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
-from shj_bayes.model.measured import Measured
+from shj_bayes.model.kernel import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.smoothing import Channel
 
 Way = tuple[FloatArray, NDArray[np.int64]]
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
@@ -23,6 +24,35 @@ STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at seve
 RECALLED = 32  # arrays that a history keeps of what was worked out of it
 DELAYED = 12  # histories of a moment ago that it keeps: a filter has six, and as many while its delay is changed
 FEW = 40  # samples of an earlier run over each half stroke that is moved: for what it left behind
+
+PREFIX = "measured_"  # before the name of a channel, so that no name is that of another coordinate
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A further channel in one run."""
+
+    unit: str  # as its header says; empty where none did
+    time_s: FloatArray  # shape (n,): time since the first sample of the run, ascending, s
+    values: FloatArray  # shape (n,): in its unit, without noise; straight lines lie between them
+    # low, high: least and largest value in all runs
+    low: float
+    high: float
+    reference: float  # median over all runs: what the channel is taken to be where nothing is known of it
+
+    def __post_init__(self) -> None:
+        """Refuse a channel without a range."""
+        freeze(self, "time_s", "values")
+        if not (self.time_s.size == self.values.size > 0 and self.low < self.high):
+            raise ModelError("a channel needs times, as many values, and a range above zero")
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Values at times since the first sample of the run, s."""
+        return np.asarray(np.interp(time_s, self.time_s, self.values))
+
+    def held(self, value: float) -> Measured:
+        """Give the same channel, on the same scale, at one value all the time."""
+        return replace(self, time_s=np.zeros(1), values=np.full(1, value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +77,7 @@ class History:
     tested_s: float
     tested_m: float  # distance moved in all runs together, m
     before: History | None = None  # the run before this one, at some of its samples
-    # samples on the way to the turning points that lie between those of this history: rows as `course.ROWS`, and where
+    # samples on the way to the turning points that lie between those of this history: rows as `ROWS`, and where
     # those of each half-cycle begin. None goes on from the last two samples of each half-cycle.
     near_turns: Way | None = None
     # further channels by coordinate: functions of `time_s`, which fewer or other samples leave as they are
@@ -113,7 +143,7 @@ class History:
     def reduced(self, rows: FloatArray, start: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> History:
         """Give the history at fewer points, which need not be samples.
 
-        `rows`, shape (9, n), are channels there in the order of `course.ROWS`, `start` is where in them each half-cycle
+        `rows`, shape (9, n), are channels there in the order of `ROWS`, `start` is where in them each half-cycle
         begins, and the last ends; `kept` are samples of this history that are among the points.
         """
         way, begins = self.way
@@ -154,7 +184,7 @@ class History:
 
     @property
     def rows(self) -> FloatArray:
-        """All channels, in the order of `course.ROWS`, shape (9, n_samples)."""
+        """All channels, in the order of `ROWS`, shape (9, n_samples)."""
         of_motion = (self.motion.displacement_mm, self.motion.speed_mm_s)
         return np.stack([self.time_s, *of_motion, *(getattr(self, name) for name in ROWS[3:])])
 
@@ -192,6 +222,27 @@ class History:
 
 ARRAYS = ("time_s", "position_mm", *ROWS[3:])
 SCALES = ("half_stroke_mm", "peak_speed_mm_s", "n_runs", "tested_s", "tested_m")
+
+
+def coordinate_of(name: str) -> str:
+    """Word of the coordinate that a channel of some name is."""
+    return PREFIX + re.sub(r"\W+", "_", name.lower()).strip("_")
+
+
+def measured_in(runs: Sequence[Sequence[Channel]]) -> tuple[Mapping[str, Measured], ...]:
+    """Further channels of each run of a device (the same ones in each), by coordinate.
+
+    Those that have one value throughout are left out.
+    """
+    out: list[dict[str, Measured]] = [{} for _ in runs]
+    for name in [channel.name for channel in runs[0]] if runs else ():
+        own = [next(channel for channel in run if channel.name == name) for run in runs]
+        every = np.concatenate([channel.values for channel in own])
+        low, high, middle = float(every.min()), float(every.max()), float(np.median(every))
+        if low < high:
+            for run, channel in zip(out, own, strict=True):
+                run[coordinate_of(name)] = Measured(channel.unit, channel.time_s, channel.values, low, high, middle)
+    return tuple(out)
 
 
 def histories(
@@ -284,7 +335,7 @@ def _few(history: History) -> History:
 
 
 def _channels(rows: FloatArray) -> dict[str, Any]:
-    """Channels of a history by name, but for those of its motion, from rows in the order of `course.ROWS`."""
+    """Channels of a history by name, but for those of its motion, from rows in the order of `ROWS`."""
     return {name: row for name, row in zip(ROWS, rows, strict=True) if name in ARRAYS}
 
 

@@ -58,13 +58,7 @@ def variant_named(word: str) -> str:
 
 
 def force(
-    motion: Motion,
-    *,
-    K: float,
-    Fy: float,
-    beta: float,
-    gamma: float = 0.0,
-    variant: str = "published",
+    motion: Motion, *, K: float, Fy: float, beta: float, gamma: float = 0.0, variant: str = "published"
 ) -> FloatArray:
     """Force of a run from rest for one parameter set, kN; see `force_of_laws`."""
     return np.asarray(force_of_laws(motion, np.array([[K, Fy, beta, gamma]]), variant=variant)[0])

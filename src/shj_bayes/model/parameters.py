@@ -1,6 +1,6 @@
 """The parameters by name, with unit and meaning."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,7 @@ from shj_bayes.errors import ModelError
 FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Parameter(NamedTuple):
     """One parameter of the law or of the noise."""
 
     name: str  # name as users see it (docs/glossary.md)

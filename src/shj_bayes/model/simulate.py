@@ -53,22 +53,10 @@ def simulate_device(
     blocks: tuple[Block, ...] | None = None,
     variant: str = "published",
 ) -> tuple[Recording, ...]:
-    """Simulate the consecutive runs of one device.
+    """Simulate 1 to 9 consecutive runs of one device; same seed, same recordings.
 
-    Parameters
-    ----------
-    truth : Truth
-        Parameters; the second run slides at ratio Fy.
-    seed : int
-        Same seed, same recordings.
-    rate_Hz : float
-        Sampling rate, Hz.
-    n_runs : int
-        Number of runs, 1 to 9; those after the second slide at the second one's force times ratio, and so on.
-    blocks : tuple of Block, optional
-        Displacement regime; Table 1 by default.
-    variant : {"published", "continuous"}
-        Reversal rule.
+    The second run slides at ratio Fy, each further one at the force of that before it times the ratio. The displacement
+    is that of the `blocks`, by default Table 1; `variant` is the reversal rule.
     """
     if not 1 <= n_runs <= 9:
         raise ModelError(f"{n_runs} runs asked for; simulate makes 1 to 9")

@@ -2,33 +2,25 @@
 
 Old tests leave a Gaussian for each rival. A planned run is linear in its parameters, with white and slow noise, so its
 evidence under each rival is closed: outcomes are drawn from the rivals in their shares, and each gives probabilities
-and a posterior without sampling (expected information of a design: Lindley 1956, Ann. Math. Statist. 27, 986). The
-leading protocols are run in full as well: a drawn device, the whole model, noise, the readers, every rival fitted anew.
+and a posterior without sampling (expected information of a design: Lindley 1956, Ann. Math. Statist. 27, 986).
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
-from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes.errors import PlanError, did_you_mean
-from shj_bayes.inference.binning import zero_noise_kN
-from shj_bayes.inference.run import Run
-from shj_bayes.inference.start import law_starts
 from shj_bayes.margins.virtual_test import Readings, counted_from, of_readings, read_off
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
-from shj_bayes.mismatch.laplace import laplace
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.history import histories
-from shj_bayes.model.noise.filter import simulate
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.planning.protocol import Protocol
-from shj_bayes.planning.rivals import PLANNED, Key, PretestPosterior, RivalModel, entropy_of
+from shj_bayes.planning.rivals import PLANNED, PretestPosterior, RivalModel, entropy_of
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 
@@ -39,8 +31,7 @@ WHICH, FORCE = "which", "force"
 MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
 
 
-@dataclass(frozen=True, eq=False)
-class LinearQuantity:
+class LinearQuantity(NamedTuple):
     """A design quantity as a linear function of each rival's parameters."""
 
     unit: str
@@ -55,8 +46,7 @@ class LinearQuantity:
         return float(known.shares @ self.values), math.sqrt(spread_of(known.shares, self.values, np.array(own)))
 
 
-@dataclass(frozen=True)
-class ExpectedInformation:
+class ExpectedInformation(NamedTuple):
     """What a protocol is expected to give."""
 
     entropy: float  # expected entropy of the probabilities of the sets after it, nats
@@ -217,93 +207,6 @@ def _outcomes(b: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: 
     u = b.gaussian.draw(n, rng)
     u[: b.z.size][~b.drawn] = 0.0
     return np.asarray(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))
-
-
-@dataclass(frozen=True)
-class SimulatedOutcomes:
-    """What simulated tests ended in."""
-
-    n: int  # tests simulated
-    of_truth: float  # mean probability of the true set after them
-    right: int  # tests after which the true set was the most probable
-    entropy: float  # mean entropy of the probabilities, nats
-    sd: float | None  # of the quantity that was asked for (root of the mean variance)
-
-
-def simulate_outcomes(
-    known: PretestPosterior,
-    protocol: Protocol,
-    rate_Hz: float,
-    n: int,
-    seed: int,
-    quantity: LinearQuantity | None = None,
-) -> SimulatedOutcomes:
-    """Simulate a planned test `n` times and weigh the rivals on it and the old tests together.
-
-    The tests are spread evenly over the sets, within a set over the ways to write it in their shares.
-    """
-    shares, keys = known.shares, known.keys
-    rows = []
-    for k, stream in enumerate(np.random.SeedSequence(seed, spawn_key=(5,)).spawn(n)):
-        key, turn, turns = keys[k % len(keys)], k // len(keys), -(-(n - k % len(keys)) // len(keys))
-        within = np.cumsum(np.where([b.key == key for b in known.rivals], shares, 0.0))
-        i = int(np.searchsorted(within, (turn + 0.5) / turns * within[-1]))
-        recording = recorded(known, known.rivals[i], protocol, rate_Hz, np.random.default_rng(stream))
-        after, variance = weighed(known, recording, quantity)
-        right = max(after, key=lambda key: after[key]) == key
-        rows.append((within[-1] / turns, after[key], right, entropy_of(np.array(list(after.values()))), variance))
-    weight, of_truth, right_of, entropy, variances = np.array(rows, dtype=np.float64).T
-    mean = partial(np.average, weights=weight)
-    sd = None if quantity is None else float(np.sqrt(mean(variances)))
-    return SimulatedOutcomes(n, float(mean(of_truth)), int(right_of.sum()), float(mean(entropy)), sd)
-
-
-def recorded(
-    known: PretestPosterior, true: RivalModel, protocol: Protocol, rate_Hz: float, rng: np.random.Generator
-) -> Recording:
-    """Simulate the recording of a planned test on a device drawn from a rival, with noise and an error of the zero."""
-    z = (true.mean + true.gaussian.draw(1, rng)[:, 0])[: true.z.size]
-    time, motion = protocol.sampled(rate_Hz)
-    theta = true.model.natural(np.append(z, known.setting.z)[None])
-    force = true.model.force(theta, known.placed(histories([time], [motion])[0]), 0.0)[0]
-    noise = {name: float(v[0]) for name, v in true.model.noise_values(theta).items()}
-    force = force + simulate(true.model.noise, noise, time, np.arange(time.size) == 0, rng)
-    force += min(zero_noise_kN(force), known.largest_zero_kN) * rng.standard_normal()
-    return Recording(time, known.wobbling(motion.displacement_mm, rng), force, source=PLANNED)
-
-
-@one_blas_thread
-def weighed(
-    known: PretestPosterior, recording: Recording, quantity: LinearQuantity | None = None
-) -> tuple[dict[Key, float], float]:
-    """Weigh the rivals on one further recording, each fitted to old and new together under the noise of the old.
-
-    Gives the probability of each set, and the variance of the quantity over all rivals, 0 where none is asked for.
-    """
-    motion = motion_of(recording)
-    alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
-    if not known.runs:  # the first test of a device says where its law is
-        z = law_starts(alone.posterior)[0]
-        at = [replace(b, z=np.concatenate([z, b.z[z.size :]])) for b in known.rivals]
-        known = replace(known, z=z, rivals=tuple(at))
-        alone = known.scene(recording.time_s, motion, recording.force_kN, 1.0)
-    parts = (*known.old, *alone.posterior.averages)
-    runs = (*known.runs, Run(recording, motion))
-    scene = BinnedData(replace(alone.posterior, runs=runs, averages=parts), known.z, known.peak_mm_s)
-    first = known.rivals[0]
-    slope = scene.residual_and_slope(first.model, first.z[None])[1][0]
-    metric = ErrorModel(scene, known.setting, slope)
-    logs, values, variances = [], [], []
-    for i, b in enumerate(known.rivals):
-        state = laplace(scene, metric, b.model, b.z)
-        logs.append(state.evidence - b.evidence)
-        if quantity is not None:
-            g = quantity.slopes[i][: b.z.size]
-            values.append(quantity.value(b.model, state.z))
-            variances.append(float(g @ state.covariance @ g))
-    weights = np.log(known.shares) + logs
-    p = np.exp(weights - logsumexp(weights))
-    return known.by_set(p), 0.0 if quantity is None else float(spread_of(p, np.array(values), np.array(variances)))
 
 
 def quantity_named(known: PretestPosterior, name: str) -> LinearQuantity:

@@ -1,11 +1,11 @@
-"""Which test next: protocols are weighed, changed for the better, the leading ones simulated in full, and written."""
+"""Which test next: protocols are weighed, the best of them again with fresh outcomes, and written."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,15 +15,8 @@ from shj_bayes._util.files import write_text
 from shj_bayes.errors import PlanError, ShjError
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT
-from shj_bayes.planning.information import (
-    OUTCOMES,
-    WHICH,
-    LinearQuantity,
-    SimulatedOutcomes,
-    expected_information,
-    simulate_outcomes,
-)
-from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig, changed
+from shj_bayes.planning.information import OUTCOMES, WHICH, LinearQuantity, expected_information
+from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig
 from shj_bayes.planning.rivals import Further, PretestPosterior, mechanisms_of
 from shj_bayes.results.codec import IF_KNOWN
 from shj_bayes.results.diagnosis import DependenceId
@@ -31,9 +24,8 @@ from shj_bayes.results.store import write
 
 SCHEMA: Literal["shj-bayes/plan/1"] = "shj-bayes/plan/1"
 DIGITS = 4  # of times and displacements in the file
-PARENTS, CHILDREN = 4, 4
 FINAL = 6  # protocols that are weighed again with fresh outcomes: the best of many is partly luck
-SHOWN, REHEARSALS = 3, 8
+SHOWN = 3
 LITTLE = 0.1  # of what is not known: a test that is expected to settle less is not worth its time
 
 
@@ -91,7 +83,7 @@ class RankedProtocol:
     """A protocol with what it is expected to give; of several devices the mean."""
 
     name: str
-    blocks: tuple[ProtocolBlock, ...]
+    blocks: Annotated[tuple[ProtocolBlock, ...], {"description": "the pattern"}]
     minutes: float
     largest_mm: float
     fastest_mm_s: float
@@ -110,7 +102,7 @@ class RankedProtocol:
     misread: Annotated[float, {"description": "error of the force for what is lost between samples, share of Fy"}]
     force_kN: Annotated[float, {"description": "largest, two standard deviations above what is predicted"}]
     limits_broken: tuple[str, ...]
-    simulated: SimulatedOutcomes | None
+    times: Annotated[int, {"minimum": 1, "description": "how often the blocks come, one after the other"}] = 1
 
     @property
     def order(self) -> tuple[bool, float, float]:
@@ -144,8 +136,7 @@ class PlanRecord:
     further_devices: Further | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(NamedTuple):
     """The answer to which test is next: what is written of it, and what its histories and pictures are made from."""
 
     record: PlanRecord
@@ -164,15 +155,13 @@ def make_plan(
     question: str = WHICH,
     quantities: Sequence[LinearQuantity] = (),
     seed: int = 1,
-    rehearsals: int = REHEARSALS,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Plan:
     """Choose the next test for one device, or for several that it is planned for.
 
-    The search begins at the proposed protocols, of which the first (Table 1) is shown beside the best whatever it
-    gives, as those `given` are. The `question` is which set of classes is there, or the name of the quantity that
-    should become narrow (`quantities`, one a device). The leading protocols are simulated in full so many times
-    (`rehearsals`). `tell` gets one line for each step.
+    Of the proposed protocols the first (Table 1) is shown beside the best whatever it gives, as those `given` are. The
+    `question` is which set of classes is there, or the name of the quantity that should become narrow (`quantities`,
+    one a device). `tell` gets one line for each step.
     """
     asked: Sequence[LinearQuantity | None] = quantities or (None,) * len(known)
 
@@ -182,24 +171,13 @@ def make_plan(
     everything = [*proposed, *given]
     tell(f"weighing {len(everything)} protocols")
     rows = [weighed(p, seed) for p in everything]
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
-    parents = ranked(rows)[:PARENTS]
-    children = [new for p, _ in parents for _ in range(CHILDREN) if (new := changed(p, rig, rng)) is not None]
-    tell(f"improving the best: {len(children)} further protocols")
-    rows += [weighed(p, seed) for p in children]
     tell("weighing the best again, with fresh outcomes")
     compared = [proposed[0], *given]
-    different = list({p.blocks or p: p for p, _ in reversed(ranked(rows))}.values())[::-1]
-    finalists = [p for p in different[:FINAL] if p not in compared]
+    finalists = [p for p, _ in ranked(rows)[:FINAL] if p not in compared]
     again = [weighed(p, seed + 1, 3 * OUTCOMES) for p in (*finalists, *compared)]
     best = [p for p, _ in ranked(again)[:SHOWN]]
     found = dict(again)
     worth = _worth(known, [found[p] for p in best], question)
-    if rehearsals and worth is WorthOfTest.YES:
-        for p in dict.fromkeys([*best, *compared]):
-            tell(f"simulating '{p.name}' in full, {rehearsals} times")
-            done = simulate_outcomes(known[0], p, rig.rate_Hz, rehearsals, seed, asked[0])
-            found[p] = replace(found[p], simulated=done)
     now = Now(
         entropy_nats=float(np.mean([k.entropy for k in known])),
         largest_probability=max(known[0].probabilities.values()),
@@ -265,7 +243,7 @@ def _weighed(
         misread=max(one.misread_kN / k.sliding_kN for one, k in zip(told, known, strict=True)),
         force_kN=force,
         limits_broken=broken,
-        simulated=None,
+        times=protocol.times,
     )
 
 

@@ -91,16 +91,17 @@ class ProtocolBlock:
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """A displacement history that a rig could run: blocks one after the other, or the samples of a file."""
+    """A displacement history that a rig could run: a pattern of blocks and how often it comes, or samples of a file."""
 
     name: str  # what it is, in a few words
-    blocks: tuple[ProtocolBlock, ...] = ()  # empty where samples are given
+    blocks: tuple[ProtocolBlock, ...] = ()  # the pattern; empty where samples are given
+    times: int = 1  # how often it comes
     samples: tuple[FloatArray, Motion] | None = None  # times (s) from 0, and motion about the middle of the stroke
 
     @cached_property
     def duration_s(self) -> float:
         """Duration, s."""
-        return float(self.samples[0][-1]) if self.samples else sum(block.duration_s for block in self.blocks)
+        return float(self.samples[0][-1]) if self.samples else self.times * sum(b.duration_s for b in self.blocks)
 
     @cached_property
     def largest_mm(self) -> float:
@@ -117,7 +118,9 @@ class Protocol:
     @cached_property
     def travel_m(self) -> float:
         """Distance moved, m."""
-        return float(self.samples[1].travel_mm[-1]) / 1000.0 if self.samples else sum(b.travel_m for b in self.blocks)
+        if self.samples:
+            return float(self.samples[1].travel_mm[-1]) / 1000.0
+        return self.times * sum(b.travel_m for b in self.blocks)
 
     def sampled(self, rate_Hz: float) -> tuple[FloatArray, Motion]:
         """Give times (s) and exact motion at a sampling rate.
@@ -134,10 +137,11 @@ class Protocol:
         time = np.arange(n) / rate_Hz
         if self.samples is not None:
             return time, _resampled(*self.samples, time)
-        begin = np.concatenate([[0.0], np.cumsum([block.duration_s for block in self.blocks])])
+        blocks = self.blocks * self.times
+        begin = np.concatenate([[0.0], np.cumsum([block.duration_s for block in blocks])])
         x, v, turns, turning = np.empty(n), np.empty(n), [], []
         edges = np.searchsorted(time, begin[:-1])
-        for block, t0, a, b in zip(self.blocks, begin, edges, [*edges[1:], n], strict=False):
+        for block, t0, a, b in zip(blocks, begin, edges, [*edges[1:], n], strict=False):
             x[a:b], v[a:b] = block.course(time[a:b] - t0)
             turns.append(t0 + block.turns_s())
             turning.append(block.amplitude_mm * (-1.0) ** np.arange(2 * block.cycles))
@@ -243,92 +247,43 @@ def _refuse_beyond(name: str, value: float) -> None:
         raise PlanError(f"rig: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}; state another")
 
 
-AMPLITUDES = (0.08, 0.15, 0.25, 0.5, 0.75, 1.0)  # of the largest displacement
-SPEEDS = (0.03, 0.1, 0.25, 0.5, 1.0)  # of the largest speed
-RESTS_S = (10.0, 30.0, 60.0, 180.0)
-MOST_BLOCKS, DRAWN = 10, 8
-MOST_REPEATS = 200  # of a design, however long the rig may run
+MOST_TIMES = 200  # that a pattern comes, however long the rig may run
 SAMPLES = 36.0  # of a cycle, at least: reversals between few samples are not found again
-TRIANGLES, RESTING = 0.3, 0.2  # shares of drawn blocks
-SINE, TRIANGLE = Waveform.SINE, Waveform.TRIANGLE
-# Share of the stroke, share of the speed, cycles, waveform, rest in s: one coordinate changes while others stand still.
-DESIGNS: dict[str, tuple[tuple[float, float, int, Waveform, float], ...]] = {
-    "one amplitude at several speeds": (
-        (0.5, 1.0, 2, SINE, 0.0), (0.5, 0.1, 1, SINE, 0.0), (0.5, 0.3, 2, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0),
-    ),
-    "large and small in turn": (
-        (1.0, 1.0, 1, SINE, 0.0), (0.15, 0.5, 2, SINE, 0.0), (1.0, 1.0, 1, SINE, 0.0), (0.15, 0.5, 2, SINE, 0.0),
-        (0.5, 1.0, 2, SINE, 0.0),
-    ),
-    "the same before and after a rest": ((0.5, 1.0, 4, SINE, 0.0), (0.5, 1.0, 4, SINE, 180.0)),
-    "constant speed, full stroke": ((1.0, 1.0, 2, TRIANGLE, 0.0), (1.0, 0.2, 1, TRIANGLE, 0.0)),
+Block = tuple[float, float, int] | tuple[float, float, int, Waveform, float]
+# Share of the stroke, share of the speed, cycles; waveform and rest in s: one coordinate changes while others stand
+# still.
+PATTERNS: dict[str, tuple[Block, ...]] = {
+    "one amplitude at several speeds": ((0.5, 1.0, 2), (0.5, 0.1, 1), (0.5, 0.3, 2), (0.5, 1.0, 2)),
+    "large and small in turn": ((1.0, 1.0, 1), (0.15, 0.5, 2), (1.0, 1.0, 1), (0.15, 0.5, 2), (0.5, 1.0, 2)),
+    "the same before and after a rest": ((0.5, 1.0, 4), (0.5, 1.0, 4, Waveform.SINE, 180.0)),
+    "constant speed, full stroke": ((1.0, 1.0, 2, Waveform.TRIANGLE, 0.0), (1.0, 0.2, 1, Waveform.TRIANGLE, 0.0)),
     "small, worn in, small again": (
-        (0.25, 0.5, 3, SINE, 0.0), (1.0, 1.0, 3, SINE, 0.0), (0.25, 0.5, 3, SINE, 60.0), (0.25, 0.1, 1, SINE, 0.0),
+        *((0.25, 0.5, 3), (1.0, 1.0, 3)),
+        *((0.25, 0.5, 3, Waveform.SINE, 60.0), (0.25, 0.1, 1)),
     ),
-    "falling amplitudes": (
-        (1.0, 1.0, 2, SINE, 0.0), (0.75, 1.0, 2, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0), (0.25, 1.0, 2, SINE, 0.0),
-        (0.1, 1.0, 2, SINE, 0.0),
-    ),
+    "falling amplitudes": ((1.0, 1.0, 2), (0.75, 1.0, 2), (0.5, 1.0, 2), (0.25, 1.0, 2), (0.1, 1.0, 2)),
     "rising and falling, slow and fast": (
-        (0.08, 0.25, 3, SINE, 0.0), (0.25, 0.25, 3, SINE, 0.0), (0.5, 1.0, 2, SINE, 0.0), (1.0, 1.0, 2, SINE, 0.0),
-        (1.0, 0.25, 1, SINE, 0.0), (0.5, 0.25, 1, SINE, 0.0), (0.25, 1.0, 3, SINE, 0.0), (0.08, 0.25, 3, SINE, 0.0),
-        (0.25, 0.06, 1, SINE, 0.0), (1.0, 0.5, 2, SINE, 60.0), (0.25, 0.25, 3, SINE, 0.0),
+        *((0.08, 0.25, 3), (0.25, 0.25, 3), (0.5, 1.0, 2), (1.0, 1.0, 2), (1.0, 0.25, 1), (0.5, 0.25, 1)),
+        *((0.25, 1.0, 3), (0.08, 0.25, 3), (0.25, 0.06, 1), (1.0, 0.5, 2, Waveform.SINE, 60.0), (0.25, 0.25, 3)),
     ),
-}  # fmt: skip
+}
 
 
-def proposals(rig: Rig, seed: int, n_drawn: int = DRAWN) -> tuple[Protocol, ...]:
-    """Propose Table 1 again, the designs as far as the time allows, and `n_drawn` drawn protocols.
+def proposals(rig: Rig) -> tuple[Protocol, ...]:
+    """Propose Table 1 again, and each pattern once and as often as the time allows.
 
-    Table 1 comes first, whether the rig's time allows it or not: it is what the others are compared with.
+    Table 1 comes first, whether the rig's time allows it or not: it is what the others are compared with. A pattern
+    that takes longer than the time loses cycles.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
     out = [table_1_protocol(rig.max_stroke_mm, rig.max_speed_mm_s)]
-    for name, rows in DESIGNS.items():
-        blocks = [ProtocolBlock(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, n, w, r) for a, v, n, w, r in rows]
-        once = within(blocks, rig)
-        repeats = min(MOST_REPEATS, math.ceil(60.0 * rig.max_minutes / sum(b.duration_s for b in blocks)))
-        again = within(blocks * repeats, rig)
-        out += [Protocol(name, once)] if once else []
-        out += [Protocol(f"{name}, again", again)] if again != once else []
-    for _ in range(n_drawn):
-        drawn: list[ProtocolBlock] = []
-        seconds = rng.uniform(0.3, 1.0) * 60.0 * rig.max_minutes
-        while len(drawn) < MOST_BLOCKS and sum(b.duration_s for b in drawn) < seconds:
-            drawn.append(_block(rig, rng))
-        if kept := within(drawn, rig):
-            out.append(Protocol("drawn", kept))
+    for name, rows in PATTERNS.items():
+        blocks = [ProtocolBlock(a * rig.max_stroke_mm, v * rig.max_speed_mm_s, *more) for a, v, *more in rows]
+        if once := within(blocks, rig):
+            one = Protocol(name, once)
+            out.append(one)
+            times = min(MOST_TIMES, math.floor(60.0 * rig.max_minutes / one.duration_s))
+            out += [replace(one, name=f"{name}, {times} times", times=times)] if times > 1 else []
     return tuple(out)
-
-
-def changed(protocol: Protocol, rig: Rig, rng: np.random.Generator) -> Protocol | None:
-    """Change one thing of a protocol: a block, the order, a rest, a repeat; None where nothing is left or changed."""
-    blocks = list(protocol.blocks)
-    if not blocks:
-        return None
-    i, j = (int(k) for k in rng.integers(len(blocks), size=2))
-    other = _block(rig, rng)
-    match int(rng.integers(8)):
-        case 0:
-            blocks[i], blocks[j] = blocks[j], blocks[i]
-        case 1:
-            blocks[i] = replace(blocks[i], amplitude_mm=other.amplitude_mm)
-        case 2:
-            blocks[i] = replace(blocks[i], speed_mm_s=other.speed_mm_s)
-        case 3:
-            blocks[i] = replace(blocks[i], cycles=max(1, blocks[i].cycles + int(rng.choice([-2, -1, 1, 2]))))
-        case 4:
-            blocks[i] = replace(blocks[i], waveform=SINE if blocks[i].waveform is TRIANGLE else TRIANGLE)
-        case 5:
-            blocks[i] = replace(blocks[i], rest_s=0.0 if blocks[i].rest_s else float(rng.choice(RESTS_S)))
-        case 6:
-            del blocks[i]
-        case _:
-            blocks.insert(j, other if rng.random() < 0.5 else blocks[i])  # a new block, or one again
-    kept = within(blocks[:MOST_BLOCKS], rig)
-    if not kept or kept == protocol.blocks:
-        return None
-    return Protocol(f"{protocol.name.removesuffix(', changed')}, changed", kept)
 
 
 def within(blocks: list[ProtocolBlock], rig: Rig) -> tuple[ProtocolBlock, ...]:
@@ -344,14 +299,3 @@ def within(blocks: list[ProtocolBlock], rig: Rig) -> tuple[ProtocolBlock, ...]:
                 left -= fewer.duration_s
                 break
     return tuple(out)
-
-
-def _block(rig: Rig, rng: np.random.Generator) -> ProtocolBlock:
-    """Draw a block; one that would take more than a third of the time is run faster."""
-    amplitude = float(rng.choice(AMPLITUDES)) * rig.max_stroke_mm
-    speeds = [v * rig.max_speed_mm_s for v in SPEEDS]
-    third = 20.0 * rig.max_minutes
-    able = [v for v in speeds if ProtocolBlock(amplitude, v, 1).duration_s <= third] or speeds[-1:]
-    waveform = TRIANGLE if rng.random() < TRIANGLES else SINE
-    rest = float(rng.choice([r for r in RESTS_S if r < third] or [0.0])) if rng.random() < RESTING else 0.0
-    return ProtocolBlock(amplitude, float(rng.choice(able)), int(rng.integers(1, 5)), waveform, rest)

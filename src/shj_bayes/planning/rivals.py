@@ -47,8 +47,7 @@ from shj_bayes.mismatch.laplace import find_noise, laplace
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.history import SCALES, History, histories
-from shj_bayes.model.measured import coordinate_of
+from shj_bayes.model.history import SCALES, History, coordinate_of, histories
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.protocol import Protocol, Rig

@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +46,7 @@ _OPTION = re.compile(r"\s*(?P<role>\w+)\s*=(?P<what>.*)$", re.DOTALL)
 _HOW = "--columns time=...,displacement=...,force=... (column name, number, or a formula such as #7 - 49.087*#6)"
 
 
-@dataclass(frozen=True, eq=False)
-class RawChannels:
+class RawChannels(NamedTuple):
     """The three channels in s, mm and kN, before any check."""
 
     # time_s to force_kN: shape (n_rows,): NaN where the file has no number
@@ -194,8 +194,8 @@ def _laid(
     """Put displacement and force on one axis, in place; give its times, s."""
     x, f = values["displacement"], values["force"]
     axis_s = one_axis(own[0], own[1], name)
-    values["displacement"] = replace(x, values=np.interp(axis_s, own[0], x.values))
-    values["force"] = replace(f, values=f.values[np.searchsorted(own[1], axis_s)])
+    values["displacement"] = x._replace(values=np.interp(axis_s, own[0], x.values))
+    values["force"] = f._replace(values=f.values[np.searchsorted(own[1], axis_s)])
     step = usual_step(axis_s)
     both = bool(
         np.all(np.min(np.abs(axis_s[:, None] - own[0][beside(own[0], axis_s)]), axis=1) < limits.SAME_INSTANT * step)
@@ -244,7 +244,7 @@ def _extra(name: str, value: Value, axis_s: FloatArray | None, n: int, table: Ta
     clock = None if axis_s is None else clock_of(value.columns)
     if axis_s is not None and clock is not None and clock.size == value.values.size and not same_clock(clock, axis_s):
         at = np.interp(axis_s, clock, value.values, left=np.nan, right=np.nan)  # its times are its own
-        value = replace(value, values=at)
+        value = value._replace(values=at)
     if value.values.size != n or not value.values.ndim:
         raise RecordingError(f"{table.name}: {name} has {value.values.size} rows, the force {n}; choose another column")
     unit = value.unit or ""

@@ -3,6 +3,7 @@
 import math
 import weakref
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,8 +206,7 @@ def hysteresis(values: FloatArray, threshold: float) -> list[int]:
     return found
 
 
-@dataclass(frozen=True)
-class Corner:
+class Corner(NamedTuple):
     """Two straight lines that meet at a reversal, rounded as by an actuator: a triangle convolved with a Gaussian."""
 
     meets_s: float
@@ -515,7 +515,7 @@ def _motion(recording: Recording) -> Motion:
         way, offset, rounded, rounded_v = unfolded(time, corners)
         straight = smooth(time, way * (raw - rounded) + offset, noise, count, turns)
         x, v = way * (straight.values - offset) + rounded, way * straight.velocity + rounded_v
-        curve = replace(straight, values=x, velocity=v)
+        curve = straight._replace(values=x, velocity=v)
     start = _boundaries(time, turn_s)
     grows = curve.values[turns[0] if turns else -1] >= curve.values[0]
     direction = alternating(start.size - 1, 1 if grows else -1)

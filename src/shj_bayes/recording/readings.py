@@ -1,6 +1,6 @@
 """Single samples of a channel: empty cells, held readings, spikes, clipping, standing still."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,8 +109,7 @@ def stopped(force_kN: FloatArray, displacement_mm: FloatArray) -> BoolArray:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class HeldReadings:
+class HeldReadings(NamedTuple):
     """Which readings of a channel are new, and how old each was when it was written."""
 
     period: float  # rows from one reading to the next

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +64,7 @@ class Source:
             object.__setattr__(self, key, {role: plain_text(text) for role, text in getattr(self, key).items()})
 
 
-@dataclass(frozen=True)
-class RunStart:
+class RunStart(NamedTuple):
     """Where a further run begins in a file that tells its runs apart."""
 
     sample: int  # its first sample

@@ -7,9 +7,8 @@ import io
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -45,8 +44,7 @@ class NoNumbersError(RecordingError):
     """Text without rows of numbers; another sheet of the same workbook may have some."""
 
 
-@dataclass(frozen=True)
-class Dialect:
+class Dialect(NamedTuple):
     """How a text table is written."""
 
     separator: str  # ``","``, ``";"``, tab, or a blank for any run of blanks
@@ -138,7 +136,7 @@ def _without_empty_tail(dialect: Dialect, lines: list[str]) -> Dialect:
     width = dialect.width
     while width > 2 and all(len(row) < width or row[width - 1] == "" for row in sample):
         width -= 1
-    return replace(dialect, width=width)
+    return dialect._replace(width=width)
 
 
 _BRACKETED = re.compile(r"^(?P<name>.*?)[\s_,/]*[(\[{<]\s*(?P<unit>[^()\[\]{}<>]{1,24})\s*[)\]}>]\s*$")
@@ -199,8 +197,7 @@ _SHORTEST_NAME = 3  # letters of words that may be names of columns and not mark
 _LABVIEW = ("LabVIEW Measurement", "***End_of_Header")
 
 
-@dataclass(frozen=True)
-class Wave:
+class Wave(NamedTuple):
     """Times of a channel as LabVIEW writes them."""
 
     started: str  # date and time
@@ -208,15 +205,14 @@ class Wave:
     step_s: float  # 0 where it is not written
 
 
-@dataclass(frozen=True)
-class Head:
+class Head(NamedTuple):
     """What stands above rows of numbers."""
 
     names: list[str]  # "" where a column has none
     units: list[str | None]
     written: list[str]  # names and units together, as in the file
     line: int = 0  # of the names or units, counted from 1
-    waves: list[Wave] = field(default_factory=list)  # of a LabVIEW file, of all columns but the first
+    waves: Sequence[Wave] = ()  # of a LabVIEW file, of all columns but the first
 
 
 def head_of(above: list[str], dialect: Dialect, line: int = 0) -> Head:
@@ -303,7 +299,7 @@ def _with_waves(head: Head, above: list[str], dialect: Dialect) -> Head:
     empty = [""] * (dialect.width - 1)
     columns = zip(*(fields.get(key, empty) for key in ("date", "time", "x0", "delta_x")), strict=True)
     waves = [Wave(f"{day} {time}".strip(), number(x0), number(step)) for day, time, x0, step in columns]
-    return replace(head, units=units, waves=waves)
+    return head._replace(units=units, waves=waves)
 
 
 def is_head(group: Sequence[str], first: Head, dialect: Dialect) -> bool:
@@ -558,7 +554,7 @@ class TextRows:
     def _turn(self, group: list[str], row: str, at: int) -> None:
         """Read lines of words between the rows; `row` is that which follows, `at` the first of them."""
         width = len(self.dialect.cells(row)) or self.dialect.width
-        own = replace(self.dialect, width=width)
+        own = self.dialect._replace(width=width)
         if is_head(group, self.head, own):
             named = next((i for i, line in enumerate(group) if len(own.cells(line)) == width), 0)
             head = head_of(group, own, self.line_of(at + named))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -24,8 +24,7 @@ Runs = int | Literal["split", "one"] | None
 _OTHER = "use --split or --one-run, or put each run into a file of its own"
 
 
-@dataclass(frozen=True)
-class Division:
+class Division(NamedTuple):
     """One way to part a recording into runs."""
 
     # the file tells its runs apart; the protocol begins again; the device rests for long
@@ -172,8 +171,7 @@ class _Pause(NamedTuple):
         return 0.5 * (self.begin_s + self.end_s)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sketch:
+class _Sketch(NamedTuple):
     """The displacement thinned out: enough to see rests and strokes."""
 
     # time_s, x_mm: shape (n,)

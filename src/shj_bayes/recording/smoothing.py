@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
 from math import factorial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,8 +84,7 @@ MAX_CELLS = 20_000_000  # of a grid: a time axis with absurd gaps is no reason t
 _CUBIC, _QUINTIC = 3, 5
 
 
-@dataclass(frozen=True, eq=False)
-class Grid:
+class Grid(NamedTuple):
     """Evenly spaced version of the samples, on which the filters work."""
 
     time: FloatArray  # shape (n_grid,): s
@@ -93,8 +93,7 @@ class Grid:
     noise: float  # standard deviation of the noise of ``values``
 
 
-@dataclass(frozen=True, eq=False)
-class Smooth:
+class Smooth(NamedTuple):
     """Smoothed displacement and its velocity at the samples."""
 
     # values, velocity: shape (n_samples,): mm and mm/s
@@ -123,18 +122,13 @@ def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -
     return Grid(centres, np.interp(centres, mean_time, mean_value), step, noise / np.sqrt(max(1.0, time_s.size / n)))
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(NamedTuple):
     """A measured displacement with strictly increasing times, shape (n_samples,)."""
 
     time_s: FloatArray
     values: FloatArray
     noise: float  # standard deviation of one
-
-    @cached_property
-    def step(self) -> float:
-        """Usual sampling interval, s."""
-        return float(np.median(np.diff(self.time_s)))
+    step: float  # usual sampling interval, s
 
     def grid(self, half_s: float) -> Grid:
         """Average what a window of half a width (s) need not tell apart."""
@@ -148,7 +142,7 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, t
     `noise` is the standard deviation of one sample, `count` the step of the encoder, 0 when there is none, `turns` the
     samples at which half-cycles end, roughly.
     """
-    samples = Samples(time_s, values, noise)
+    samples = Samples(time_s, values, noise, float(np.median(np.diff(time_s))))
     # Neighbouring windows differ by the rounding error of a slow staircase without any bias, and noise that is not
     # white is larger than its third differences tell; a ten-thousandth of the range is no bias that a loop shows.
     coloured = min(BIAS_RANGE * float(np.ptp(values)), 4.0 * noise)

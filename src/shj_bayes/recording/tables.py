@@ -5,6 +5,7 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,8 +87,7 @@ def as_floats(values: object) -> FloatArray:
     return array
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A file format."""
 
     id: str  # word in files and messages
@@ -111,8 +111,7 @@ _HELP = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Value:
+class Value(NamedTuple):
     """A formula's value: a column, or a single number when ``values`` has no dimension."""
 
     values: FloatArray  # numbers, shape (n_rows,) or ()
@@ -213,10 +212,10 @@ def _operand(match: re.Match[str], text: str, table: Table) -> Value:
 def _value(node: ast.expr, operands: list[Value], text: str) -> Value:
     """Value of a part of a formula, whose numbers are places in the list of operands."""
     if isinstance(node, ast.Constant) and isinstance(node.value, int):
-        return replace(operands[node.value], plain=False)
+        return operands[node.value]._replace(plain=False)
     if isinstance(node, ast.UnaryOp):
         inner = _value(node.operand, operands, text)
-        return inner if isinstance(node.op, ast.UAdd) else replace(inner, values=np.asarray(-inner.values))
+        return inner if isinstance(node.op, ast.UAdd) else inner._replace(values=np.asarray(-inner.values))
     if not isinstance(node, ast.BinOp) or type(node.op) not in _SIGNS:
         raise RecordingError(f"--columns: cannot read {text!r}; {_HELP}")
     left, right = (_value(side, operands, text) for side in (node.left, node.right))

@@ -12,7 +12,7 @@ from shj_bayes.errors import ModelError
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.measured import PREFIX
+from shj_bayes.model.history import PREFIX
 from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words

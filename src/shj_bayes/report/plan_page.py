@@ -80,7 +80,7 @@ def lines(record: PlanRecord) -> list[str]:
                 "planned test. Record it again: a test in which it changes on its own tells most of it."
             )
     if record.worth == WorthOfTest.YES and record.candidates:
-        best, table = record.candidates[0], record.compared[0]
+        table = record.compared[0]
         if record.question == WHICH:
             out.append(
                 f"{table.name} ({table.minutes:.1f} minutes) names it with a chance of "
@@ -88,13 +88,6 @@ def lines(record: PlanRecord) -> list[str]:
             )
         else:
             out.append(f"{table.name} ({table.minutes:.1f} minutes) takes it to {table.sd:.3g}.")
-        if best.simulated:
-            s = best.simulated
-            out.append(
-                f"In {s.n} full simulations of it, as many of each rival, the most probable set was the true one "
-                f"{s.right} times. With each rival counted by its probability, the true one had a mean of "
-                f"{100 * s.of_truth:.3g} %."
-            )
     return out
 
 
@@ -102,14 +95,13 @@ def plan_text(record: PlanRecord) -> str:
     """Give the summary for the terminal."""
     rows = [headline(record), *(f"  {line}" for line in lines(record))]
     if record.candidates or record.compared:
-        head = f"{'protocol':44} {'min':>6} {'gain':>8} {'per min':>8} {'apart':>8} {'right':>7} {'simulated':>9}"
+        head = f"{'protocol':44} {'min':>6} {'gain':>8} {'per min':>8} {'apart':>8} {'right':>7}"
         rows += ["", f"  {head}"]
         for r in (*record.candidates, *record.compared):
-            done = "" if not r.simulated else f"{r.simulated.right} of {r.simulated.n}"
             mark = "  (outside the limits)" if r.limits_broken else ""
             rows.append(
                 f"  {r.name[:44]:44} {r.minutes:6.1f} {r.gain_nats:8.3f} {r.gain_per_minute:8.3f} "
-                f"{r.apart_nats:8.1f} {100 * r.chance_right:6.1f}% {done:>9}{mark}"
+                f"{r.apart_nats:8.1f} {100 * r.chance_right:6.1f}%{mark}"
             )
     return "\n".join(rows)
 

@@ -11,8 +11,7 @@ from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.history import histories
-from shj_bayes.model.measured import Measured
+from shj_bayes.model.history import Measured, histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import exact_motion, table_1
 

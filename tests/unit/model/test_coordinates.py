@@ -1,7 +1,5 @@
 """Coordinates on the paper's loading history: shares within their range, and back; words; heat in closed form."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -64,7 +62,7 @@ def test_words(one: Coordinate) -> None:
 def test_travel_and_time_go_on_from_run_to_run(runs: tuple[History, ...]) -> None:
     for name in ("travel", "time"):
         one = coordinates()[name]
-        first, second = one.values(runs[0], replace(BASE, Fy=BASE.Fy_first)), one.values(runs[1], BASE)
+        first, second = one.values(runs[0], BASE._replace(Fy=BASE.Fy_first)), one.values(runs[1], BASE)
         assert first[0] == 0.0
         assert second[0] == pytest.approx(first[-1], rel=0.01)
         assert second[-1] == pytest.approx(2.0 * first[-1], rel=0.03)  # of less force, the second slides more

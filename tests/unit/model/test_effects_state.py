@@ -100,7 +100,7 @@ def test_heat_does_not_depend_on_the_sampling():
 
 def test_a_weaker_run_heats_less():
     """With as much sliding in both: the second is softer by as much as it is weaker."""
-    bases = BASES[0], replace(BASES[1], K=0.75 * BASES[0].K)
+    bases = BASES[0], BASES[1]._replace(K=0.75 * BASES[0].K)
     hot, mild = (
         1 - clamping("thermal", h, b, size=0.2, cooling=60.0, spread=0.5)
         for h, b in zip(two_runs(), bases, strict=True)

@@ -13,8 +13,7 @@ from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.curve import Curve, curve_named
 from shj_bayes.model.device import DeviceModel, effects_named, meaning_of
 from shj_bayes.model.effects.effect import Base
-from shj_bayes.model.history import delayed
-from shj_bayes.model.measured import coordinate_of
+from shj_bayes.model.history import coordinate_of, delayed
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.recording import Extra, Recording

@@ -1,4 +1,4 @@
-"""What is foreseen is what the Gaussian algebra says, and what full simulations end in."""
+"""What is foreseen is what the Gaussian algebra says."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.data import N_OF_RUN, ErrorModel
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.information import _separation, as_read, expected_information, quantity_named, simulate_outcomes
+from shj_bayes.planning.information import _separation, as_read, expected_information, quantity_named
 from shj_bayes.planning.plan import WorthOfTest, make_plan
 from shj_bayes.planning.protocol import Protocol, ProtocolBlock, Rig, Waveform, proposals
 from shj_bayes.planning.rivals import (
@@ -41,7 +41,7 @@ def heated() -> PretestPosterior:
     key = stated_key("thermal", 0.025, seed=4, rate_Hz=5.0)
     runs = runs_of([make(key)[0].recording])
     device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-    scales = common_scales(runs, RIG, (*proposals(RIG, 1), LONG, SHORT))
+    scales = common_scales(runs, RIG, (*proposals(RIG), LONG, SHORT))
     return linearise(
         DeviceUnderTest("device", runs, device, ((HEAT, 0.6), (WEAR, 0.4)), frozenset({"velocity"})), scales
     )
@@ -72,7 +72,7 @@ def test_a_zero_that_is_off_by_what_matters_is_the_rival_that_says_so(heated: Pr
     key = stated_key("load_offset", 0.02, seed=4, rate_Hz=5.0)
     runs = runs_of([make(key)[0].recording])
     device = DeviceModel(1, read_priors("afc"), variant=key.reversal)
-    scales = common_scales(runs, RIG, (*proposals(RIG, 1), LONG, SHORT))
+    scales = common_scales(runs, RIG, (*proposals(RIG), LONG, SHORT))
     constant = frozenset({"added over constant"})
     sets = ((constant, 0.5), (frozenset[str](), 0.5))
     known = linearise(DeviceUnderTest("device", runs, device, sets, frozenset({"velocity"}), untold=True), scales)
@@ -106,7 +106,7 @@ def test_a_protocol_that_its_samples_do_not_show_comes_behind_all_others(heated:
     rig = replace(RIG, rate_Hz=20.0)
     slow = Protocol("slow", (ProtocolBlock(95.0, 10.0, 1),))
     quick = Protocol("quick", (ProtocolBlock(24.0, 40.0, 40, Waveform.TRIANGLE),))
-    plan = make_plan([heated], rig, (slow, quick), seed=1, rehearsals=0).record
+    plan = make_plan([heated], rig, (slow, quick), seed=1).record
     rows = {row.name: row for row in (*plan.candidates, *plan.compared)}
     assert quick.name not in rows or rows["quick"].order < rows["slow"].order
     far, near = (expected_information(heated, p, 20.0, 1) for p in (quick, slow))
@@ -141,20 +141,12 @@ def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Prete
     assert seen.sd < gamma.now(alone)[1]
 
 
-def test_full_simulations_end_where_it_was_foreseen(heated: PretestPosterior) -> None:
-    done = simulate_outcomes(heated, LONG, 5.0, 4, 1)
-    assert done.n == 4
-    assert done.right >= 3  # foreseen: nearly always
-    assert done.of_truth > 0.7
-
-
 def test_a_plan_beats_a_short_test_and_keeps_to_the_rig(heated: PretestPosterior) -> None:
-    plan = make_plan([heated], RIG, proposals(RIG, 1), (SHORT,), rehearsals=1).record
+    plan = make_plan([heated], RIG, proposals(RIG), (SHORT,)).record
     best, short = plan.candidates[0], next(r for r in plan.compared if r.name == SHORT.name)
     assert plan.worth is WorthOfTest.YES
     assert best.gain_nats > short.gain_nats
     assert not best.limits_broken
-    assert best.simulated is not None
     assert plan.compared[0].name == "Table 1"
     assert "time" in plan.compared[0].limits_broken[0]  # Table 1 takes longer than this rig may
     assert best.minutes <= 6.0
@@ -164,7 +156,7 @@ def test_nothing_is_planned_for_what_is_decided(heated: PretestPosterior) -> Non
     shares = {HEAT: 0.99, WEAR: 0.01}
     kept = [next(b for b in heated.rivals if b.key == k) for k in shares]
     sure = replace(heated, rivals=tuple(replace(b, share=shares[b.key]) for b in kept))
-    two, one = (make_plan(known, RIG, (LONG, SHORT), rehearsals=0).record for known in ([sure, sure], [sure]))
+    two, one = (make_plan(known, RIG, (LONG, SHORT)).record for known in ([sure, sure], [sure]))
     assert two.worth is WorthOfTest.DECIDED
     assert len(two.devices) == 2
     assert two.candidates == one.candidates  # one test for two devices: the mean of both
@@ -198,7 +190,7 @@ def test_before_any_test_speed_is_told_by_a_test_at_several_speeds() -> None:
 def test_before_any_test_no_loops_of_rivals_are_drawn(tmp_path: Path) -> None:
     """Each curve is as likely above 0 as below it: the two loops would be one."""
     known = before_any_test(DeviceModel(1, read_priors("afc")), common_scales((), RIG, (LONG, SHORT)))
-    plan = make_plan([known], RIG, (LONG, SHORT), rehearsals=0)
+    plan = make_plan([known], RIG, (LONG, SHORT))
     page = render_plan(tmp_path, plan.record, plan).read_text(encoding="utf-8")
     assert "The best protocol" in page
     assert "Where they part" not in page

@@ -14,7 +14,6 @@ from shj_bayes.planning.protocol import (
     Protocol,
     ProtocolBlock,
     Rig,
-    changed,
     proposals,
     read_rig,
     table_1_protocol,
@@ -48,19 +47,24 @@ def test_half_cycles_turn_where_the_motion_does() -> None:
     assert np.all(np.abs(motion.displacement_mm) <= 95.0)
 
 
-def test_proposals_keep_to_the_rig_whatever_is_changed() -> None:
+def test_proposals_keep_to_the_rig_and_fill_its_time() -> None:
     small = Rig(30.0, 5.0, 100.0, 4.0, 5.0)
-    rng = np.random.default_rng(3)
-    listed = proposals(small, 3, 10)
-    assert listed[0].name == "Table 1"
-    assert listed[0].largest_mm <= 30.0
-    protocols = listed[1:]
-    for _ in range(3):
-        protocols = [new for p in protocols if (new := changed(p, small, rng)) is not None]
-        for p in protocols:
-            assert not small.broken_by(p)
-            p.sampled(small.rate_Hz)  # resolved at its rate
-    assert len({p.blocks for p in protocols}) > 5
+    table, *patterns = proposals(small)
+    assert (table.name, table.largest_mm) == ("Table 1", pytest.approx(30.0))
+    for p in patterns:
+        assert not small.broken_by(p)
+        p.sampled(small.rate_Hz)  # resolved at its rate
+    assert any(p.times > 1 and p.duration_s + p.duration_s / p.times > 240.0 for p in patterns)
+
+
+def test_a_pattern_that_comes_twice_is_its_blocks_twice() -> None:
+    blocks = (ProtocolBlock(20.0, 40.0, 2), ProtocolBlock(60.0, 10.0, 1))
+    twice, written = Protocol("p", blocks, 2), Protocol("p", blocks * 2)
+    assert (twice.duration_s, twice.travel_m) == pytest.approx((written.duration_s, written.travel_m))
+    (time, motion), (other, own) = twice.sampled(20.0), written.sampled(20.0)
+    assert np.array_equal(time, other)
+    assert np.array_equal(motion.displacement_mm, own.displacement_mm)
+    assert np.array_equal(motion.start, own.start)
 
 
 def test_a_history_outside_the_rig_is_not_written() -> None:
@@ -117,4 +121,4 @@ def test_a_limit_that_no_rig_has_is_refused(tmp_path: Path, name: str, value: st
 
 def test_a_week_on_the_rig_is_not_filled_with_repeats() -> None:
     rig = replace(RIG, max_stroke_mm=1.0, max_speed_mm_s=1e5, max_minutes=1e4)
-    assert max(len(one.blocks) for one in proposals(rig, 1)) < 3000
+    assert max(one.times for one in proposals(rig)) == 200

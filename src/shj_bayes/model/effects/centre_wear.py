@@ -9,9 +9,7 @@ from shj_bayes.model.priors import Prior
 
 def act(history: History, values: Values, base: Base) -> Contribution:
     """Clamping 1 - c exp(-(x/w)^2), w a share of the half stroke."""
-    return Contribution(
-        clamping=1.0 - values["size"] * np.exp(-((history.normal_position / values["width"]) ** 2)),
-    )
+    return Contribution(clamping=1.0 - values["size"] * np.exp(-((history.normal_position / values["width"]) ** 2)))
 
 
 def _track(history: History, values: Values, base: Base) -> Contribution:

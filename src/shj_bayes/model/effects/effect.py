@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from typing import NamedTuple
 
 from shj_bayes.errors import ModelError
 from shj_bayes.model.history import History
@@ -24,8 +25,7 @@ FAMILIES = (
 LEAST = 1e-3  # of the clamping: effects that take more than all of it leave this
 
 
-@dataclass(frozen=True, eq=False)
-class Contribution:
+class Contribution(NamedTuple):
     """What an effect does to the law in one run; every part has a neutral default, and parts combine freely."""
 
     # shape (n_samples,): multiplies Fy (the clamping force or the friction coefficient)
@@ -46,8 +46,7 @@ class Contribution:
     second_surface: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
-@dataclass(frozen=True)
-class Base:
+class Base(NamedTuple):
     """The base parameters an effect may refer to: K (kN/mm), Fy of this run (kN), beta, gamma (s/mm), Fy of run 1 (kN).
 
     Effects that add a force scale with ``Fy_first``: unlike friction they do not degrade with the clamping.
@@ -62,7 +61,7 @@ class Base:
     def sliding_from(self, clamping: float) -> Base:
         """Give the base of a contact that sticks up to a clamping times Fy: what slides is told from that force."""
         share = max(clamping, LEAST)
-        return replace(self, Fy=share * self.Fy, Fy_first=share * self.Fy_first)
+        return self._replace(Fy=share * self.Fy, Fy_first=share * self.Fy_first)
 
 
 Values = Mapping[str, float]
@@ -142,22 +141,8 @@ class Effect:
     ) -> Effect:
         """Give the same mechanism with another published formula beside those it has.
 
-        Parameters
-        ----------
-        word : str
-            Word for the formula; the id of the form is that of the mechanism, an underscore and this word.
-        statement, equation : str
-            As for the effect.
-        parameters : tuple of Prior
-            Its own; the size stays the first one and is neutral at 0.
-        act : callable
-            As for the effect.
-        source : str
-            Equation or paper.
-        start : mapping of str to tuple of float
-            As for the effect.
-        filtered : str, optional
-            As for the effect.
+        The id of the form is that of the mechanism, an underscore and its `word`. The rest is as for the effect; the
+        size is the first of its parameters and neutral at 0.
         """
         form = replace(
             self,

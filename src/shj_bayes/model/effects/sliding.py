@@ -1,7 +1,6 @@
 """Distance slid: what is left of the motion once the connection has unloaded and loaded again; it heats and wears."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -136,16 +135,9 @@ def _passed(rubbed, low, cell, weights, place, slid, start, begins):  # type: ig
 
 
 def passes(history: History, base: Base, width: float) -> FloatArray:
-    """How often the place of each point has been slid over, through all runs, shape (n_samples,).
+    """How often the place of each point of a run has been slid over, through all runs, shape (n_samples,).
 
-    Parameters
-    ----------
-    history : History
-        Of one run.
-    base : Base
-        Base parameters, for where sliding begins.
-    width : float
-        Of the pad that wears and is worn: standard deviation of its bell, as a share of the half stroke.
+    `width` is that of the pad that wears and is worn: standard deviation of its bell, as a share of the half stroke.
     """
     half = history.half_stroke_mm
     cell = 2.4 * half / CELLS
@@ -184,7 +176,7 @@ def remembered_through(
     own, before = goal(history), history.before
     first = float(own[0]) if begin is None else begin
     if before is not None:
-        first = float(remembered_through(goal, before, replace(base, Fy=base.Fy_first), length_mm, begin)[-1])
+        first = float(remembered_through(goal, before, base._replace(Fy=base.Fy_first), length_mm, begin)[-1])
     return np.asarray(remembered(own, slid_since_mm(history, base), length_mm, first))
 
 
@@ -192,16 +184,8 @@ def remembered_through(
 def remembered(goal: FloatArray, moved: FloatArray, length: float, begin: float) -> FloatArray:
     """State that follows a goal late, L dm/ds + m = u, shape (n,); exact for a goal straight over each step.
 
-    Parameters
-    ----------
-    goal : array, shape (n,)
-        The goal u.
-    moved : array, shape (n,)
-        Distance slid since the sample before, mm.
-    length : float
-        L, mm.
-    begin : float
-        State at the first sample.
+    `goal` is u, shape (n,), `moved` the distance slid since the sample before, mm, `length` L, mm, `begin` the state
+    at the first sample.
     """
     out = np.empty_like(goal)
     out[0] = begin

@@ -50,12 +50,7 @@ EFFECT = Effect(
     next_test="A load washer under the bolt head: it shows the change without any model.",
     parameters=(
         Prior(
-            "size",
-            "1",
-            "normal",
-            0.0,
-            0.25,
-            "From the slip of a bolt to the loss of one of two; mean of directions.",
+            "size", "1", "normal", 0.0, 0.25, "From the slip of a bolt to the loss of one of two; mean of directions."
         ),
         Prior("begin", "1", "uniform", 0.0, 1.0, "Share of the testing time: any moment."),
         Prior("length", "1", "loguniform", 0.02, 2.0, "Share of the testing time: from about a cycle to its end."),

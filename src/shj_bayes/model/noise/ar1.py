@@ -19,9 +19,4 @@ def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     return np.asarray(np.power(values["phi"], np.rint(seconds[:, None] / step_s)))
 
 
-NOISE = Noise(
-    id="ar1",
-    parameters=("sigma", "phi"),
-    parts=parts,
-    decay=decay,
-)
+NOISE = Noise(id="ar1", parameters=("sigma", "phi"), parts=parts, decay=decay)

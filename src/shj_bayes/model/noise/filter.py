@@ -84,26 +84,11 @@ class Timing:
 
 
 def log_density(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing) -> FloatArray:
-    """Log density of averaged residuals, by half-cycle.
+    """Log density of averaged residuals by half-cycle, each given those before it, shape (m, n_half).
 
-    Parameters
-    ----------
-    noise : Noise
-        The model.
-    values : mapping of str to array, shape (m,)
-        Its parameters.
-    residual : array, shape (m, n)
-        Measured minus modelled force of each block, kN.
-    slope : array, shape (m, n)
-        Derivative of the modelled force after the displacement in each block, kN/mm.
-    timing : Timing
-        When the blocks were taken.
-
-    Returns
-    -------
-    array, shape (m, n_half)
-        Natural-log density of each half-cycle given those before it; they add up to the log likelihood. Under heavy
-        tails the zero of the load cell counts as known.
+    For m sets of the noise's parameters, with measured less modelled force of each block (`residual`, kN) and the
+    derivative of the modelled force after the displacement (`slope`, kN/mm), both of shape (m, n). They add up to the
+    log likelihood. Under heavy tails the zero of the load cell counts as known.
     """
     return _run(noise, values, residual, slope, timing)[:, :-2]
 
@@ -170,11 +155,7 @@ def whiten(
 
 
 def simulate(
-    noise: Noise,
-    values: dict[str, float],
-    time_s: FloatArray,
-    restarts: NDArray[np.bool_],
-    rng: np.random.Generator,
+    noise: Noise, values: dict[str, float], time_s: FloatArray, restarts: NDArray[np.bool_], rng: np.random.Generator
 ) -> FloatArray:
     """Draw one noise series, sample by sample, kN, for one set of parameters.
 

@@ -16,9 +16,4 @@ def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     return np.zeros((seconds.size, values["sigma"].size))
 
 
-NOISE = Noise(
-    id="independent",
-    parameters=("sigma",),
-    parts=parts,
-    decay=decay,
-)
+NOISE = Noise(id="independent", parameters=("sigma",), parts=parts, decay=decay)

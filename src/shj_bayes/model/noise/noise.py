@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +12,7 @@ from shj_bayes.model.parameters import NOISE_PARAMETERS, FloatArray
 Values = Mapping[str, FloatArray]
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseComponents:
+class NoiseComponents(NamedTuple):
     """The two parts of the noise for m parameter sets; all arrays have shape (m,)."""
 
     white_kN: FloatArray  # standard deviation of the part that is new in each sample

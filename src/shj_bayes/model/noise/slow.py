@@ -11,9 +11,4 @@ def parts(values: Values) -> NoiseComponents:
     return gaussian(values["sigma_white"], values["sigma_slow"])
 
 
-NOISE = Noise(
-    id="slow",
-    parameters=("sigma_white", "sigma_slow", "tau_slow"),
-    parts=parts,
-    decay=exponential,
-)
+NOISE = Noise(id="slow", parameters=("sigma_white", "sigma_slow", "tau_slow"), parts=parts, decay=exponential)

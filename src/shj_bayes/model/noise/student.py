@@ -11,9 +11,4 @@ def parts(values: Values) -> NoiseComponents:
     return NoiseComponents(values["sigma_white"], values["sigma_slow"], values["nu"])
 
 
-NOISE = Noise(
-    id="student",
-    parameters=("sigma_white", "sigma_slow", "tau_slow", "nu"),
-    parts=parts,
-    decay=exponential,
-)
+NOISE = Noise(id="student", parameters=("sigma_white", "sigma_slow", "tau_slow", "nu"), parts=parts, decay=exponential)
