@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from timing import Counted
 
 from shj_bayes.inference.convergence import ESS_LIMIT, RHAT_LIMIT, diagnose_chains
+from shj_bayes.inference.fit import evenly_spread, weights_of_all_samples
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, law_starts, polish
@@ -42,13 +43,16 @@ def reference(whole: Posterior, start: Start) -> FloatArray:
 
 
 def own(first: Posterior, _peer: NumpyPosterior, _start: Start) -> Draws:
-    """Take shj-bayes as `fit` does: search, averaging, proposal, sampling, with the compiled likelihood."""
+    """Take shj-bayes as `fit` does: search, averaging, proposal, sampling, weights of all samples."""
     posterior, start = find_start(first, threads=0)
     density = Counted(posterior)
     states, figures = run_ensembles(density, posterior.names, start, SamplingPlan())
-    kept = np.stack([state.chain[figures.n_burn :] for state in states])
-    note = f"with the search; {posterior.n_blocks} averages"
-    return Draws(kept, float(figures.ess_bulk.min()), density.n, note)
+    kept = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
+    weights, tail = weights_of_all_samples(posterior, start, kept, threads=0)
+    worth = float(weights.mean() ** 2 / np.mean(weights**2))
+    chosen = np.take_along_axis(kept, evenly_spread(weights)[:, :, None], axis=1)
+    note = f"with the search; {posterior.n_blocks} averages; Pareto k {tail:.2f}"
+    return Draws(chosen, worth * float(figures.ess_bulk.min()), density.n, note)
 
 
 def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callable[..., Draws]:

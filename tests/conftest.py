@@ -1,6 +1,7 @@
 """A small simulated device that fits in well under a second, for every test that needs data."""
 
 import base64
+import signal
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -49,6 +50,13 @@ def _one_blas_thread() -> Iterator[None]:
         for name in ONE_THREAD:
             patch.setenv(name, "1")
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _interrupts_are_heard() -> None:
+    """Take Ctrl-C where it is ignored, as in what a shell starts in the background: processes of tests inherit that."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def small_posterior(

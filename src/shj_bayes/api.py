@@ -22,7 +22,6 @@ from shj_bayes.app.device import Work, diagnose_device, fit_device, step_told
 from shj_bayes.app.manifest import Manifest, read_manifest
 from shj_bayes.app.plan import plan_next
 from shj_bayes.errors import OptionError, ReportError, did_you_mean
-from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.options import DiagnoseOptions, FitOptions, PlanOptions
 from shj_bayes.planning.plan import PlanRecord
 from shj_bayes.population.results import PopulationRecord
@@ -93,6 +92,8 @@ class FitResult(_Result):
 
         An ``arviz.InferenceData`` up to ArviZ 0.23, an ``xarray.DataTree`` from version 1 on.
         """
+        from shj_bayes.inference.quiet_arviz import az  # noqa: PLC0415  takes longer to import than all else
+
         return read_whole(self.folder, az)
 
     @property

@@ -22,7 +22,7 @@ from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
-HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 200\n'
+HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 60\n'
 pytestmark = pytest.mark.usefixtures("short_populations")
 
 
@@ -178,7 +178,7 @@ def test_a_page_made_again_needs_no_new_draws(campaign, monkeypatch):
         (HEAD + '[[set]]\nname = "a"\n', "has no [[set.device]]"),
         (HEAD + '[[set]]\nname = "a"\n[[set.device]]\nname = "d"\n', "recordings = "),
         (HEAD + 'speed = 3\n[[set]]\nname = "a"\n', "option 'speed'"),
-        (HEAD.replace("200", '"many"') + '[[set]]\nname = "a"\n', "needs a whole number"),
+        (HEAD.replace("60", '"many"') + '[[set]]\nname = "a"\n', "needs a whole number"),
         (HEAD + '[[set]]\nname = "a"\n' + '[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n' * 2, "stands twice"),
     ],
 )

@@ -385,3 +385,19 @@ def test_commands_do_not_wait_for_libraries_that_they_may_not_need(module, unnee
     code = f"import sys, shj_bayes.app.{module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not unneeded & set(done.stdout.split())
+
+
+def test_a_recording_is_checked_without_scipy(tmp_path):
+    """But for one whose motion has corners, or a unit that only pint knows."""
+    time_s = np.arange(0.0, 60.0, 0.05)
+    force = np.clip(40.0 * np.cos(0.5 * time_s), -30.0, 30.0) + np.random.default_rng(1).normal(0.0, 0.1, time_s.size)
+    path = tmp_path / "smooth.csv"
+    rows = np.stack([time_s, 20.0 * np.sin(0.5 * time_s), force], axis=1)
+    np.savetxt(path, rows, delimiter=",", header="time (s),displacement (mm),force (kN)", comments="")
+    code = (
+        "import sys, shj_bayes.cli as c\n"
+        f"try: c.main(['check', {str(path)!r}, '--quiet'])\n"
+        "finally: print([m for m in ('scipy', 'numba', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -12,7 +12,7 @@ from shj_bayes.app.device import write_simulated
 from shj_bayes.errors import ModelError, RecordingError, ReportError
 from shj_bayes.model.simulate import Truth
 
-SHORT = {"max_steps": 200, "threads": 1}
+SHORT = {"max_steps": 60, "threads": 1}
 pytestmark = pytest.mark.usefixtures("short_populations", "no_workers")
 
 
@@ -122,7 +122,7 @@ def test_a_campaign_runs_compares_and_loads(runs: list[Path], tmp_path: Path) ->
     )
     manifest = tmp_path / "c.toml"
     manifest.write_text(
-        f'schema = "shj-bayes/campaign/1"\nname = "c"\n[defaults]\nmax_steps = 200\n{sets}\n', encoding="utf-8"
+        f'schema = "shj-bayes/campaign/1"\nname = "c"\n[defaults]\nmax_steps = 60\n{sets}\n', encoding="utf-8"
     )
     result = shj_bayes.Campaign.read(manifest).run(tmp_path / "out", workers=1, diagnose="off")
     assert set(result.bands["set"]) >= {"bare", "zinc"}

@@ -11,6 +11,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import Trust
 
 TAILS = (0.05, 0.95)
+FEWEST_ABOVE, EVEN = 5, 1e-9  # weights that a law is fitted to; of the largest weight: rounding
 
 
 def rhat(chains: FloatArray) -> float:
@@ -67,6 +68,30 @@ def _ess(chains: FloatArray) -> float:
     rest = even[last] if even[last] > 0 or even[last] + odd[last] >= 0 else 0.0
     tau = max(-1.0 + 2.0 * float(pairs.sum()) + float(rest), 1.0 / np.log10(chains.size))
     return float(chains.size / tau)
+
+
+def pareto_k(log_weights: FloatArray) -> float:
+    """Shape of the generalised Pareto law of the largest weights, shape (n,): above 0.7 few draws carry all of them.
+
+    Vehtari, Simpson, Gelman, Yao and Gabry 2024, J. Mach. Learn. Res. 25, 72; the law is fitted as by Zhang and
+    Stephens 2009, Technometrics 51, 316.
+    """
+    n = log_weights.size
+    weights = np.exp(np.sort(log_weights) - log_weights.max())
+    n_tail = int(np.ceil(min(0.2 * n, 3.0 * np.sqrt(n))))
+    above = weights[-n_tail:] - weights[-n_tail - 1]
+    above = above[above > 0.0]
+    if above.size < FEWEST_ABOVE:
+        return 0.0 if np.ptp(weights) < EVEN else float("inf")
+    m = 30 + int(np.sqrt(above.size))
+    b = 1.0 - np.sqrt(m / (np.arange(1, m + 1) - 0.5))
+    b = b / (3.0 * above[int(above.size / 4.0 + 0.5) - 1]) + 1.0 / above[-1]
+    shape = np.log1p(-b[:, None] * above).mean(axis=1)
+    height = above.size * (np.log(-b / shape) - shape - 1.0)
+    share = np.exp(height - height.max())
+    share[share < 10.0 * np.finfo(float).eps * share.sum()] = 0.0
+    found = np.log1p(-float(np.average(b, weights=share)) * above).mean()
+    return float((above.size * found + 5.0) / (above.size + 10.0))
 
 
 RHAT_LIMIT, ESS_LIMIT, TAU_LIMIT = 1.01, 1000.0, 50.0

@@ -111,18 +111,17 @@ def inference_data(
 ) -> xr.DataTree:
     """Everything a reader of the fit needs, in the groups of ArviZ.
 
-    `shown` are the kept steps in the unbounded space, shape (n_ensembles, n_steps, n_walkers, d), no narrower than the
-    cycles scatter; `sampled` the same as they were sampled, `heights` the log posterior of these; `library` is the
-    package that sampled them.
+    `shown` are the kept draws in the unbounded space, shape (n_ensembles, n, d), no narrower than the cycles
+    scatter; `sampled` the same as they were sampled, `heights` the log posterior of these; `library` is the package
+    that sampled them.
 
     ``chain`` is the ensemble; ``draw`` goes through steps and walkers, thinned to nearly independent draws. Groups:
     posterior, prior, posterior_predictive, prior_predictive, log_likelihood, log_prior, sample_stats, observed_data,
     constant_data, loops. Forces of half-cycles are there for all draws, those of samples (group loops) for a few. The
     predictive draws have a stream of their own.
     """
-    n_ensembles, n_steps, n_walkers, d = shown.shape
-    step = max(1, int(np.ceil(n_steps * n_walkers / N_STORED)))
-    draws, own = (posterior.natural(chains[:, ::step].reshape(n_ensembles, -1, d)) for chains in (shown, sampled))
+    some = np.linspace(0, shown.shape[1] - 1, min(N_STORED, shown.shape[1])).astype(int)
+    draws, own = (posterior.natural(chains[:, some]) for chains in (shown, sampled))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
     laws = posterior.model.laws_of_parameters
     prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
@@ -137,7 +136,7 @@ def inference_data(
         "prior": group("draws of the priors", named(prior[None])),
         **_half_cycle_groups(group, posterior, own, prior[:N_FORESEEN], rng),
         "log_prior": group(f"in natural units; {AS_SAMPLED}", named(log_prior)),
-        "sample_stats": group(AS_SAMPLED, {"lp": heights[:, ::step].reshape(n_ensembles, -1)}),
+        "sample_stats": group(AS_SAMPLED, {"lp": heights[:, some]}),
         **_sample_groups(group, posterior, draws, rng),
     }
     for name in ("log_likelihood", "log_prior"):
@@ -228,12 +227,13 @@ def fit_record(
     floor: Floor,
     verdict: FitVerdict,
     table: pd.DataFrame,
+    pareto_k: float,
     **asked: Any,
 ) -> FitRecord:
     """Say what was fitted, how, and what came of it.
 
-    `table` is the summary of the parameters; `asked` are the name of the device, the seed and the key of the fit, the
-    verdict on the chains alone (``convergence``), and the ``remarks``.
+    `table` is the summary of the parameters, `pareto_k` of the weights of all samples; `asked` are the name of the
+    device, the seed and the key of the fit, the verdict on the chains alone (``convergence``), and the ``remarks``.
     """
     pairs = zip(posterior.averages, posterior.runs, strict=True)
     means = table["mean"].to_numpy(dtype=np.float64)[None]
@@ -273,6 +273,7 @@ def fit_record(
             tau_steps=dict(zip(figures.names, figures.tau.tolist(), strict=True)),
             acceptance=tuple(figures.acceptance.mean(axis=1).tolist()),
             n_failed_evaluations=figures.n_failed,
+            pareto_k=pareto_k if math.isfinite(pareto_k) else None,
         ),
         cycles=CyclesRecord(
             n_pieces=floor.n_pieces,

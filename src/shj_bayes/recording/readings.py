@@ -3,11 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from shj_bayes.recording import limits
 from shj_bayes.recording.clock import step_spread
 from shj_bayes.recording.motion import IntArray
 from shj_bayes.recording.recording import BoolArray, Finding, FloatArray, noise_of, resolution_of
+
+# Of seven rows, pairs to be put in order one after the other: the median ends in the middle (Devillard 1998).
+EXCHANGES = ((0, 5), (0, 3), (1, 6), (2, 4), (0, 1), (3, 5), (2, 6), (2, 3), (3, 6), (4, 5), (1, 4), (1, 3), (3, 4))
+TOGETHER = 4096  # values looked at in one call
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
@@ -221,13 +226,11 @@ class _Course:
 
         The displacement moves on while it is not read; a force, which is `still`, has to come back for itself.
         """
-        from scipy.ndimage import median_filter  # noqa: PLC0415  takes long to import
-
         self.values, self.still, step = values, still, np.diff(values)
         lasted = np.diff(time_s) / np.median(np.diff(time_s))
         self.apart = lasted > limits.GAP_STEPS
         step[self.apart] = 0.0
-        self.trend = np.zeros(step.size) if still else np.asarray(median_filter(step, 7, mode="nearest"))
+        self.trend = np.zeros(step.size) if still else _median_of_7(step)
         self.base = values - np.concatenate([[0.0], np.cumsum(self.trend)])  # the course taken off
         # Clocks that are printed with few digits misplace samples: of changes by row and by time the less unusual one.
         by_row, by_time = _outside(step), _outside(step / np.maximum(lasted, 0.5))
@@ -238,9 +241,11 @@ class _Course:
         self.noise = max(noise_of(values, 0.0), resolution_of(values) / float(np.sqrt(12.0)))
         self.limit = max(limits.SPIKE_NOISE * self.noise, share * self.core)
         bend = np.abs(np.diff(step, prepend=step[0]))
+        some = np.flatnonzero(np.abs(self.excess) > self.limit)
         # A low quantile over more rows where much is wrong: each row that is no reading bends the channel three times.
-        usual = np.minimum(_near(bend, 50, 7), 2.5 * _near(bend, 35, 15))
-        self.least = np.maximum(limits.SPIKE_USUAL * usual, self.limit)
+        usual = np.minimum(_near(bend, 50, 7, some), 2.5 * _near(bend, 35, 15, some))
+        self.least = np.full(step.size, self.limit)
+        self.least[some] = np.maximum(limits.SPIKE_USUAL * usual, self.limit)
         self.big = np.flatnonzero(np.abs(self.excess) > self.least)
 
     @property
@@ -324,12 +329,29 @@ def _outside(step: FloatArray) -> FloatArray:
     return np.asarray(step - np.clip(step, np.minimum(before, after), np.maximum(before, after)))
 
 
-def _near(sizes: FloatArray, percent: float, reach: int) -> FloatArray:
-    """Percentile over so many values on both sides of each, the largest of those near it."""
-    from scipy.ndimage import maximum_filter, percentile_filter  # noqa: PLC0415  takes long to import
+def _median_of_7(values: FloatArray) -> FloatArray:
+    """Median of each value and three on both sides, by a network of exchanges; beyond the ends the last value stays."""
+    padded, out = np.pad(values, 3, mode="edge"), np.empty(values.size)
+    for first in range(0, values.size, TOGETHER):  # what stays in the processor's cache
+        piece = padded[first : first + TOGETHER + 6]
+        rows = list(sliding_window_view(piece, piece.size - 6))
+        for a, b in EXCHANGES:
+            rows[a], rows[b] = np.minimum(rows[a], rows[b]), np.maximum(rows[a], rows[b])
+        out[first : first + TOGETHER] = rows[3]
+    return out
 
-    inner = percentile_filter(sizes, percent, 2 * reach + 1)[reach:-reach]
-    return np.asarray(maximum_filter(np.pad(inner, reach, mode="edge"), 2 * reach + 1), dtype=np.float64)
+
+def _near(sizes: FloatArray, percent: float, reach: int, at: IntArray) -> FloatArray:
+    """Percentile over so many values on both sides of each, the largest of those near some places."""
+    windows, around = sliding_window_view(sizes, 2 * reach + 1), np.arange(-reach, reach + 1)
+    k, out = int((2 * reach + 1) * percent / 100), [np.empty(0)]
+    for some in np.array_split(at, -(-at.size // TOGETHER) or 1):
+        inner, place = np.unique(
+            np.clip(some[:, None] + around, reach, sizes.size - 1 - reach) - reach, return_inverse=True
+        )
+        found = np.partition(windows[inner], k, axis=1)[:, k]
+        out.append(found[place.reshape(-1, around.size)].max(axis=1))
+    return np.concatenate(out)
 
 
 def _turning(x: FloatArray, off: BoolArray, limit: float) -> BoolArray:

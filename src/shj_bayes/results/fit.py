@@ -131,6 +131,10 @@ class SamplingRecord:
     tau_steps: Mapping[str, float | None]  # autocorrelation time by parameter
     acceptance: tuple[float, ...]  # of each ensemble
     n_failed_evaluations: int
+    pareto_k: Annotated[
+        float | None,
+        {"description": "of the weights that take the draws from averages to all samples; null if infinite"},
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,6 @@
-"""R-hat and effective sample sizes are ArviZ's, and nothing of a fit imports ArviZ."""
+"""R-hat, effective sample sizes and Pareto k are ArviZ's, and nothing of a fit imports ArviZ."""
+
+import warnings
 
 import numpy as np
 import pytest
@@ -25,3 +27,17 @@ def test_numbers_are_those_of_arviz(kind):
     assert ranks.ess_bulk(chains) == pytest.approx(float(az.ess(chains, method="bulk")), rel=1e-10)
     tail = float(az.ess(chains, method="tail", prob=(0.05, 0.95)))
     assert ranks.ess_tail(chains) == pytest.approx(tail, rel=1e-10)
+
+
+@pytest.mark.parametrize("spread", [1e-3, 0.3, 1.0, 3.0])
+@pytest.mark.parametrize("n", [100, 4000])
+def test_the_shape_of_the_largest_weights_is_that_of_arviz(spread, n):
+    log_weights = spread * np.random.default_rng(6).standard_normal(n)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # ArviZ says where the shape is too large
+        assert ranks.pareto_k(log_weights) == pytest.approx(float(az.psislw(log_weights)[1]), rel=1e-10)
+
+
+def test_equal_weights_have_no_tail_and_one_that_is_all_has_nothing_else():
+    assert ranks.pareto_k(np.full(100, 3.0)) == 0.0
+    assert ranks.pareto_k(np.append(np.full(99, -800.0), 0.0)) == np.inf
