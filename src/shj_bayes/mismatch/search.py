@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Dependence, candidates
+from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Dependence, Parametrisation, candidates
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
 from shj_bayes.mismatch.hypothesis import (
@@ -17,7 +17,6 @@ from shj_bayes.mismatch.hypothesis import (
     TIME,
     TRAVEL,
     Hypothesis,
-    joined,
     replaced,
     without,
 )
@@ -54,8 +53,16 @@ from shj_bayes.mismatch.periodic import (
     waves,
 )
 from shj_bayes.mismatch.screen import screen
+from shj_bayes.model.curve import Curve
 
+EVEN, EARLY = (0.05, 0.15, 0.5), (0.15, 0.5)  # lengths of curves on a linear scale and on one that is fine at first
+# Curves over travel and time of the same freedom: coordinate and length.
+FREE = {
+    TRAVEL: (*(("late_travel", length) for length in EVEN), *(("travel", length) for length in EARLY)),
+    TIME: (*(("time", length) for length in EVEN), *(("early_time", length) for length in EARLY)),
+}
 PROPORTION = 0.01  # of what a class explains: the error of a good curve of it
+NAMED = 0.1  # nats by which the one that a formula follows comes first
 # Blocks in which all classes are looked for. What needs more comes again after so short a way that no formula is known
 # for it; it is found, and nothing beside it.
 MOST_BLOCKS = 8000
@@ -262,29 +269,35 @@ def _odds_of_other(out: Search, h: Hypothesis, own: str, other: str) -> tuple[fl
     if weight[own] - rest.log_weight < EXPLAINED * (h.log_weight - rest.log_weight):
         return None
     best = max(fits[other], key=lambda one: one.log_weight)
-    named = max(following(fitter, best, len(rest.members)), key=lambda one: one.log_weight, default=best)
-    rival = out.found.get(h.key ^ {own, other}, replace(named, metric=h.metric))
+    drawn = _named(fitter, best, len(rest.members)) or best
+    rival = out.found.get(h.key ^ {own, other})
+    if rival is None or (drawn is not best and not _is_named(rival, other)):
+        rival = replace(drawn, metric=h.metric)
     gain = h.log_weight - out.best_within(h.key - {own})
     odds = (weight[other] - weight[own]) / (1.0 + PROPORTION * gain)
-    if _has_formula(h, own) and not _has_formula(rival, other):
-        odds = min(odds, 0.0)
+    named = _is_named(h, own) or _named(fitter, h, place) is not None, _is_named(rival, other)
+    if named[0] != named[1]:
+        odds = min(odds, -NAMED) if named[0] else max(odds, NAMED)
     return odds, rival
 
 
-def _has_formula(h: Hypothesis, name: str) -> bool:
+def _named(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
+    """Give a hypothesis with the best of the formulas that follow a curve; None where there is none."""
+    return max(following(fitter, h, place), key=lambda one: one.log_weight, default=None)
+
+
+def _is_named(h: Hypothesis, name: str) -> bool:
     """Whether a hypothesis has a formula for one of its classes."""
     return any(m.of.id == name and m.variant.curve is None for m in h.members)
 
 
 def _with_curves(fitter: Fitter, rest: Hypothesis, name: str) -> list[Hypothesis]:
-    """Fit smooth curves over travel or time, each as probable before the test, beside the members of a hypothesis."""
-    listed = []
-    for c in fitter.candidates_of(name, curves=True):
-        curve = c.variant.curve
-        if curve and curve.over.scale is None and not curve.sides:
-            listed.append(replace(c, variant=replace(c.variant, weight=1.0)))
-    tried = screen(fitter.metric, rest.state, listed)
-    return fitter.all_fitted(((*rest.members, c), replace(c, start=joined(rest, c))) for c in tried)
+    """Fit the curves of `FREE` over travel or time, each as probable before the test, beside the members."""
+    curves = [Curve("capacity", over, length) for over, length in FREE[name]]
+    variants = tuple(Parametrisation(curve, curve.effect(), 1.0) for curve in curves)
+    of = replace(fitter.classes[name], variants=variants)
+    tried = screen(fitter.metric, rest.state, candidates(fitter.scene, rest.state, (of,)))
+    return fitter.all_fitted(((*rest.members, c), c) for c in tried)
 
 
 def _zero_apart(out: Search, h: Hypothesis) -> Search:

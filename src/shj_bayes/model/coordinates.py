@@ -196,6 +196,16 @@ ALL = (
         adds=True,
         symbol="t",
     ),
+    # In no class of its own; a bolt that relaxes does most of it soon after it was tightened.
+    Coordinate(
+        "early_time",
+        "s",
+        "the time",
+        lambda h, b: h.begun_s + h.time_s,
+        lambda h: (0.0, h.tested_s),
+        scale=FIRST_SLID,
+        symbol="t",
+    ),
     *(
         Coordinate(
             f"heat{i}",
