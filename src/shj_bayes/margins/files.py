@@ -82,12 +82,18 @@ def device_table(sheet: Sheet) -> pd.DataFrame:
 
 def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
     """One page for design, one with every margin (filter it), one with what to mind."""
+    notes = pd.DataFrame({"to mind": [*sheet.warnings, *sheet.diagnoses] or ["nothing"]})
+    write_workbook(
+        {"Design": design_table(sheet).map(safe_cell), "All margins": table, "To mind": notes.map(safe_cell)}, path
+    )
+
+
+def write_workbook(pages: Mapping[str, pd.DataFrame], path: Path) -> None:
+    """Write tables whose text is safe as the pages of a workbook; the same tables make the same bytes."""
     from openpyxl import Workbook  # noqa: PLC0415  (margins that stand need not load it)
     from openpyxl.utils import get_column_letter  # noqa: PLC0415
 
-    notes = pd.DataFrame({"to mind": [*sheet.warnings, *sheet.diagnoses] or ["nothing"]})
     book = Workbook(write_only=True)  # row by row: half the time of a book that is filled cell by cell
-    pages = {"Design": design_table(sheet).map(safe_cell), "All margins": table, "To mind": notes.map(safe_cell)}
     for name, content in pages.items():
         page = book.create_sheet(name)
         rows = [[*content.columns], *(list(map(_cell, row)) for row in content.itertuples(index=False, name=None))]
