@@ -416,7 +416,9 @@ def margin_text(sheet: Sheet, importance: str) -> str:
         part = table[table["set"] == shown]
         lines += ["", f"{name_of(name)}: {_behind(sheet, name)}"]
         lines.append(f"  {first_words(sheet, name)}")
-        lines.append(f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}")
+        lines.append(
+            f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}{'nu':>7}"
+        )
         complete = True
         for line in part.to_dict("records"):
             ends = [(line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan)) for head in CHOSEN[1:]]
@@ -424,8 +426,8 @@ def margin_text(sheet: Sheet, importance: str) -> str:
             pairs = [f"{digits(low)} to {digits(high)}" if math.isfinite(low + high) else "-" for low, high in ends]
             band = "{} ({} to {})".format(*(digits(line[k]) for k in ("middle", "new device, low", "new device, high")))
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
-            head = f"{line['quantity']}{unit}"
-            lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}")
+            head, nu = f"{line['quantity']}{unit}", line.get(f"{CHOSEN[1]}, degrees of freedom", "-")
+            lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}{nu:>7}")
         if not complete:
             lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
         lines += [f"  {text}" for text in _factor_lines(sheet, name, importance)]
@@ -437,7 +439,7 @@ def margin_text(sheet: Sheet, importance: str) -> str:
 def two_numbers(sheet: Sheet) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
     own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in sheet.spoken)
-    return ["Two numbers of each set, of the devices that were tested:", *own]
+    return ["Two numbers of each set, as tested (ageing is in the ASCE 7 and EN 15129 bounds alone):", *own]
 
 
 def _behind(sheet: Sheet, name: str) -> str:

@@ -131,6 +131,11 @@ def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side
     return next((index[name, quantity, k, side] for k in kinds if (name, quantity, k, side) in index), None)
 
 
+def degrees_words(degrees: float) -> str:
+    """Degrees of freedom of a spread; a dash where there is none, "known" where it was stated."""
+    return "-" if math.isnan(degrees) else "known" if math.isinf(degrees) else f"{degrees:.0f}"
+
+
 def design_table(sheet: Sheet) -> pd.DataFrame:
     """Short table for design: per set and quantity the new device, EN 1990 values and a tolerance limit, low and high.
 
@@ -158,7 +163,7 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
                     if row is not None:
                         line[f"{head}, {side}"] = row.value
                         line[f"{head}, clause"] = row.clause
-                        if math.isfinite(row.degrees):
-                            line[f"{head}, degrees of freedom"] = row.degrees
+                        if not math.isnan(row.degrees):
+                            line[f"{head}, degrees of freedom"] = degrees_words(row.degrees)
             lines.append(line)
     return pd.DataFrame(lines)
