@@ -41,22 +41,14 @@ from shj_bayes.margins.specimen import (
 )
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
-from shj_bayes.population.compare import ROPE, Contrast, compare, members, strata_of
+from shj_bayes.population.compare import ROPE, Contrast, compare, members, row_of, strata_of
 from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins
-from shj_bayes.report.sets import (
-    FORCES,
-    SHOWN,
-    contrast_words,
-    curve_words,
-    multiplicity_words,
-    name_of,
-    pairs,
-)
+from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
 from shj_bayes.results.codec import to_json
@@ -161,20 +153,15 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     held = {s.set_name for s in specimens}
     if held >= {*first, *second} and (design := pooled_forces(result, specimens)):
         forces = compare(design, set_a, set_b, rope=rope, names=[q for q in FORCES if q in design.posteriors])
-    parts = [part for part in (forces, parameters) if part is not None]
-    contrasts = [c for part in parts for c in part.contrasts]
+    contrasts = [*(forces.contrasts if forces else ()), *parameters.contrasts]
     a, b = parameters.set_a, parameters.set_b
-    who = [
-        f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
-        for side, name, sets in (("a", a, first), ("b", b, second))
-    ]
+    sides = (("a", a, first), ("b", b, second))
+    who = [f"{side}: {name}" + ("" if of == (name,) else f" ({', '.join(of)})") for side, name, of in sides]
     said = {c.quantity: contrast_words(c, a, b) for c in contrasts}
     multiplicity = multiplicity_words(forces.contrasts if forces else (), parameters.contrasts, parameters.strata)
     lines = [*who, *comparison_lines(contrasts), "", COLUMNS.format(rope=rope_percent), "", *pair_lines(contrasts), ""]
-    lines += [] if forces else ["Not every set compared gives K, Fy, beta and gamma: no forces are compared.", ""]
+    lines += [] if forces else ["Not every set gives K, Fy, beta and gamma: no forces are compared.", ""]
     lines += [f"- {words}" for words in (*said.values(), *map(curve_words, curves))]
-    table = pd.concat([part.to_table() for part in parts], ignore_index=True)
-    rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
     record = {
         "schema": "shj-bayes/comparison/1",
         "set_a": a,
@@ -183,8 +170,8 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
         "strata": parameters.strata,
         "multiplicity": multiplicity,
         "contrasts": [
-            {**row, "pairs": [asdict(pair) for pair in c.pairs], "sentence": said[c.quantity]}
-            for row, c in zip(rows, contrasts, strict=True)
+            {**row_of(c), "pairs": [pair._asdict() for pair in c.pairs], "sentence": said[c.quantity]}
+            for c in contrasts
         ],
         "curves": curve_records(curves),
     }
@@ -213,9 +200,9 @@ def write_comparison(record: dict[str, Any], folder: Path) -> Path:
             for device, value in pair[f"devices_{side}"].items()
         ]
     )  # fmt: skip
-    notes = pd.DataFrame({"to mind": [record["multiplicity"], *(c["sentence"] for c in record["curves"])]})
-    pages = {"Comparison": contrasts, "Devices": devices, "To mind": notes}
-    pages = {name: page.map(safe_cell) for name, page in pages.items()}
+    notes = [record["multiplicity"], *(c["sentence"] for c in record["curves"])]
+    tables = {"Comparison": contrasts, "Devices": devices, "To mind": pd.DataFrame({"to mind": notes})}
+    pages = {name: page.map(safe_cell) for name, page in tables.items()}
     write_text(folder / "comparison.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     write_text(folder / "comparison.csv", pages["Comparison"].to_csv(index=False, lineterminator="\n"))
     write_text(folder / "comparison-devices.csv", pages["Devices"].to_csv(index=False, lineterminator="\n"))

@@ -16,7 +16,7 @@ from shj_bayes.population.predict import NewDevice, new_device
 from shj_bayes.population.quantities import HIGHEST, LEAST, LEVELS, LOWEST, MOST, THIRD_CYCLE, FloatArray, stream
 
 FEW = 3
-SIDES = (LOW, MIDDLE, HIGH)
+SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 DEFAULT = "default"
 PredictiveDevices = Mapping[str, NewDevice]
 """New devices of one set by prior of the spread, the default first."""
@@ -90,7 +90,7 @@ def force_ends(devices: PredictiveDevices, tested: Mapping[str, int]) -> dict[tu
         by_prior = {label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}
         return least_favourable(by_prior, side, 0 if set_name == ANY_SET else tested.get(name, 0))
 
-    alone = {side: {n: own(n, side, level) for n in names} for side, level in zip(SIDES, LEVELS, strict=True)}
+    alone = {side: {n: own(n, side, level) for n in names} for side, level in SIDES.items()}
     low, middle, high = (dict(alone[side]) for side in SIDES)
     for ends, whole, part, outer in ((low, LOWEST, LEAST, min), (high, HIGHEST, MOST, max)):
         fewer = [n for n in names if base_of(n) == part and tested.get(n, 0) < tested.get(whole, 0)]
@@ -100,11 +100,8 @@ def force_ends(devices: PredictiveDevices, tested: Mapping[str, int]) -> dict[tu
             ends[name] = max(ends[name], *(ends[n] for n in names[:i] if is_part(n, name)), -math.inf)
     for i, name in reversed(list(enumerate(names))):
         high[name] = min(high[name], *(high[n] for n in names[i + 1 :] if is_part(name, n)), math.inf)
-    return {
-        (n, side): (ends[n], alone[side][n])
-        for side, ends in zip(SIDES, (low, middle, high), strict=True)
-        for n in names
-    }
+    found = zip(SIDES, (low, middle, high), strict=True)
+    return {(n, side): (ends[n], alone[side][n]) for side, ends in found for n in names}
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
     DEFAULT,
     RANK,
+    SIDES,
     DesignBasis,
     PredictiveDevices,
     design_basis,
@@ -48,13 +49,11 @@ OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
 
 
-SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 PURPOSE = {
     LOW: "lower bound: displacement and drift demand, slip at service loads",
     MIDDLE: "best estimate: first analysis",
     HIGH: "upper bound: forces on beam, column, welds and bolts",
 }
-HELD = "a force of a device is no less than its smallest and no more than its largest of all runs"
 DEGRADATION = "degradation"
 LOSS = {
     LOW: "least loss of sliding force to count on",
@@ -142,16 +141,16 @@ def margins(
     spoken = request.sets or ((*design.set_names, ANY_SET) if sets_suffice(n_sets) else design.set_names)
     own = tuple(test for test in tests if ANY_SET in spoken or test.set_name in spoken)
     rows = tuple(_rows(design, own, request))
-    compared = agreement([row for row in rows if row.set_name in spoken])
+    compared, contradictions = agreement([row for row in rows if row.set_name in spoken])
     laws = next((test.laws for test in own if len(test.laws) > 1), ())
     followed = channel_words([test.channels for test in own], own_test=asked is None)
     read = () if asked is None else asked.found
     warnings = (
         *read,
-        *compared.contradictions,
+        *contradictions,
         *_warnings(design, request, spoken, asked, laws),
         *followed,
-        compared.words,
+        compared,
     )
     history = OWN_TEST if asked is None else asked.words
     return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
@@ -200,7 +199,7 @@ def bands_of_set(
             value = least_favourable(by_prior, side, own)
             notes = [note] if len(count) > 1 and side != MIDDLE else []
             if (held := forces.get((quantity, side), (value,))[0]) != value:
-                notes.append(f"by itself {value:.4g} {described(source).unit}; {HELD}")
+                notes.append(f"by itself {value:.4g} {described(source).unit}, held within those of all runs")
             number = (held, described(source).unit, n_devices.get(source, 0), math.nan)
             origin = (
                 "predictive distribution, decision 0004",
@@ -268,10 +267,7 @@ def _given(
     request: MarginOptions,
     wider: Collection[str],
 ) -> Given:
-    """Draw up what the codes are given of one set; of a set never tested, the sets as the sample.
-
-    In the quantities `wider` the set spreads more than the others.
-    """
+    """Draw up what the codes are given of one set, `wider` in these; of a set never tested, the sets as the sample."""
     if name != ANY_SET:
         own = by_set[name]
         spreads = {q: of_set(sample, common[q], MORE if q in wider else "") for q, sample in own.items()}
@@ -309,9 +305,8 @@ def _warnings(
     tested = result.tested
     if request.v_known is not None:
         yield (
-            f"V = {request.v_known:g} of the sliding force is taken as known in every value by testing of a force, of "
-            f"every run (EN 1990, ISO 16269-6; degrees of freedom: known), because: {request.v_reason}. The bands of a "
-            "new device and the factors do not use it, nor does a set never tested."
+            f"V = {request.v_known:g} of the sliding force, of every run, is taken as known in values by testing (EN "
+            f"1990, ISO 16269-6), because: {request.v_reason}. Bands of a new device and factors do not use it."
         )
     if laws and asked is not None:
         speed = float(asked.motion.speed_mm_s.max())
@@ -346,15 +341,17 @@ def _unequal_spreads(result: PopulationResult, spoken: Sequence[str]) -> Iterato
     for q in result.posteriors:
         for name, (times, p) in spreading_more({n: s[q] for n, s in by_set.items() if q in s}).items():
             found.setdefault(name, []).append((p, times, q))
+    told = []
     for name in (n for n in spoken if n in found):
-        p, times, q = min(found[name])
+        _, times, q = min(found[name])
         values, unit = by_set[name][q].values, described(q).unit
-        seen = f"{values.min():.3g} to {values.max():.3g}{'' if unit == '1' else f' {unit}'}"
+        seen = f"{q} {values.min():.3g} to {values.max():.3g}{'' if unit == '1' else f' {unit}'}"
+        told.append(f"{name} {times:.1f} times as much ({seen}; so in {len(found[name])} quantities)")
+    if told:
         yield (
-            f"The sets do not spread alike: the devices of {name} differ {times:.1f} times as much as those of the "
-            f"others ({q}: {seen}; F test, p = {p:.2g} for all sets; so in {', '.join(q for *_, q in found[name])}). "
-            "EN 1990 and ISO 16269-6 values with the spread common to all sets are too narrow for it and too wide for "
-            "the others; take the bands of a new device, which allow for it."
+            f"The sets do not spread alike (F test of each against all others): {', '.join(told)}. EN 1990 and ISO "
+            "16269-6 values with the spread common to all sets are too narrow for these and too wide for the others; "
+            "take the bands of a new device, which allow for it."
         )
 
 
@@ -374,16 +371,11 @@ SLACK = 0.02
 """Share of the typical value by which two numbers may differ before they count as contradicting: noise of draws."""
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """What was compared, and what contradicts."""
+def agreement(rows: Sequence[Margin]) -> tuple[str, tuple[str, ...]]:
+    """Compare the bounds of every set with each other and with the bands of a new device.
 
-    words: str  # what was compared with what, in one sentence
-    contradictions: tuple[str, ...]  # one sentence each, with both numbers; empty where everything agrees
-
-
-def agreement(rows: Sequence[Margin]) -> Agreement:
-    """Compare the bounds of every set with each other and with the bands of a new device."""
+    Gives what was compared, in words, and every contradiction in a sentence with both numbers.
+    """
     names = list(dict.fromkeys(row.set_name for row in rows))
     found = [text for name in names for text in _disagreements(name, [row for row in rows if row.set_name == name])]
     sets = f"{len(names)} set{'s' * (len(names) != 1)}"
@@ -395,7 +387,7 @@ def agreement(rows: Sequence[Margin]) -> Agreement:
         f"margin. {f'{len(found)} contradict.' if found else 'None contradict.'} Values by testing (EN 1990, ISO "
         "16269-6) are of one quantity each, and may pass one another."
     )
-    return Agreement(words, tuple(found))
+    return words, tuple(found)
 
 
 def _disagreements(name: str, rows: Sequence[Margin]) -> Iterator[str]:
@@ -407,9 +399,9 @@ def _disagreements(name: str, rows: Sequence[Margin]) -> Iterator[str]:
     pairs = [(bound, end) for bound in lower for end in (*lows, *upper)]
     pairs += [(end, bound) for bound in upper for end in highs]
     pairs += [(a, b) for a in ends for b in ends if a.side == b.side and is_part(a.quantity, b.quantity)]
-    for row in (r for r in forces if r.method == DESIGN):  # the two numbers are what they are said to be
-        own = LOWEST if row.side == LOW else HIGHEST
-        pairs += [pair for e in ends if (e.quantity, e.side) == (own, row.side) for pair in ((row, e), (e, row))]
+    own = {(LOWEST, LOW), (HIGHEST, HIGH)}  # the two numbers are what they are said to be
+    same = [(row, e) for row in forces if row.method == DESIGN for e in ends if (e.quantity, e.side) in own]
+    pairs += [p for row, e in same if row.side == e.side for p in ((row, e), (e, row))]
     for lesser, greater in dict.fromkeys(pairs):
         yield from _above(name, lesser, greater, scale)
     ladder: dict[tuple[str, str], dict[str, Margin]] = {}

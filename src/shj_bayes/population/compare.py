@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
-from scipy.special import chdtri, fdtrc, ndtr, stdtr, stdtrit
+from scipy.special import chdtri, ndtr, stdtr, stdtrit
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import Tags
@@ -122,24 +123,13 @@ def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, stra
 
 def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
     """Devices on each side for which the `assurance` reaches `POWER`; `MOST` when more would be needed."""
-
-    def found(n: int) -> float:
-        return assurance(shift, sds, n, n, strata=strata)
-
-    low, high = strata, 2 * strata
-    while found(high) < POWER:
-        low, high = high, 2 * high
-        if high > MOST:
-            return MOST
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if found(middle) >= POWER else (middle, high)
-    return high
+    numbers = range(strata, MOST)
+    place = bisect_left(numbers, POWER, key=lambda n: assurance(shift, sds, n, n, strata=strata))
+    return strata + place
 
 
 MOST_ARRANGEMENTS = 500_000
 N_RANDOM = 20_000
-_NODES = (np.arange(4000) + 0.5) / 4000
 _SAME = 1e-9
 Pair = tuple[FloatArray, FloatArray]
 """Values of the first and of the second side of one stratum, pooled scale."""
@@ -150,9 +140,6 @@ class Classical:
     """Tests of one quantity; None where a test cannot be made."""
 
     welch_p: float | None  # Welch's test, two-sided; over strata with Satterthwaite's degrees of freedom
-    # Behrens-Fisher (the posterior of both means under vague priors, spreads unequal); one stratum only
-    behrens_fisher_p: float | None
-    variance_p: float | None  # two-sided F test that both sides spread alike
     permutation_p: float | None  # stratified permutation test of the sides, two-sided
     arrangements: int  # how many there are; above half a million a random 20 000 of them are used
     # smallest p that any assignment of these values to the two sides can give: three against three devices never give
@@ -179,8 +166,7 @@ def classical(strata: Sequence[Pair], seed: int = 0) -> Classical:
     """
     full = [(a, b) for a, b in strata if a.size and b.size]
     p, least, n = permutation_test(full, seed) if full else (None, None, 0)
-    two = behrens_fisher(*full[0]) if len(full) == 1 else None
-    return Classical(welch(full), two, variance_ratio(full), p, n, least)
+    return Classical(welch(full), p, n, least)
 
 
 def welch(strata: Sequence[Pair]) -> float | None:
@@ -193,30 +179,6 @@ def welch(strata: Sequence[Pair]) -> float | None:
     degrees = total**2 / sum(v**2 / (s.size - 1) for v, s in zip(variances, sides, strict=True))
     difference = sum(float(a.mean() - b.mean()) for a, b in strata)
     return float(2.0 * stdtr(degrees, -abs(difference) / math.sqrt(total)))
-
-
-def behrens_fisher(a: FloatArray, b: FloatArray) -> float | None:
-    """Two-sided tail probability of the Behrens-Fisher distribution (difference of two scaled t variables)."""
-    if min(a.size, b.size) < 2 or min(np.ptp(a), np.ptp(b)) < _SAME:
-        return None
-    scale_a, scale_b = (float(x.std(ddof=1)) / math.sqrt(x.size) for x in (a, b))
-    other = stdtrit(b.size - 1, _NODES)
-    away = abs(float(a.mean() - b.mean()))
-    return float(2.0 * np.mean(stdtr(a.size - 1, -(away + scale_b * other) / scale_a)))
-
-
-def variance_ratio(strata: Sequence[Pair]) -> float | None:
-    """Two-sided p of Snedecor's F that both sides have the same variance, pooled over strata."""
-    squares, degrees = [0.0, 0.0], [0, 0]
-    for pair in strata:
-        for i, side in enumerate(pair):
-            squares[i] += float(np.sum((side - side.mean()) ** 2))
-            degrees[i] += side.size - 1
-    if min(degrees) < 1 or min(squares) < _SAME**2:
-        return None
-    f = (squares[0] / degrees[0]) / (squares[1] / degrees[1])
-    tail = fdtrc(degrees[0], degrees[1], f)
-    return float(2.0 * min(tail, 1.0 - tail))
 
 
 def permutation_test(strata: Sequence[Pair], seed: int = 0) -> tuple[float, float, int]:
@@ -254,12 +216,9 @@ def permutation_test(strata: Sequence[Pair], seed: int = 0) -> tuple[float, floa
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """Holm's adjustment for the number of tests that were made (Holm 1979); None stays None."""
     known = sorted((p, i) for i, p in enumerate(p_values) if p is not None)
-    out: list[float | None] = [None] * len(p_values)
-    highest = 0.0
-    for rank, (p, i) in enumerate(known):
-        highest = max(highest, min(1.0, (len(known) - rank) * p))
-        out[i] = highest
-    return out
+    raised = np.maximum.accumulate([min(1.0, (len(known) - rank) * p) for rank, (p, _) in enumerate(known)] or [1.0])
+    adjusted = {i: float(p) for (_, i), p in zip(known, raised, strict=False)}
+    return [adjusted.get(i) for i in range(len(p_values))]
 
 
 ROPE_SPEED = 10.0
@@ -277,10 +236,9 @@ ALONE = 0.10
 class Direction(StrEnum):
     """How far the direction of a difference is known, from best to least.
 
-    ``SETTLED`` means whatever is assumed of the spread, so it must hold with nothing assumed of it: every prior gives
-    the direction, every set has at least `FEWEST` devices, without which its spread is assumption alone, and the test
-    that takes the spread from these devices alone gives it too (p of `Classical.leading` at most `ALONE`, which goes
-    with the 90 % interval of the posterior).
+    ``SETTLED``, whatever is assumed of the spread, must hold with nothing assumed: every prior gives the direction,
+    every set has `FEWEST` devices, without which its spread is assumption alone, and so does the test that takes the
+    spread from these devices alone (p of `Classical.leading` at most `ALONE`).
     """
 
     SETTLED = "settled"
@@ -289,8 +247,7 @@ class Direction(StrEnum):
     OPEN = "open"
 
 
-@dataclass(frozen=True)
-class PairContrast:
+class PairContrast(NamedTuple):
     """Two sets (or groups of sets) alike in all else, in one quantity: what their devices showed."""
 
     set_a: str
@@ -343,18 +300,6 @@ class Contrast:
         """Value of no difference."""
         return 1.0 if self.kind == "quotient" else 0.0
 
-    @property
-    def unsettled(self) -> tuple[str, ...]:
-        """Other priors of the spread that leave the direction open."""
-        return tuple(label for label, (low, high) in self.other_priors.items() if low < self.none < high)
-
-    @property
-    def against(self) -> tuple[PairContrast, ...]:
-        """Pairs that showed the opposite of the mean of all."""
-        known = [pair for pair in self.pairs if pair.observed is not None]
-        up = self.observed is not None and self.observed > self.none
-        return tuple(p for p in known if p.observed != self.none and (p.observed > self.none) is not up)  # type: ignore[operator]
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -365,31 +310,17 @@ class Comparison:
     contrasts: tuple[Contrast, ...]  # one per quantity
     strata: int = 1  # pairs of sets that the comparison runs over; 1 for two sets
 
-    def to_table(self) -> pd.DataFrame:
-        """One row per quantity."""
-        return pd.DataFrame([{"set_a": self.set_a, "set_b": self.set_b, **_row(c)} for c in self.contrasts])
 
-
-def _row(c: Contrast) -> dict[str, object]:
-    def own(*names: str) -> dict[str, object]:
-        return {name: getattr(c, name) for name in names}
-
-    def levels(name: str, band: Band) -> dict[str, object]:
-        return dict(zip((f"{name}_q05", f"{name}_q50", f"{name}_q95"), band, strict=True))
-
-    return {
-        **own("quantity", "kind", "unit", "q05", "q50", "q95"),
-        **{f"q05_{label}": band[0] for label, band in c.other_priors.items()},
-        **{f"q95_{label}": band[1] for label, band in c.other_priors.items()},
-        **levels("difference", c.difference),
-        **own("difference_unit", "probability_level", "superiority", "probability_rope"),
-        **{"rope_low": c.rope[0], "rope_high": c.rope[1]},
-        **levels("spread_factor", c.spread_factor),
-        **own("n_a", "n_b"),
-        **asdict(c.tests),
-        **own("holm_p", "holm_test", "power_edge", "n_to_decide", "observed", "fewest"),
-        "direction": str(c.direction),
-    }
+def row_of(c: Contrast) -> dict[str, object]:
+    """Flatten a contrast for tables and machines, without its pairs."""
+    named = {"pairs", "tests", "difference", "spread_factor", "rope", "other_priors"}
+    row: dict[str, object] = {f.name: getattr(c, f.name) for f in fields(c) if f.name not in named}
+    row |= asdict(c.tests) | {"rope_low": c.rope[0], "rope_high": c.rope[1], "direction": str(c.direction)}
+    for label, (low, high) in c.other_priors.items():
+        row |= {f"q05_{label}": low, f"q95_{label}": high}
+    for name, band in (("difference", c.difference), ("spread_factor", c.spread_factor)):
+        row |= dict(zip((f"{name}_q05", f"{name}_q50", f"{name}_q95"), band, strict=True))
+    return row
 
 
 def compare(
@@ -441,9 +372,8 @@ def _pairs(
 
     def side(of_sets: Sequence[int]) -> tuple[str, dict[str, float]]:
         groups = [result.sets[i] for i in of_sets]
-        head = len(groups) > 1
         found = {
-            f"{g.name}, {device}" if head else device: point
+            f"{g.name}, {device}" if len(groups) > 1 else device: point
             for g in groups
             for device, point in zip(g.devices, g.points.get(name, ()), strict=False)
             if math.isfinite(point)

@@ -31,7 +31,7 @@ MEANING = {
     "K": "initial stiffness",
     "gamma": "speed coefficient 1/dep",
     "beta": "sharpness of the knee",
-    "plateau": "mean plateau force at the tested speed, first run",
+    "plateau": "mean plateau force as tested, first run",
     HIGHEST: "largest force of all runs",
     "plateau_2": "mean plateau force, second run",
     "energy": "energy of a cycle, first run",
@@ -66,14 +66,6 @@ class SetBand:
         """Band that holds the band under every prior."""
         ends = [(self.band[0], self.band[2]), *self.others.values()]
         return min(low for low, _ in ends), max(high for _, high in ends)
-
-
-@dataclass(frozen=True)
-class Quotient:
-    """A typical device of one set over that of another: 5, 50, 95 %, and whether the direction is settled."""
-
-    band: Interval
-    settled: bool
 
 
 def name_of(set_name: str) -> str:
@@ -190,14 +182,14 @@ def _verdict(c: Contrast, between: str) -> str:
     if c.direction is Direction.SETTLED:
         return f"the direction is settled at 90 %, whatever is assumed of the spread ({told})"
     if c.direction is Direction.ASSUMED:
-        against = ", ".join(ASSUMED.get(label, f"under the {label} prior") for label in c.unsettled)
+        left_open = (label for label, (low, high) in c.other_priors.items() if low < c.none < high)
+        against = ", ".join(ASSUMED.get(label, f"under the {label} prior") for label in left_open)
         return f"the direction hangs on what is assumed of the spread (not settled {against})"
     if c.direction is Direction.OPEN:
         kind = "a factor of anything from" if c.kind == "quotient" else "anything from"
         return f"the direction is not settled: {kind} {between} is compatible with them"
-    few = "a set of one device tells nothing of its own spread"
-    opposite = p is not None and p <= ALONE
-    why = few if c.fewest < FEWEST else "they showed the opposite" if opposite else told
+    opposite = "they showed the opposite" if p is not None and p <= ALONE else told
+    why = "a set of one device tells nothing of its own spread" if c.fewest < FEWEST else opposite
     return f"every assumption on the spread that was tried gives this direction, but these devices alone do not ({why})"
 
 
@@ -215,13 +207,15 @@ def _disagreement(c: Contrast) -> str:
 
 
 def _pair_by_pair(c: Contrast) -> str:
-    known = [pair.observed for pair in c.pairs if pair.observed is not None]
+    known = [(pair.observed, pair) for pair in c.pairs if pair.observed is not None]
     if len(known) < 2 or c.observed is None:
         return ""
-    if c.against:
-        listed = ", ".join(f"{p.set_a} over {p.set_b} {_amount(c, p.observed or 0.0)}" for p in c.against)
+    turned = [(seen, p) for seen, p in known if (seen - c.none) * (c.observed - c.none) < 0]
+    if turned:
+        listed = ", ".join(f"{p.set_a} over {p.set_b} {_amount(c, seen)}" for seen, p in turned)
         return f"The {len(known)} pairs do not agree in direction; against the mean of all: {listed}."
-    return f"Pair by pair {_amount(c, min(known))} to {_amount(c, max(known))} was observed."
+    least, most = min(known)[0], max(known)[0]
+    return f"Pair by pair {_amount(c, least)} to {_amount(c, most)} was observed."
 
 
 def multiplicity_words(of_forces: Sequence[Contrast], of_parameters: Sequence[Contrast], n_strata: int) -> str:
@@ -230,8 +224,7 @@ def multiplicity_words(of_forces: Sequence[Contrast], of_parameters: Sequence[Co
     counts = [f"{len(part)} {word}" for part, word in ((of_forces, "forces"), (of_parameters, "parameters")) if part]
     said = {
         "permutation": "on the exact permutation",
-        "Welch": "on Welch's test where no arrangement of so few devices could bring the permutation to 0.05 after "
-        "that (its least p stands beside it)",
+        "Welch": "on Welch's test where so few devices cannot bring the permutation to 0.05 (its least p is beside it)",
     }
     tests = {c.holm_test for c in (*of_forces, *of_parameters)}
     basis = " and ".join(words for name, words in said.items() if name in tests)
@@ -259,8 +252,8 @@ def curve_words(curve: CurveContrast) -> str:
     )
 
 
-def force_matrix(result: PopulationResult) -> list[list[Quotient | None]]:
-    """Force of a typical device of the row's set over that of the column's; None on the diagonal.
+def force_matrix(result: PopulationResult) -> list[list[tuple[Interval, bool] | None]]:
+    """Force of a typical device of the row's set over that of the column's, and whether its direction is settled.
 
     The mean plateau force where the forces were pooled, else Fy. Empty when there are too many sets to show, or one.
     """
@@ -270,11 +263,11 @@ def force_matrix(result: PopulationResult) -> list[list[Quotient | None]]:
         return []
     mu = result.fit(name).mu
 
-    def quotient(i: int, j: int) -> Quotient:
+    def cell(i: int, j: int) -> tuple[Interval, bool]:
         low, middle, high = (float(v) for v in np.exp(np.quantile(mu[:, i] - mu[:, j], LEVELS)))
-        return Quotient((low, middle, high), direction_of(result, name, [([i], [j])]) is Direction.SETTLED)
+        return (low, middle, high), direction_of(result, name, [([i], [j])]) is Direction.SETTLED
 
-    return [[quotient(i, j) if i != j else None for j in range(n)] for i in range(n)]
+    return [[cell(i, j) if i != j else None for j in range(n)] for i in range(n)]
 
 
 def loop_bands(result: PopulationResult, amplitude_mm: float, peak_speed_mm_s: float) -> tuple[LoopBand, ...]:

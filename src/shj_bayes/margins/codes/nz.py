@@ -34,8 +34,8 @@ def warning(value: float, side: str) -> str:
     practice, word = (PRACTICE_PHI, "above") if side == LOW else (PRACTICE_PHI_O, "below")
     if value == practice:
         return ""
-    unsafe = value > practice if side == LOW else value < practice
-    return f"{word} {practice:.2f} of practice" if unsafe else f"tests do not support {practice:.2f}"
+    unsafe = (value > practice) is (side == LOW)
+    return f"{word} {practice:.2f} of practice" if unsafe else f"{practice:.2f} not supported"
 
 
 def _rows(given: Given) -> Iterator[Margin]:
