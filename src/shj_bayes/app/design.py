@@ -258,9 +258,8 @@ def pair_lines(contrasts: Sequence[Contrast]) -> list[str]:
     """List what was observed pair by pair, a line each: quotient or difference of the means of the devices."""
     rows = [["Observed, pair by pair", "devices", *(c.quantity for c in contrasts)]]
     for i, pair in enumerate(contrasts[0].pairs):
-        own = [c.pairs[i].observed for c in contrasts]
         counts = f"{len(pair.devices_a)}, {len(pair.devices_b)}"
-        cells = ("-" if value is None else f"{value:.3g}" for value in own)
+        cells = ("-" if (seen := c.pairs[i].observed) is None else f"{seen:.3g}" for c in contrasts)
         rows.append([f"{pair.set_a} / {pair.set_b}", counts, *cells])
     return _aligned(rows)
 
