@@ -123,9 +123,7 @@ def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, stra
 
 def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
     """Devices on each side for which the `assurance` reaches `POWER`; `MOST` when more would be needed."""
-    numbers = range(strata, MOST)
-    place = bisect_left(numbers, POWER, key=lambda n: assurance(shift, sds, n, n, strata=strata))
-    return strata + place
+    return strata + bisect_left(range(strata, MOST), POWER, key=lambda n: assurance(shift, sds, n, n, strata=strata))
 
 
 MOST_ARRANGEMENTS = 500_000

@@ -214,8 +214,8 @@ def _pair_by_pair(c: Contrast) -> str:
     if turned:
         listed = ", ".join(f"{p.set_a} over {p.set_b} {_amount(c, seen)}" for seen, p in turned)
         return f"The {len(known)} pairs do not agree in direction; against the mean of all: {listed}."
-    shown = [seen for seen, _ in known]
-    return f"Pair by pair {_amount(c, min(shown))} to {_amount(c, max(shown))} was observed."
+    ends = (_amount(c, of(seen for seen, _ in known)) for of in (min, max))
+    return f"Pair by pair {' to '.join(ends)} was observed."
 
 
 def multiplicity_words(of_forces: Sequence[Contrast], of_parameters: Sequence[Contrast], n_strata: int) -> str:
