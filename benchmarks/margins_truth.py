@@ -32,7 +32,7 @@ from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.start import LawOnly, descend, find_start
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
-from shj_bayes.margins.basis import DEFAULT, NONE, DesignBasis, Environment, least_favourable, sliding_force_bounds
+from shj_bayes.margins.basis import DEFAULT, NONE, DesignBasis, Environment, force_ends, sliding_force_bounds
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
@@ -270,7 +270,8 @@ def limits(state: Line, chosen: list[int]) -> dict[str, float]:
         )
         for label, prior in by_prior.items()
     }
-    force = sliding_force_bounds(predictive_devices, n)
+    force = sliding_force_bounds(predictive_devices, dict.fromkeys(POOLED, n))
+    ends = force_ends(predictive_devices, dict.fromkeys(POOLED, n))
     parts = DesignBasis(force.third, "typical device", force, Environment(NONE, NONE, "not tested"))
     samples = {q: Sample(values[q], float(np.sqrt(np.mean(errors[q] ** 2)))) for q in (*SHOWN[LOW], *SHOWN[HIGH])}
     spreads = {q: of_set(sample, common_spread([sample])) for q, sample in samples.items()}
@@ -284,9 +285,7 @@ def limits(state: Line, chosen: list[int]) -> dict[str, float]:
             continue
         for q in (quantity,) if quantity else SHOWN[side]:
             if kind.startswith("new device"):
-                level = 0.05 if side == LOW else 0.95
-                ends = {label: float(np.quantile(d.draws[q], level)) for label, d in predictive_devices.items()}
-                value = least_favourable(ends, side, n)
+                value = ends[q, side][0]
             else:
                 value = rows[kind, side, "force" if quantity else q]
                 value *= force.third if kind.startswith("phi") else 1.0

@@ -406,18 +406,20 @@ def export(
     metavar="PERCENT",
     help="Differences below this count as the same.",
 )
+@click.option("-o", "--out", type=FOLDER, help="Folder for comparison.csv, .xlsx and .json; DIR by default.")
 @_with_output
-def compare(folder: Path, set_a: str, set_b: str, rope: float, output: Output) -> None:
+def compare(folder: Path, set_a: str, set_b: str, rope: float, out: Path | None, output: Output) -> None:
     """Compare two sets of a campaign or of the tables.
 
     A and B are names of sets, or kinds of sets that are compared pair by pair: corroded and uncorroded, coated and
     uncoated, "70 %" and "100 %".
     """
     need_population(folder)
-    from shj_bayes.app.design import compare_sets
+    from shj_bayes.app.design import compare_sets, write_comparison
 
     record, text = compare_sets(folder, set_a, set_b, rope)
-    output.show(record, text)
+    written = write_comparison(record, folder if out is None else out)
+    output.show(record, f"{text}\n\ncomparison: {written}")
 
 
 @main.command()

@@ -190,7 +190,7 @@ class MarginOptions:
     extrapolate: bool = option(False, "Allow speed, travel and time beyond the tests: bounded laws.")
     nominal_kN: float | None = option(None, "Nominal sliding force; typical device by default.", "KN")
     importance: str = option("II", "Importance class of the structure (EN 15129).", choices=("I", "II", "III"))
-    v_known: float | None = option(None, "Known coefficient of variation of the sliding force (EN 1990).", "V")
+    v_known: float | None = option(None, "Known coefficient of variation of the sliding force.", "V")
     v_reason: str = option("", "Where V is known from; printed beside the values.", "WORDS")
     sets: tuple[str, ...] = option((), "Draw up this set alone; may be given again.", "NAME", flag="--set")
 

@@ -8,10 +8,19 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.basis import NONE, Bounds, DesignBasis, Environment, SlidingForceBounds, sliding_force_bounds
-from shj_bayes.margins.codes import asce7, en15129
+from shj_bayes.margins.basis import (
+    NONE,
+    Bounds,
+    DesignBasis,
+    Environment,
+    SlidingForceBounds,
+    force_ends,
+    is_part,
+    sliding_force_bounds,
+)
+from shj_bayes.margins.codes import asce7, en15129, nz
 from shj_bayes.margins.codes.code import Given, catalogue
-from shj_bayes.margins.codes.iso16269_6 import one_sided
+from shj_bayes.margins.codes.iso16269_6 import one_sided, two_sided
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.spread import Sample, between_sets, of_set
 from shj_bayes.options import PLAIN, MarginOptions
@@ -100,6 +109,8 @@ def test_en1990_with_v_known_is_what_the_user_states():
     assert found["EN 1990 design, lognormal, V known", LOW].value == pytest.approx(68.28, abs=0.01)
     assert "factory control of 300 devices" in row.inputs
     assert row.note == ""
+    assert row.purpose.endswith("X_k, to be divided by gamma_m")
+    assert "never divided" in found["EN 1990 characteristic, lognormal, V known", HIGH].purpose
     wide = rows("en1990", request, Sample(np.array([60.0, 80.0, 110.0]), 0.01))
     assert "spread more than the V stated" in wide["EN 1990 characteristic, lognormal, V known", LOW].note
     for half in ({"v_known": 0.06}, {"v_reason": "because"}):
@@ -115,8 +126,26 @@ def test_tolerance_limits_keep_the_spread_as_measured():
     Upper: exp(4.43755 + 0.45308) = exp(4.89063) = 133.04 kN.
     """
     found = rows("iso16269_6")
-    low, high = (found["tolerance 95/95 one-sided, lognormal, V unknown", side].value for side in (LOW, HIGH))
-    assert (low, high) == pytest.approx((53.76, 133.04), abs=0.04)
+    low, high = (found["tolerance 95/95 one-sided, lognormal, V unknown", side] for side in (LOW, HIGH))
+    assert (low.value, high.value) == pytest.approx((53.76, 133.04), abs=0.04)
+    assert [row.purpose for row in (low, high)] == [
+        f"95 % of devices lie {where} it, with a confidence of 95 %" for where in ("above", "below")
+    ]
+
+
+def test_tolerance_limits_with_v_known_need_no_degrees_of_freedom():
+    """k = 1.64485 + 1.64485 / sqrt(3) = 2.59451: exp(4.43755 - 2.59451 x 0.059946) = exp(4.28202) = 72.39 kN.
+
+    Both sides, n = 1, 90/95: the mean is off by 1.95996 at most, so k - 1.95996 = 1.28155 (the far tail holds 1e-5).
+    """
+    row = rows("iso16269_6", MarginOptions(v_known=0.06, v_reason="factory control of 300 devices"))[
+        "tolerance 95/95 one-sided, lognormal, V known", LOW
+    ]
+    assert (row.value, row.degrees) == (pytest.approx(72.39, abs=0.01), math.inf)
+    assert two_sided(1, 0.90, 0.95, degrees=math.inf) == pytest.approx(3.2415, abs=1e-3)
+    k, off = two_sided(5, 0.95, 0.95, degrees=math.inf), 1.959964 / math.sqrt(5)
+    assert stats.norm.cdf(off + k) - stats.norm.cdf(off - k) == pytest.approx(0.95, abs=1e-6)
+    assert one_sided(5, 0.95, 0.95, degrees=1e6) == pytest.approx(one_sided(5, 0.95, 0.95, degrees=math.inf), rel=1e-3)
 
 
 def test_en1990_design_value_from_four_devices():
@@ -209,7 +238,8 @@ def test_nz_equivalents_are_of_the_delivered_force_and_warn_beside_practice():
     first = found["phi equivalent, first run", LOW]
     assert (first.value, first.warning) == (0.825, "above 0.70 of practice")
     second = found["phi equivalent, after a first earthquake", LOW]
-    assert (second.value, second.warning) == (0.65, "")
+    assert (second.value, second.warning) == (0.65, "0.70 not supported")
+    assert [nz.warning(value, HIGH) for value in (6.8, 1.40)] == ["1.40 not supported", ""]
     over = found["phi_o equivalent", HIGH]
     assert (over.value, over.warning) == (1.2125, "below 1.40 of practice")
 
@@ -230,12 +260,14 @@ def test_delivered_force_is_read_off_the_design_quantities():
         "highest": 90,
         "ratio": 0.8,
     }
-    found = sliding_force_bounds(device(**{name: [value] * 9 for name, value in values.items()}), 9)
+    found = sliding_force_bounds(
+        device(**{name: [value] * 9 for name, value in values.items()}), dict.fromkeys(values, 9)
+    )
     assert (found.first_low, found.later_low, found.low, found.high) == (75, 60, 60, 90)
     assert (found.third_low, found.third, found.third_high) == (80, 80, 80)
     assert (found.typical.low, found.typical.high, found.ratio) == pytest.approx((0.75, 1.125, 0.8))
     one_run = {name: [80.0] for name in ("third", "least", "most", "lowest", "highest")}
-    assert sliding_force_bounds(device(**one_run), 9).later_low is None
+    assert sliding_force_bounds(device(**one_run), dict.fromkeys(one_run, 9)).later_low is None
 
 
 def test_few_devices_take_the_outermost_prior():
@@ -244,9 +276,30 @@ def test_few_devices_take_the_outermost_prior():
         label: NewDevice("A", 2, dict.fromkeys(names, np.array([value, value])))
         for label, value in {"default": 80.0, "alike": 70.0, "free": 95.0}.items()
     }
-    few, many = sliding_force_bounds(priors, 3), sliding_force_bounds(priors, 4)
+    few, many = (sliding_force_bounds(priors, dict.fromkeys(names, n)) for n in (3, 4))
     assert (few.low, few.third, few.high) == (70, 80, 95)
     assert (many.low, many.third, many.high) == (80, 80, 80)
+
+
+def test_no_part_passes_the_whole():
+    """Zinc 100 of the tables: the second run alone gave 441 kN where the largest force of all runs gave 158.
+
+    95 % of 1 ... 100 is 95.05, of 1 ... 400 in 100 steps 380.2; whole 60 ... 159: 154.05. The parts are held to it, and
+    the whole stays what it is said to be. Where half of the devices had no second run, the whole knows it of half of
+    them, so the second run counts besides.
+    """
+    wide, whole = np.linspace(4.0, 400.0, 100), np.linspace(60.0, 159.0, 100)
+    draws = {"lowest": whole / 9, "least": whole / 8, "least_2": wide / 50, "third": whole / 6, "most": whole * 0.9}
+    one = device(**draws, plateau=whole / 7, plateau_2=wide / 2, most_2=wide, highest=whole)
+    tested = dict.fromkeys(one["default"].draws, 4)
+    ends = force_ends(one, tested)
+    assert (ends["highest", HIGH], ends["most_2", HIGH]) == ((154.05, 154.05), (154.05, pytest.approx(380.2)))
+    assert ends["lowest", LOW][0] == pytest.approx(64.95 / 9)
+    assert ends["least_2", LOW] == (ends["lowest", LOW][0], pytest.approx(23.8 / 50))
+    for (a, side), (value, _) in ends.items():
+        assert all(value <= ends[b, side][0] for b in one["default"].draws if is_part(a, b))
+    half = sliding_force_bounds(one, tested | dict.fromkeys(("least_2", "plateau_2", "most_2"), 2))
+    assert (half.low, half.high) == pytest.approx((23.8 / 50, 380.2))
 
 
 def test_a_set_never_tested_uses_the_spread_between_sets():

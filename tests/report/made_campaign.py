@@ -28,10 +28,11 @@ def population(names: tuple[str, ...], seed: int = 1, shift: float = 0.0) -> Pop
             out[name] = QuantityPosterior(name, mu, tau, hyper, (2,) * len(names), 1.0, 900.0, 4)
         return out
 
-    groups = tuple(
-        DeviceSet(name, (f"{name} a", f"{name} b"), Tags(), {q: (v - 0.02, v + 0.02) for q, v in LEVEL.items()})
-        for name in names
-    )
+    def points(k: int) -> dict[str, tuple[float, ...]]:
+        higher = {q: v + (0.1 if q == "gamma" else 1.0) * shift * k for q, v in LEVEL.items()}
+        return {q: (v - 0.02, v + 0.02) for q, v in higher.items()}
+
+    groups = tuple(DeviceSet(name, (f"{name} a", f"{name} b"), Tags(), points(k)) for k, name in enumerate(names))
     priors = {name: population_prior(name) for name in LEVEL}
     others = {label: fits(0.3) for label in other_priors(priors["Fy"])}
     return PopulationResult(groups, fits(0.15), others, priors, dict.fromkeys(LEVEL, np.inf), seed)

@@ -104,10 +104,10 @@ def test_matrix_is_settled_only_when_sets_are_apart() -> None:
     close, apart = (sets.force_matrix(population(("a", "b"), shift=s)) for s in (0.0, 0.8))
     assert close[0][0] is None
     assert close[0][1] is not None
-    assert not close[0][1].settled
+    assert not close[0][1][1]
     assert apart[1][0] is not None
-    assert apart[1][0].settled
-    assert apart[1][0].band[1] == pytest.approx(np.exp(0.8), rel=0.02)
+    assert apart[1][0][1]
+    assert apart[1][0][0][1] == pytest.approx(np.exp(0.8), rel=0.02)
 
 
 def test_bands_hold_the_other_priors_and_the_devices() -> None:

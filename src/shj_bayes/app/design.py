@@ -1,5 +1,6 @@
 """From finished devices, or from the published tables, to population, comparison and margins, with their pages."""
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -26,7 +27,7 @@ from shj_bayes.margins.export import (
     tcl_script,
     write_loops,
 )
-from shj_bayes.margins.files import CHOSEN, design_table, write_margins
+from shj_bayes.margins.files import CHOSEN, design_table, write_margins, write_workbook
 from shj_bayes.margins.files import to_json as sheet_record
 from shj_bayes.margins.history import LEEWAY, left_out_words, loading_history
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
@@ -40,14 +41,14 @@ from shj_bayes.margins.specimen import (
 )
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
-from shj_bayes.population.compare import ROPE, Comparison, compare, members, strata_of
+from shj_bayes.population.compare import ROPE, Contrast, compare, members, row_of, strata_of
 from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
-from shj_bayes.population.results import load_population, record_of, write_population
+from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import render_margins
-from shj_bayes.report.sets import SHOWN, curve_words, name_of, pairs
+from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
 from shj_bayes.results.codec import to_json
@@ -86,8 +87,8 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     made(folder, "population", [seed, fits], POPULATION, pool)
     population = load_population(folder)
     design = design_margins(folder, progress=progress)
-    curves = curves_of_pairs(folder, population)
-    render_campaign(folder, population, curves)
+    curves, forces = compared_pairs(folder, population)
+    render_campaign(folder, population, curves, forces)
     record = {"population": to_json(record_of(population)), "margins": design.record, "curves": curve_records(curves)}
     return {"record": record, "lines": [band_text(population), "", design.text]}
 
@@ -103,7 +104,7 @@ def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress:
     made(folder, "population", [seed, digests(shipped("data", "published"), ["*"])], POPULATION, pool)
     population = load_population(folder)
     design = design_margins(folder, progress=progress)
-    render_tables(folder, population, claims)
+    render_tables(folder, population, claims, pooled_forces(population, specimens_of_table(population)))
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
     record = {
         "population": to_json(record_of(population)),
@@ -128,42 +129,85 @@ def band_text(population: PopulationResult) -> str:
     return "\n".join(lines if enough else [*lines, f"  {never_tested_words(len(population.sets))}"])
 
 
+def pooled_forces(result: PopulationResult, specimens: Sequence[Specimen]) -> PopulationResult | None:
+    """Pool the forces that devices made in their own tests, to be compared; None where none gives any."""
+    tests = virtual_tests(specimens, None) if specimens else ()
+    few = [replace(test, values={q: v for q, v in test.values.items() if q in FORCES}) for test in tests]
+    return pool(few, result) if few else None
+
+
 def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.0) -> tuple[dict[str, Any], str]:
     """Compare two sets of a folder that `campaign` or `tables` wrote: for machines, and for people.
 
     `set_a` and `set_b` are names of sets, or kinds: coated, uncoated, corroded, uncorroded, "70 %". `rope_percent` is
-    the half-width of the region of practical equivalence.
+    the half-width of the region of practical equivalence. The forces that the devices made come first, then the
+    parameters.
     """
     need_population(folder)
     result = load_population(folder)
     first, second = members(result, strata_of(result, set_a, set_b)[2])
     rope = rope_percent / 100.0
-    comparison = compare(result, set_a, set_b, rope=rope)
-    curves = compare_curves(result, read_devices(folder, result)[1], set_a, set_b, rope=rope)
-    table = comparison.to_table()
-    who = [
-        f"{side}: {name}" + ("" if sets == (name,) else f" ({', '.join(sets)})")
-        for side, name, sets in (("a", comparison.set_a, first), ("b", comparison.set_b, second))
-    ]
-    columns = (
-        f"P(a > b): the typical device of a is above that of b; P(same): they differ by less than {rope_percent:g} %; "
-        "new a > new b: a new device of a is above one of b; Welch, permuted, Holm: p-values; spread a/b: standard "
-        "deviation between devices of a over that of b."
-    )
-    lines = [*who, *comparison_lines(comparison), "", columns, "", *(f"- {c.sentence}" for c in comparison.contrasts)]
-    lines += [f"- {curve_words(curve)}" for curve in curves]
-    rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
+    specimens = read_devices(folder, result)[1]
+    curves = compare_curves(result, specimens, set_a, set_b, rope=rope)
+    parameters, forces = compare(result, set_a, set_b, rope=rope), None
+    held = {s.set_name for s in specimens}
+    if held >= {*first, *second} and (design := pooled_forces(result, specimens)):
+        forces = compare(design, set_a, set_b, rope=rope, names=[q for q in FORCES if q in design.posteriors])
+    contrasts = [*(forces.contrasts if forces else ()), *parameters.contrasts]
+    a, b = parameters.set_a, parameters.set_b
+    sides = (("a", a, first), ("b", b, second))
+    who = [f"{side}: {name}" + ("" if of == (name,) else f" ({', '.join(of)})") for side, name, of in sides]
+    said = {c.quantity: contrast_words(c, a, b) for c in contrasts}
+    multiplicity = multiplicity_words(forces.contrasts if forces else (), parameters.contrasts, parameters.strata)
+    lines = [*who, *comparison_lines(contrasts), "", COLUMNS.format(rope=rope_percent), "", *pair_lines(contrasts), ""]
+    lines += [] if forces else ["Not every set gives K, Fy, beta and gamma: no forces are compared.", ""]
+    lines += [f"- {words}" for words in (*said.values(), *map(curve_words, curves))]
     record = {
         "schema": "shj-bayes/comparison/1",
-        "set_a": comparison.set_a,
-        "set_b": comparison.set_b,
+        "set_a": a,
+        "set_b": b,
         "members": {"a": list(first), "b": list(second)},
-        "strata": comparison.strata,
-        "multiplicity": comparison.multiplicity,
-        "contrasts": rows,
+        "strata": parameters.strata,
+        "multiplicity": multiplicity,
+        "contrasts": [
+            {**row_of(c), "pairs": [pair._asdict() for pair in c.pairs], "sentence": said[c.quantity]}
+            for c in contrasts
+        ],
         "curves": curve_records(curves),
     }
-    return record, "\n".join([*lines, "", comparison.multiplicity])
+    return record, "\n".join([*lines, "", multiplicity])
+
+
+COLUMNS = (
+    "observed: means of the devices; a / b, 90 %: of the typical devices, from the posterior; P(a > b): the typical "
+    "device of a is above that of b; P(same): they differ by less than {rope:g} %; new a > new b: a new device of a is "
+    "above one of b; Welch, permuted, Holm: p-values; spread a/b: standard deviation between devices of a over that of "
+    "b. Forces: plateau and energy of the first run as tested, highest of all runs."
+)
+
+
+def write_comparison(record: dict[str, Any], folder: Path) -> Path:
+    """Write ``comparison.json``, ``.csv``, ``comparison-devices.csv`` and both as ``.xlsx``; gives the workbook."""
+    folder.mkdir(parents=True, exist_ok=True)
+    contrasts = pd.DataFrame([{k: v for k, v in c.items() if k != "pairs"} for c in record["contrasts"]])
+    devices = pd.DataFrame(
+        [
+            {"quantity": c["quantity"], "unit": c["difference_unit"], "pair": i, "side": side,
+             "set": pair[f"set_{side}"], "device": device, "value": value, "observed_of_pair": pair["observed"]}
+            for c in record["contrasts"]
+            for i, pair in enumerate(c["pairs"], start=1)
+            for side in ("a", "b")
+            for device, value in pair[f"devices_{side}"].items()
+        ]
+    )  # fmt: skip
+    notes = [record["multiplicity"], *(c["sentence"] for c in record["curves"])]
+    tables = {"Comparison": contrasts, "Devices": devices, "To mind": pd.DataFrame({"to mind": notes})}
+    pages = {name: page.map(safe_cell) for name, page in tables.items()}
+    write_text(folder / "comparison.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(folder / "comparison.csv", pages["Comparison"].to_csv(index=False, lineterminator="\n"))
+    write_text(folder / "comparison-devices.csv", pages["Devices"].to_csv(index=False, lineterminator="\n"))
+    write_workbook(pages, folder / "comparison.xlsx")
+    return folder / "comparison.xlsx"
 
 
 def curve_records(curves: Sequence[CurveContrast]) -> list[dict[str, Any]]:
@@ -171,10 +215,10 @@ def curve_records(curves: Sequence[CurveContrast]) -> list[dict[str, Any]]:
     return [{**asdict(curve), "sentence": curve_words(curve)} for curve in curves]
 
 
-def curves_of_pairs(folder: Path, result: PopulationResult) -> tuple[CurveContrast, ...]:
+def compared_pairs(folder: Path, result: PopulationResult) -> tuple[tuple[CurveContrast, ...], PopulationResult | None]:
     """Compare the curves of the pairs of sets that a campaign page names, and write ``comparison-curves.csv``.
 
-    Nothing is said of more devices than `MOST_DRAWN`.
+    Then the forces that the devices made, pooled. Nothing is said of more devices than `MOST_DRAWN`.
     """
     few = sum(len(group.devices) for group in result.sets) <= MOST_DRAWN
     chosen = pairs(result) if few else ()
@@ -184,19 +228,20 @@ def curves_of_pairs(folder: Path, result: PopulationResult) -> tuple[CurveContra
     path.unlink(missing_ok=True)
     if found:
         write_text(path, pd.DataFrame([row for curve in found for row in curve.rows()]).to_csv(index=False))
-    return found
+    return found, pooled_forces(result, specimens) if specimens else None
 
 
-def comparison_lines(comparison: Comparison) -> list[str]:
+def comparison_lines(contrasts: Sequence[Contrast]) -> list[str]:
     """Comparison as a table of text, one line per quantity."""
-    words = ("a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)", "Holm")
-    rows = [["", *words, "spread a/b"]]
-    for c in comparison.contrasts:
+    words = ("observed", "a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)")
+    rows = [["", *words, "Holm", "spread a/b"]]
+    for c in contrasts:
         tests = c.tests
         exact = f"{_p(tests.permutation_p)} ({_p(tests.permutation_least)})"
         rows.append(
             [
                 c.quantity + ("" if c.unit == "1" else f" {c.unit}"),
+                "-" if c.observed is None else f"{c.observed:.3g}",
                 f"{c.q50:.3g}",
                 f"{c.q05:.3g} to {c.q95:.3g}",
                 *(f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)),
@@ -206,8 +251,21 @@ def comparison_lines(comparison: Comparison) -> list[str]:
                 f"{c.spread_factor[1]:.2f}",
             ]
         )
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    first, *others = widths
+    return _aligned(rows)
+
+
+def pair_lines(contrasts: Sequence[Contrast]) -> list[str]:
+    """List what was observed pair by pair, a line each: quotient or difference of the means of the devices."""
+    rows = [["Observed, pair by pair", "devices", *(c.quantity for c in contrasts)]]
+    for i, pair in enumerate(contrasts[0].pairs):
+        counts = f"{len(pair.devices_a)}, {len(pair.devices_b)}"
+        cells = ("-" if (seen := c.pairs[i].observed) is None else f"{seen:.3g}" for c in contrasts)
+        rows.append([f"{pair.set_a} / {pair.set_b}", counts, *cells])
+    return _aligned(rows)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
     return [
         "   ".join([f"  {head:{first}}", *(f"{cell:>{width}}" for cell, width in zip(cells, others, strict=True))])
         for head, *cells in rows
@@ -344,7 +402,9 @@ def margin_text(sheet: Sheet, importance: str) -> str:
         part = table[table["set"] == shown]
         lines += ["", f"{name_of(name)}: {_behind(sheet, name)}"]
         lines.append(f"  {first_words(sheet, name)}")
-        lines.append(f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}")
+        lines.append(
+            f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}{'nu':>7}"
+        )
         complete = True
         for line in part.to_dict("records"):
             ends = [(line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan)) for head in CHOSEN[1:]]
@@ -352,8 +412,8 @@ def margin_text(sheet: Sheet, importance: str) -> str:
             pairs = [f"{digits(low)} to {digits(high)}" if math.isfinite(low + high) else "-" for low, high in ends]
             band = "{} ({} to {})".format(*(digits(line[k]) for k in ("middle", "new device, low", "new device, high")))
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
-            head = f"{line['quantity']}{unit}"
-            lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}")
+            head, nu = f"{line['quantity']}{unit}", line.get(f"{CHOSEN[1]}, degrees of freedom", "-")
+            lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}{nu:>7}")
         if not complete:
             lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
         lines += [f"  {text}" for text in _factor_lines(sheet, name, importance)]
@@ -365,7 +425,7 @@ def margin_text(sheet: Sheet, importance: str) -> str:
 def two_numbers(sheet: Sheet) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
     own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in sheet.spoken)
-    return ["Two numbers of each set, of the devices that were tested:", *own]
+    return ["Two numbers of each set, as tested (ageing is in the ASCE 7 and EN 15129 bounds alone):", *own]
 
 
 def _behind(sheet: Sheet, name: str) -> str:

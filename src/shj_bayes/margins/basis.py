@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.row import HIGH, LOW
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import NewDevice, new_device
 from shj_bayes.population.quantities import HIGHEST, LEAST, LEVELS, LOWEST, MOST, THIRD_CYCLE, FloatArray, stream
 
 FEW = 3
+SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 DEFAULT = "default"
 PredictiveDevices = Mapping[str, NewDevice]
 """New devices of one set by prior of the spread, the default first."""
@@ -38,15 +40,16 @@ def _as_read(device: NewDevice, result: PopulationResult) -> NewDevice:
     return replace(device, draws=draws)
 
 
-def own_devices(result: PopulationResult, set_name: str, quantities: Iterable[str]) -> int:
-    """Devices of a set that give all of the quantities; for a set never tested so many that the default counts.
+def tested_devices(result: PopulationResult, set_name: str) -> dict[str, int]:
+    """Tested devices behind each quantity: of the set, or of all sets for one never tested."""
+    index = slice(None) if set_name == ANY_SET else slice(i := result.index(set_name), i + 1)
+    return {q: sum(fit.n_devices[index]) for q, fit in result.posteriors.items()}
 
-    What a set never tested will be follows from all sets together, not from a few devices of its own.
-    """
-    if set_name == ANY_SET:
-        return FEW + 1
-    index = result.index(set_name)
-    return min(result.fit(q).n_devices[index] for q in quantities if q in result.posteriors)
+
+def own_devices(result: PopulationResult, set_name: str, quantities: Iterable[str]) -> int:
+    """Devices of a set that give all of the quantities; a set never tested has none."""
+    counts = tested_devices(result, set_name)
+    return 0 if set_name == ANY_SET else min(counts[q] for q in quantities if q in counts)
 
 
 def priors_that_count(labels: Sequence[str], own: int) -> tuple[str, ...]:
@@ -60,8 +63,45 @@ def least_favourable(by_prior: Mapping[str, float], side: str, own: int) -> floa
     return {LOW: min(values), HIGH: max(values)}.get(side, by_prior[DEFAULT])
 
 
-FORCES = (LOWEST, HIGHEST, LEAST, MOST, "plateau", THIRD_CYCLE)
-"""Forces that the bounds of all runs must hold, of every run."""
+RANK = {LOWEST: 0, LEAST: 1, "plateau": 2, THIRD_CYCLE: 2, MOST: 3, HIGHEST: 4}
+"""Forces of a device, none above those of a higher rank of the same run; the first and the last are of all runs."""
+
+
+def is_part(lesser: str, greater: str) -> bool:
+    """Whether a force of a device cannot be above another one."""
+    a, b = base_of(lesser), base_of(greater)
+    of_one_run = a == LOWEST or b == HIGHEST or lesser.removeprefix(a) == greater.removeprefix(b)
+    return RANK[a] < RANK[b] and of_one_run
+
+
+def force_ends(devices: PredictiveDevices, tested: Mapping[str, int]) -> dict[tuple[str, str], tuple[float, float]]:
+    """Bound every force of a new device such that no part passes the whole: by force and side, value and own value.
+
+    `tested` are the devices behind each. The own value is that of the predictive distribution of the force by itself
+    (few devices: least favourable prior). Of a device the smallest plateau of all runs lies below every other force, so
+    a lower limit of it is one of these as well, and of two limits the nearer one counts; likewise upwards from the
+    largest force of all runs. Limits of the whole rest on the whole itself, but for a run that fewer devices have gone
+    through than there are: what the others would have shown there is not in the whole, so its limit counts too.
+    """
+    set_name = devices[DEFAULT].set_name
+    names = sorted((n for n in devices[DEFAULT].draws if base_of(n) in RANK), key=lambda n: RANK[base_of(n)])
+
+    def own(name: str, side: str, level: float) -> float:
+        by_prior = {label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}
+        return least_favourable(by_prior, side, 0 if set_name == ANY_SET else tested.get(name, 0))
+
+    alone = {side: {n: own(n, side, level) for n in names} for side, level in SIDES.items()}
+    low, middle, high = (dict(alone[side]) for side in SIDES)
+    for ends, whole, part, outer in ((low, LOWEST, LEAST, min), (high, HIGHEST, MOST, max)):
+        fewer = [n for n in names if base_of(n) == part and tested.get(n, 0) < tested.get(whole, 0)]
+        ends[whole] = outer(ends[n] for n in (whole, *fewer))
+    for i, name in enumerate(names):
+        for ends in (low, middle):
+            ends[name] = max(ends[name], *(ends[n] for n in names[:i] if is_part(n, name)), -math.inf)
+    for i, name in reversed(list(enumerate(names))):
+        high[name] = min(high[name], *(high[n] for n in names[i + 1 :] if is_part(name, n)), math.inf)
+    found = zip(SIDES, (low, middle, high), strict=True)
+    return {(n, side): (ends[n], alone[side][n]) for side, ends in found for n in names}
 
 
 @dataclass(frozen=True)
@@ -113,32 +153,21 @@ class SlidingForceBounds:
         return said + ("; no second run" if self.ratio is None else f"; second run / first {self.ratio:.3f}")
 
 
-def sliding_force_bounds(devices: PredictiveDevices, own: int) -> SlidingForceBounds:
-    """Bound the force of a new device; with few devices of its own (`own`) by the outermost prior of the spread."""
-
-    def bound(side: str, *names: str) -> float:
-        level, pick = (0.05, min) if side == LOW else (0.95, max)
-        return pick(
-            least_favourable(
-                {label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}, side, own
-            )
-            for name in names
-        )
-
+def sliding_force_bounds(devices: PredictiveDevices, tested: Mapping[str, int]) -> SlidingForceBounds:
+    """Bound the force of a new device; `tested` are the devices behind each quantity."""
+    ends = {key: value for key, (value, _) in force_ends(devices, tested).items()}
     main = devices[DEFAULT].draws
-    later = tuple(n for n in main if n.startswith(f"{LEAST}_"))
-    # Each quantity is pooled by itself: with few devices chance may put a band inside one that it must hold.
-    forces = tuple(n for n in main if base_of(n) in FORCES)
+    later = [ends[n, LOW] for n in main if n.startswith(f"{LEAST}_")]
     third = main[THIRD_CYCLE]
     moved = [float(np.median(main[name]) / np.median(third)) for name in (LOWEST, HIGHEST)]
     return SlidingForceBounds(
-        third_low=bound(LOW, THIRD_CYCLE),
+        third_low=ends[THIRD_CYCLE, LOW],
         third=float(np.median(third)),
-        third_high=bound(HIGH, THIRD_CYCLE),
-        first_low=bound(LOW, LEAST),
-        later_low=bound(LOW, *later) if later else None,
-        low=bound(LOW, *forces),
-        high=bound(HIGH, *forces),
+        third_high=ends[THIRD_CYCLE, HIGH],
+        first_low=ends[LEAST, LOW],
+        later_low=min(later, default=None),
+        low=ends[LOWEST, LOW],
+        high=ends[HIGHEST, HIGH],
         typical=Bounds.around(*moved),
         ratio=float(np.median(main["ratio"])) if "ratio" in main else None,
     )
@@ -204,6 +233,6 @@ def design_basis(
     result: PopulationResult, set_name: str, devices: PredictiveDevices, nominal_kN: float | None
 ) -> DesignBasis:
     """Split what is known of a set into the parts that the codes multiply."""
-    force = sliding_force_bounds(devices, own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE)))
+    force = sliding_force_bounds(devices, tested_devices(result, set_name))
     nominal = (force.third, "typical device") if nominal_kN is None else (nominal_kN, "stated by the user")
     return DesignBasis(*nominal, force, environment(result, set_name))

@@ -30,13 +30,14 @@ from shj_bayes.margins.basis import (
     predictive_devices,
     priors_that_count,
     sliding_force_bounds,
+    tested_devices,
 )
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE
 from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.law import BETA_RANGE, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import N_POINTS, LoopBand, new_device, sets_suffice
-from shj_bayes.population.quantities import HIGHEST, LEVELS, LOWEST, FloatArray, band_of
+from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
 from shj_bayes.population.results import safe_cell
 
 LOWER, UPPER = "lower", "upper"
@@ -79,8 +80,8 @@ def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm:
     untested = (ANY_SET,) if sets_suffice(len(design.sets)) else ()
     for name in (*design.set_names, *untested):
         devices = predictive_devices(design, name)
-        own = own_devices(design, name, (LOWEST, HIGHEST, "K"))
-        force = sliding_force_bounds(devices, own)
+        own = own_devices(design, name, ("K",))
+        force = sliding_force_bounds(devices, tested_devices(design, name))
         middle = float(np.median(devices[DEFAULT].draws["plateau"]))
         bands = {label: device.band("K") for label, device in devices.items()}
         fit = parameters.fit("beta")

@@ -82,12 +82,18 @@ def device_table(sheet: Sheet) -> pd.DataFrame:
 
 def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
     """One page for design, one with every margin (filter it), one with what to mind."""
+    notes = pd.DataFrame({"to mind": [*sheet.warnings, *sheet.diagnoses] or ["nothing"]})
+    write_workbook(
+        {"Design": design_table(sheet).map(safe_cell), "All margins": table, "To mind": notes.map(safe_cell)}, path
+    )
+
+
+def write_workbook(pages: Mapping[str, pd.DataFrame], path: Path) -> None:
+    """Write tables whose text is safe as the pages of a workbook; the same tables make the same bytes."""
     from openpyxl import Workbook  # noqa: PLC0415  (margins that stand need not load it)
     from openpyxl.utils import get_column_letter  # noqa: PLC0415
 
-    notes = pd.DataFrame({"to mind": [*sheet.warnings, *sheet.diagnoses] or ["nothing"]})
     book = Workbook(write_only=True)  # row by row: half the time of a book that is filled cell by cell
-    pages = {"Design": design_table(sheet).map(safe_cell), "All margins": table, "To mind": notes.map(safe_cell)}
     for name, content in pages.items():
         page = book.create_sheet(name)
         rows = [[*content.columns], *(list(map(_cell, row)) for row in content.itertuples(index=False, name=None))]
@@ -125,6 +131,11 @@ def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side
     return next((index[name, quantity, k, side] for k in kinds if (name, quantity, k, side) in index), None)
 
 
+def degrees_words(degrees: float) -> str:
+    """Degrees of freedom of a spread; a dash where there is none, "known" where it was stated."""
+    return "-" if math.isnan(degrees) else "known" if math.isinf(degrees) else f"{degrees:.0f}"
+
+
 def design_table(sheet: Sheet) -> pd.DataFrame:
     """Short table for design: per set and quantity the new device, EN 1990 values and a tolerance limit, low and high.
 
@@ -152,7 +163,7 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
                     if row is not None:
                         line[f"{head}, {side}"] = row.value
                         line[f"{head}, clause"] = row.clause
-                        if math.isfinite(row.degrees):
-                            line[f"{head}, degrees of freedom"] = row.degrees
+                        if not math.isnan(row.degrees):
+                            line[f"{head}, degrees of freedom"] = degrees_words(row.degrees)
             lines.append(line)
     return pd.DataFrame(lines)

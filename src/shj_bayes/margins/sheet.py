@@ -1,7 +1,7 @@
 """All margins of a population in one sheet: two numbers first, then bands, codes, and where the width comes from."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -10,10 +10,13 @@ import numpy as np
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
     DEFAULT,
-    FORCES,
+    RANK,
+    SIDES,
     DesignBasis,
     PredictiveDevices,
     design_basis,
+    force_ends,
+    is_part,
     least_favourable,
     own_devices,
     predictive_devices,
@@ -23,12 +26,14 @@ from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
 from shj_bayes.margins.row import BANDS, DESIGN, FACTORS, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.spread import (
+    MORE,
     NOT_NORMAL,
     Sample,
     between_sets,
     common_spread,
     of_set,
     samples,
+    spreading_more,
 )
 from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.parameters import base_of
@@ -36,17 +41,14 @@ from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, sets_suffice
-from shj_bayes.population.quantities import LOWEST, MOST, THIRD_CYCLE, FloatArray
+from shj_bayes.population.quantities import HIGHEST, LOWEST, MOST, THIRD_CYCLE, FloatArray
 from shj_bayes.population.quantities import quantity as described
 
-UNEQUAL = 2.0
-"""Sets spread unequally when the widest of them is surely (95 %) more than this many times the tightest."""
 POOLED = "partially pooled model, decision 0004"
 OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
 
 
-SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 PURPOSE = {
     LOW: "lower bound: displacement and drift demand, slip at service loads",
     MIDDLE: "best estimate: first analysis",
@@ -139,16 +141,16 @@ def margins(
     spoken = request.sets or ((*design.set_names, ANY_SET) if sets_suffice(n_sets) else design.set_names)
     own = tuple(test for test in tests if ANY_SET in spoken or test.set_name in spoken)
     rows = tuple(_rows(design, own, request))
-    compared = agreement([row for row in rows if row.set_name in spoken])
+    compared, contradictions = agreement([row for row in rows if row.set_name in spoken])
     laws = next((test.laws for test in own if len(test.laws) > 1), ())
     followed = channel_words([test.channels for test in own], own_test=asked is None)
     read = () if asked is None else asked.found
     warnings = (
         *read,
-        *compared.contradictions,
+        *contradictions,
         *_warnings(design, request, spoken, asked, laws),
         *followed,
-        compared.words,
+        compared,
     )
     history = OWN_TEST if asked is None else asked.words
     return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
@@ -157,10 +159,11 @@ def margins(
 def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request: MarginOptions) -> Iterator[Margin]:
     by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
+    wider = {q: spreading_more({name: s[q] for name, s in by_set.items() if q in s}) for q in result.posteriors}
     for name in request.sets or (*result.set_names, ANY_SET):
         devices = predictive_devices(result, name)
         basis = design_basis(result, name, devices, request.nominal_kN)
-        given = _given(name, by_set, common, basis, request)
+        given = _given(name, by_set, common, basis, request, {q for q, sets in wider.items() if name in sets})
         yield from _first(given)
         found = list(bands_of_set(result, name, devices, given.devices))
         found += [row for code in catalogue() for row in code.rows(given)]
@@ -175,8 +178,9 @@ def bands_of_set(
 ) -> Iterator[Margin]:
     """Bands of a new device of a set: the default prior of the spread, with few devices the outermost of all.
 
-    `n_devices` are those behind each quantity.
+    `n_devices` are those behind each quantity. No force passes one that it is a part of (`force_ends`).
     """
+    forces = force_ends(devices, n_devices)
     for quantity in (*devices[DEFAULT].draws, DEGRADATION):
         of_ratio = quantity == DEGRADATION
         source = "ratio" if of_ratio else quantity
@@ -192,14 +196,18 @@ def bands_of_set(
             listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in by_prior.items())
             note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"
             head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side)
-            number = (least_favourable(by_prior, side, own), described(source).unit, n_devices.get(source, 0), math.nan)
+            value = least_favourable(by_prior, side, own)
+            notes = [note] if len(count) > 1 and side != MIDDLE else []
+            if (held := forces.get((quantity, side), (value,))[0]) != value:
+                notes.append(f"by itself {value:.4g} {described(source).unit}, held within those of all runs")
+            number = (held, described(source).unit, n_devices.get(source, 0), math.nan)
             origin = (
                 "predictive distribution, decision 0004",
                 f"{100 * level:.0f} % quantile over draws of set level and spread",
                 f"{devices[DEFAULT].draws[source].size} draws; {listed}",
                 (LOSS if of_ratio else PURPOSE)[side],
             )
-            yield Margin(*head, *number, *origin, note if len(count) > 1 and side != MIDDLE else "")
+            yield Margin(*head, *number, *origin, "; ".join(notes))
 
 
 def _first(given: Given) -> Iterator[Margin]:
@@ -207,12 +215,13 @@ def _first(given: Given) -> Iterator[Margin]:
     force = given.basis.force
     n = given.devices.get(LOWEST, 0)
     for kind, side, value, what in (
-        (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs"),
-        (CAPACITY, HIGH, force.high, "95 % of the largest force of all runs"),
+        (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs of a new device (quantity lowest)"),
+        (CAPACITY, HIGH, force.high, "95 % of the largest force of all runs of a new device (quantity highest)"),
     ):
         purpose = PURPOSE[side]
         origin = ("predictive distribution, decision 0006", what, force.words, purpose)
-        yield Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin)
+        age = f"as tested: ageing is in the ASCE 7 and EN 15129 bounds alone ({given.basis.age.words})"
+        yield Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin, age)
 
 
 def _spreads(result: PopulationResult, name: str, tests: Sequence[VirtualTestResult]) -> Iterator[Margin]:
@@ -256,11 +265,12 @@ def _given(
     common: Mapping[str, tuple[float, int]],
     basis: DesignBasis,
     request: MarginOptions,
+    wider: Collection[str],
 ) -> Given:
-    """Draw up what the codes are given of one set; of a set never tested, the sets as the sample."""
+    """Draw up what the codes are given of one set, `wider` in these; of a set never tested, the sets as the sample."""
     if name != ANY_SET:
         own = by_set[name]
-        spreads = {q: of_set(sample, common[q]) for q, sample in own.items()}
+        spreads = {q: of_set(sample, common[q], MORE if q in wider else "") for q, sample in own.items()}
         return Given(name, own, spreads, {q: s.n for q, s in own.items()}, basis, request)
     together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
     clustered = {q: between_sets(of_sets) for q, of_sets in together.items() if of_sets}
@@ -294,7 +304,10 @@ def _warnings(
     """Say what limits the use of the margins: what was taken as known, what was not tested, where tests are too few."""
     tested = result.tested
     if request.v_known is not None:
-        yield f"V = {request.v_known:g} of the sliding force is taken as known (EN 1990), because: {request.v_reason}"
+        yield (
+            f"V = {request.v_known:g} of the sliding force, of every run, is taken as known in values by testing (EN "
+            f"1990, ISO 16269-6), because: {request.v_reason}. Bands of a new device and factors do not use it."
+        )
     if laws and asked is not None:
         speed = float(asked.motion.speed_mm_s.max())
         yield (
@@ -322,19 +335,24 @@ def _warnings(
 
 
 def _unequal_spreads(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
-    """Say for which sets the spread common to all is too narrow or too wide, where the sets do not spread alike."""
-    fit = result.fit(THIRD_CYCLE)
-    several = [i for i, n in enumerate(fit.n_devices) if n > 1]
-    if len(several) > 1:
-        middle = np.median(fit.tau[:, several], axis=0)
-        wide, tight = several[int(np.argmax(middle))], several[int(np.argmin(middle))]
-        if np.quantile(fit.tau[:, wide] / fit.tau[:, tight], 0.05) > UNEQUAL:
-            ends = (("narrow", result.set_names[wide]), ("wide", result.set_names[tight]))
-            if found := [f"too {fault} for {name}" for fault, name in ends if name in spoken]:
-                yield (
-                    "The sets do not spread alike, but several times as much one as another: margins with the spread "
-                    f"common to all sets are {' and '.join(found)}; the bands of a new device allow for it."
-                )
+    """Say which sets spread more than the others, so that the spread common to all sets is not theirs."""
+    by_set = {group.name: samples(group) for group in result.sets}
+    found: dict[str, list[tuple[float, float, str]]] = {}
+    for q in result.posteriors:
+        for name, (times, p) in spreading_more({n: s[q] for n, s in by_set.items() if q in s}).items():
+            found.setdefault(name, []).append((p, times, q))
+    told = []
+    for name in (n for n in spoken if n in found):
+        _, times, q = min(found[name])
+        values, unit = by_set[name][q].values, described(q).unit
+        seen = f"{q} {values.min():.3g} to {values.max():.3g}{'' if unit == '1' else f' {unit}'}"
+        told.append(f"{name} {times:.1f} times as much ({seen}; so in {len(found[name])} quantities)")
+    if told:
+        yield (
+            f"The sets do not spread alike (F test of each against all others): {', '.join(told)}. EN 1990 and ISO "
+            "16269-6 values with the spread common to all sets are too narrow for these and too wide for the others; "
+            "take the bands of a new device, which allow for it."
+        )
 
 
 def _few_devices(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
@@ -353,40 +371,39 @@ SLACK = 0.02
 """Share of the typical value by which two numbers may differ before they count as contradicting: noise of draws."""
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """What was compared, and what contradicts."""
+def agreement(rows: Sequence[Margin]) -> tuple[str, tuple[str, ...]]:
+    """Compare the bounds of every set with each other and with the bands of a new device.
 
-    words: str  # what was compared with what, in one sentence
-    contradictions: tuple[str, ...]  # one sentence each, with both numbers; empty where everything agrees
-
-
-def agreement(rows: Sequence[Margin]) -> Agreement:
-    """Compare the bounds of every set with each other and with the bands of a new device."""
+    Gives what was compared, in words, and every contradiction in a sentence with both numbers.
+    """
     names = list(dict.fromkeys(row.set_name for row in rows))
     found = [text for name in names for text in _disagreements(name, [row for row in rows if row.set_name == name])]
     sets = f"{len(names)} set{'s' * (len(names) != 1)}"
     words = (
-        f"Compared in {sets}: each lower bound force (ASCE 7, LBDP) with the 5 % ends, and each upper bound "
-        "force (ASCE 7, UBDP) with the 95 % ends, of the smallest plateau, mean plateau, third cycle and largest force "
-        "of every run; lower with upper bounds; low, middle and high value of every other margin. "
-        + (f"{len(found)} contradict." if found else "None contradict.")
+        f"Compared in {sets}: the two numbers with the 5 % end of the smallest plateau and the 95 % end of the largest "
+        "force of all runs, which they are; these, and the bound forces of the codes (ASCE 7, LBDP, UBDP), with the "
+        "same ends of the smallest plateau, mean plateau, third cycle and largest force of every run, and each of "
+        "these with those that it is a part of; lower with upper bounds; low, middle and high value of every other "
+        f"margin. {f'{len(found)} contradict.' if found else 'None contradict.'} Values by testing (EN 1990, ISO "
+        "16269-6) are of one quantity each, and may pass one another."
     )
-    return Agreement(words, tuple(found))
+    return words, tuple(found)
 
 
 def _disagreements(name: str, rows: Sequence[Margin]) -> Iterator[str]:
-    forces = [row for row in rows if row.method == FACTORS and row.unit == "kN"]  # that codes bound by factors
+    forces = [row for row in rows if row.method in (FACTORS, DESIGN) and row.unit == "kN"]
     lower, upper = ([row for row in forces if row.side == side] for side in (LOW, HIGH))
     scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
-    ends = [row for row in rows if row.method == BANDS and base_of(row.quantity) in FORCES]
-    for bound in lower:
-        for end in (*(e for e in ends if e.side == LOW), *upper):
-            yield from _above(name, bound, end, scale)
-    for bound in upper:
-        for end in ends:
-            if end.side == HIGH:
-                yield from _above(name, end, bound, scale)
+    ends = [row for row in rows if row.method == BANDS and base_of(row.quantity) in RANK]
+    lows, highs = ([row for row in ends if row.side == side] for side in (LOW, HIGH))
+    pairs = [(bound, end) for bound in lower for end in (*lows, *upper)]
+    pairs += [(end, bound) for bound in upper for end in highs]
+    pairs += [(a, b) for a in ends for b in ends if a.side == b.side and is_part(a.quantity, b.quantity)]
+    own = {(LOWEST, LOW), (HIGHEST, HIGH)}  # the two numbers are what they are said to be
+    same = [(row, e) for row in forces if row.method == DESIGN for e in ends if (e.quantity, e.side) in own]
+    pairs += [p for row, e in same if row.side == e.side for p in ((row, e), (e, row))]
+    for lesser, greater in dict.fromkeys(pairs):
+        yield from _above(name, lesser, greater, scale)
     ladder: dict[tuple[str, str], dict[str, Margin]] = {}
     for row in rows:
         kind = "new device" if row.method == BANDS else row.kind

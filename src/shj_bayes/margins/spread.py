@@ -1,10 +1,11 @@
 """Samples of devices, and the ways to come by the spread between them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import fdtrc
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.row import HIGH, LOW
@@ -79,6 +80,33 @@ def common_spread(of_sets: list[Sample]) -> tuple[float, int]:
     return max(math.sqrt(squares / degrees), floor), degrees
 
 
+UNLIKE = 0.05
+"""Level at which a set counts as spreading more than the others, allowing for the number of sets."""
+MORE = "spreads more than the other sets"
+
+
+def spreading_more(of_sets: Mapping[str, Sample]) -> dict[str, tuple[float, float]]:
+    """Find sets whose devices differ more than those of the others together: how many times as much, p of the F test.
+
+    The p-value allows for the number of sets. The farthest is taken out before the others are looked at again, so that
+    two wide sets do not hide each other.
+    """
+    left = {name: sample for name, sample in of_sets.items() if sample.n > 1}
+    n, out = len(left), dict[str, tuple[float, float]]()
+    while len(left) > 1:
+        found = []
+        for name, sample in left.items():
+            sd, degrees = common_spread([other for key, other in left.items() if key != name])
+            times = sample.sd_log / sd if sd else math.inf
+            found.append((n * float(fdtrc(sample.n - 1, degrees, times**2)), times, name))
+        p, times, name = min(found)
+        if p > UNLIKE:
+            break
+        out[name] = times, p
+        del left[name]
+    return out
+
+
 @dataclass(frozen=True)
 class Spread:
     """Where the spread of a margin comes from."""
@@ -91,6 +119,7 @@ class Spread:
     n_mean: float  # independent values that the mean is worth: its error is the spread over the root of this
     origin: str  # in words
     note: str = ""  # what to mind
+    warning: str = ""  # a few words for the cell of every value that rests on it
 
 
 def sd_of_log(variation: float) -> float:
@@ -114,8 +143,8 @@ def known(sample: Sample, variation: float, reason: str) -> Spread:
     return Spread(KNOWN, sd_of_log(variation), variation, math.inf, sample.n, f"stated, because: {reason}", note)
 
 
-def of_set(sample: Sample, common: tuple[float, int]) -> tuple[Spread, ...]:
-    """Spread of a set: from its own devices, and common to all sets."""
+def of_set(sample: Sample, common: tuple[float, int], warning: str = "") -> tuple[Spread, ...]:
+    """Spread of a set: from its own devices, and common to all sets; `warning` is of the latter."""
     out = []
     if sample.n > 1:
         notes = [_FLOORED] if sample.sd_log <= sample.floor else []
@@ -125,7 +154,7 @@ def of_set(sample: Sample, common: tuple[float, int]) -> tuple[Spread, ...]:
     sd, degrees = common
     if degrees:
         origin = "all sets together, each about its mean"
-        out.append(Spread(COMMON, sd, variation_of_log(sd), degrees, sample.n, origin))
+        out.append(Spread(COMMON, sd, variation_of_log(sd), degrees, sample.n, origin, warning, warning))
     return tuple(out)
 
 

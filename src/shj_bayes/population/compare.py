@@ -1,28 +1,30 @@
-"""Two sets, or two kinds of sets, compared: tests, their power, differences, and the words for them."""
+"""Two sets, or two kinds of sets, compared: tests, their power, differences, pair by pair and together."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
+from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
-from scipy.special import chdtri, fdtrc, ndtr, stdtr, stdtrit
+from scipy.special import chdtri, ndtr, stdtr, stdtrit
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import PopulationResult
-from shj_bayes.population.quantities import ASSUMED, QUANTITIES, Band, FloatArray, band_of
+from shj_bayes.population.quantities import Band, FloatArray, band_of, quantity
 
 Kind = tuple[Callable[[Tags], bool], Callable[[Tags], Tags]]
 """Which sets belong, and their tags without what is compared: sets with the same rest form a stratum."""
 Stratum = tuple[list[int], list[int]]
 """Positions of the sets on both sides; all else is alike."""
-BARE = {"", "none", "bare", "uncoated", "plain", "blasted", "machined", "polished", "mill scale", "as rolled"}
-"""Words for a surface without a coating; ``sweep blasted`` and the like are too."""
+BARE = {"", "none", "bare", "uncoated", "plain", "machined", "polished", "mill scale", "as rolled"}
+"""Words for a surface that nothing was done to. A blasted one is a coating, as in the paper (Tables 4 to 7)."""
 WORDS = "coated, uncoated, corroded, uncorroded, or a coverage such as '70 %'"
 
 
@@ -57,9 +59,8 @@ def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, s
 
 
 def is_bare(coating: str) -> bool:
-    """Whether a coating is none: bare steel, whatever was done to its surface."""
-    words = re.sub(r"[\s_-]+", " ", coating.strip().casefold())
-    return words in BARE or words.endswith(" blasted")
+    """Whether a coating is none: bare steel."""
+    return re.sub(r"[\s_-]+", " ", coating.strip().casefold()) in BARE
 
 
 def members(result: PopulationResult, strata: tuple[Stratum, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -122,24 +123,11 @@ def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, stra
 
 def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
     """Devices on each side for which the `assurance` reaches `POWER`; `MOST` when more would be needed."""
-
-    def found(n: int) -> float:
-        return assurance(shift, sds, n, n, strata=strata)
-
-    low, high = strata, 2 * strata
-    while found(high) < POWER:
-        low, high = high, 2 * high
-        if high > MOST:
-            return MOST
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if found(middle) >= POWER else (middle, high)
-    return high
+    return strata + bisect_left(range(strata, MOST), POWER, key=lambda n: assurance(shift, sds, n, n, strata=strata))
 
 
 MOST_ARRANGEMENTS = 500_000
 N_RANDOM = 20_000
-_NODES = (np.arange(4000) + 0.5) / 4000
 _SAME = 1e-9
 Pair = tuple[FloatArray, FloatArray]
 """Values of the first and of the second side of one stratum, pooled scale."""
@@ -150,9 +138,6 @@ class Classical:
     """Tests of one quantity; None where a test cannot be made."""
 
     welch_p: float | None  # Welch's test, two-sided; over strata with Satterthwaite's degrees of freedom
-    # Behrens-Fisher (the posterior of both means under vague priors, spreads unequal); one stratum only
-    behrens_fisher_p: float | None
-    variance_p: float | None  # two-sided F test that both sides spread alike
     permutation_p: float | None  # stratified permutation test of the sides, two-sided
     arrangements: int  # how many there are; above half a million a random 20 000 of them are used
     # smallest p that any assignment of these values to the two sides can give: three against three devices never give
@@ -179,8 +164,7 @@ def classical(strata: Sequence[Pair], seed: int = 0) -> Classical:
     """
     full = [(a, b) for a, b in strata if a.size and b.size]
     p, least, n = permutation_test(full, seed) if full else (None, None, 0)
-    two = behrens_fisher(*full[0]) if len(full) == 1 else None
-    return Classical(welch(full), two, variance_ratio(full), p, n, least)
+    return Classical(welch(full), p, n, least)
 
 
 def welch(strata: Sequence[Pair]) -> float | None:
@@ -193,30 +177,6 @@ def welch(strata: Sequence[Pair]) -> float | None:
     degrees = total**2 / sum(v**2 / (s.size - 1) for v, s in zip(variances, sides, strict=True))
     difference = sum(float(a.mean() - b.mean()) for a, b in strata)
     return float(2.0 * stdtr(degrees, -abs(difference) / math.sqrt(total)))
-
-
-def behrens_fisher(a: FloatArray, b: FloatArray) -> float | None:
-    """Two-sided tail probability of the Behrens-Fisher distribution (difference of two scaled t variables)."""
-    if min(a.size, b.size) < 2 or min(np.ptp(a), np.ptp(b)) < _SAME:
-        return None
-    scale_a, scale_b = (float(x.std(ddof=1)) / math.sqrt(x.size) for x in (a, b))
-    other = stdtrit(b.size - 1, _NODES)
-    away = abs(float(a.mean() - b.mean()))
-    return float(2.0 * np.mean(stdtr(a.size - 1, -(away + scale_b * other) / scale_a)))
-
-
-def variance_ratio(strata: Sequence[Pair]) -> float | None:
-    """Two-sided p of Snedecor's F that both sides have the same variance, pooled over strata."""
-    squares, degrees = [0.0, 0.0], [0, 0]
-    for pair in strata:
-        for i, side in enumerate(pair):
-            squares[i] += float(np.sum((side - side.mean()) ** 2))
-            degrees[i] += side.size - 1
-    if min(degrees) < 1 or min(squares) < _SAME**2:
-        return None
-    f = (squares[0] / degrees[0]) / (squares[1] / degrees[1])
-    tail = fdtrc(degrees[0], degrees[1], f)
-    return float(2.0 * min(tail, 1.0 - tail))
 
 
 def permutation_test(strata: Sequence[Pair], seed: int = 0) -> tuple[float, float, int]:
@@ -254,74 +214,46 @@ def permutation_test(strata: Sequence[Pair], seed: int = 0) -> tuple[float, floa
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """Holm's adjustment for the number of tests that were made (Holm 1979); None stays None."""
     known = sorted((p, i) for i, p in enumerate(p_values) if p is not None)
-    out: list[float | None] = [None] * len(p_values)
-    highest = 0.0
-    for rank, (p, i) in enumerate(known):
-        highest = max(highest, min(1.0, (len(known) - rank) * p))
-        out[i] = highest
-    return out
+    raised = np.maximum.accumulate([min(1.0, (len(known) - rank) * p) for rank, (p, _) in enumerate(known)] or [1.0])
+    adjusted = {i: float(p) for (_, i), p in zip(known, raised, strict=False)}
+    return [adjusted.get(i) for i in range(len(p_values))]
 
 
-TRUSTED = 0.95
 ROPE_SPEED = 10.0
 """Speed at which practical equivalence of gamma is meant as a share of the force, mm/s."""
-
-
-def sentence(c: Contrast, sides: tuple[str, str], settled: Mapping[str, bool], rope: float) -> str:
-    """Say how two sides differ in one quantity, how sure that is, and what would decide.
-
-    `settled` is whether each prior of the spread gives the direction, `rope` the half-width of the region of practical
-    equivalence.
-    """
-    if c.kind == "quotient":
-        # As many digits, four at most, as tell the ends of a narrow interval apart.
-        digits = next((d for d in (2, 3) if round(c.q05, d) != round(c.q95, d)), 4)
-        between = f"{c.q05:.{digits}f} to {c.q95:.{digits}f}"
-        size = f"is {c.q50:.{digits}f} times that of {sides[1]} (90 % interval {between})"
-        open_ = f"a factor of anything from {between}"
-        edge = f"{100 * rope:.0f} %"
-    else:
-        size = f"differs from {sides[1]} by {c.q50:+.3g} {c.unit} (90 % interval {c.q05:+.3g} to {c.q95:+.3g})"
-        open_ = f"anything from {c.q05:+.3g} to {c.q95:+.3g} {c.unit}"
-        edge = f"{rope / ROPE_SPEED:.3g} {c.unit}"
-    if not settled["default"]:
-        verdict = f"the direction is not settled: {open_} is compatible with them"
-    elif not all(settled.values()):
-        against = ", ".join(ASSUMED.get(label, f"under the {label} prior") for label, yes in settled.items() if not yes)
-        verdict = f"the direction hangs on what is assumed of the spread (not settled {against})"
-    else:
-        verdict = "the direction is settled at 90 %, whatever is assumed of the spread"
-    text = f"{sides[0]}: {c.quantity} of a typical device {size}; with {c.n_a} and {c.n_b} devices {verdict}."
-    if c.probability_rope > TRUSTED:
-        return f"{text} They differ by less than {edge} with a probability of {c.probability_rope:.2f}."
-    if all(settled.values()):
-        return text
-    count = f"about {c.n_to_decide}" if c.n_to_decide < MOST else f"more than {MOST}"
-    return (
-        f"{text} A sample of this size finds a true difference of {edge}, the smallest that matters here, with a "
-        f"power of {c.power_edge:.2f}; a power of 0.80 takes {count} devices a side (if sets spread nearly alike)."
-    )
-
-
-def multiplicity_words(n_quantities: int, n_strata: int, tests: Sequence[str]) -> str:
-    """Say how many comparisons were made at once, by which test of each quantity, and how that is allowed for."""
-    over = f", each averaged over {n_strata} pairs of sets alike in all else" if n_strata > 1 else ""
-    said = {
-        "permutation": "on the exact permutation",
-        "Welch": "on Welch's test where no arrangement of so few devices could bring the permutation to 0.05 after "
-        "that (its least p stands beside it)",
-    }
-    basis = " and ".join(words for name, words in said.items() if name in tests)
-    rest = [f"The p-values marked Holm allow for that number; they rest {basis}."] if basis else []
-    rest += ["Where neither permutation nor Welch's test can reach 0.05 there is none."] if "" in tests else []
-    return (
-        f"{n_quantities} quantities were compared{over}. {' '.join(rest)} The posterior draws the sets towards each "
-        "other by itself. Whoever picks among many pairs must divide once more."
-    )
-
-
 ROPE = 0.10
 """Half-width of the region of practical equivalence: 10 % of the value; for gamma 10 % of the force at 10 mm/s."""
+
+
+FEWEST = 2
+"""Devices below which a set says nothing of its own spread."""
+ALONE = 0.10
+"""Two-sided level of a test that goes with a 90 % interval."""
+
+
+class Direction(StrEnum):
+    """How far the direction of a difference is known, from best to least.
+
+    ``SETTLED``, whatever is assumed of the spread, must hold with nothing assumed: every prior gives the direction,
+    every set has `FEWEST` devices, without which its spread is assumption alone, and so does the test that takes the
+    spread from these devices alone (p of `Classical.leading` at most `ALONE`).
+    """
+
+    SETTLED = "settled"
+    TRIED = "under every prior tried"  # every prior gives the direction, these devices alone do not
+    ASSUMED = "hangs on the prior"  # the default prior gives it, another one does not
+    OPEN = "open"
+
+
+class PairContrast(NamedTuple):
+    """Two sets (or groups of sets) alike in all else, in one quantity: what their devices showed."""
+
+    set_a: str
+    set_b: str
+    # devices and their values, natural unit
+    devices_a: Mapping[str, float]
+    devices_b: Mapping[str, float]
+    observed: float | None  # quotient (difference for gamma) of the means of the devices; None where a side has none
 
 
 @dataclass(frozen=True)
@@ -356,7 +288,15 @@ class Contrast:
     power_edge: float
     n_to_decide: int  # devices a side that would find a difference at that edge with a power of 0.80, averaged likewise
     other_priors: Mapping[str, tuple[float, float]]  # 5 and 95 % under each other prior of the spread
-    sentence: str  # the same in words; "settled" only when every prior of the spread says so
+    direction: Direction  # how far it is known which side is above
+    fewest: int  # devices of the smallest of the sets compared
+    pairs: tuple[PairContrast, ...]  # stratum by stratum
+    observed: float | None  # mean of what the pairs showed: geometric of quotients; None where a pair lacks devices
+
+    @property
+    def none(self) -> float:
+        """Value of no difference."""
+        return 1.0 if self.kind == "quotient" else 0.0
 
 
 @dataclass(frozen=True)
@@ -367,35 +307,23 @@ class Comparison:
     set_b: str
     contrasts: tuple[Contrast, ...]  # one per quantity
     strata: int = 1  # pairs of sets that the comparison runs over; 1 for two sets
-    multiplicity: str = ""  # how many comparisons were made here, and how that is allowed for
-
-    def to_table(self) -> pd.DataFrame:
-        """One row per quantity."""
-        return pd.DataFrame([{"set_a": self.set_a, "set_b": self.set_b, **_row(c)} for c in self.contrasts])
 
 
-def _row(c: Contrast) -> dict[str, object]:
-    def own(*names: str) -> dict[str, object]:
-        return {name: getattr(c, name) for name in names}
-
-    def levels(name: str, band: Band) -> dict[str, object]:
-        return dict(zip((f"{name}_q05", f"{name}_q50", f"{name}_q95"), band, strict=True))
-
-    return {
-        **own("quantity", "kind", "unit", "q05", "q50", "q95"),
-        **{f"q05_{label}": band[0] for label, band in c.other_priors.items()},
-        **{f"q95_{label}": band[1] for label, band in c.other_priors.items()},
-        **levels("difference", c.difference),
-        **own("difference_unit", "probability_level", "superiority", "probability_rope"),
-        **{"rope_low": c.rope[0], "rope_high": c.rope[1]},
-        **levels("spread_factor", c.spread_factor),
-        **own("n_a", "n_b"),
-        **asdict(c.tests),
-        **own("holm_p", "holm_test", "power_edge", "n_to_decide", "sentence"),
-    }
+def row_of(c: Contrast) -> dict[str, object]:
+    """Flatten a contrast for tables and machines, without its pairs."""
+    named = {"pairs", "tests", "difference", "spread_factor", "rope", "other_priors"}
+    row: dict[str, object] = {f.name: getattr(c, f.name) for f in fields(c) if f.name not in named}
+    row |= asdict(c.tests) | {"rope_low": c.rope[0], "rope_high": c.rope[1], "direction": str(c.direction)}
+    for label, (low, high) in c.other_priors.items():
+        row |= {f"q05_{label}": low, f"q95_{label}": high}
+    for name, band in (("difference", c.difference), ("spread_factor", c.spread_factor)):
+        row |= dict(zip((f"{name}_q05", f"{name}_q50", f"{name}_q95"), band, strict=True))
+    return row
 
 
-def compare(result: PopulationResult, set_a: str, set_b: str, *, rope: float = ROPE) -> Comparison:
+def compare(
+    result: PopulationResult, set_a: str, set_b: str, *, rope: float = ROPE, names: Sequence[str] = ()
+) -> Comparison:
     """Compare two sets, or two kinds of sets, of a fitted population.
 
     Parameters
@@ -407,6 +335,8 @@ def compare(result: PopulationResult, set_a: str, set_b: str, *, rope: float = R
         and "100 %". Kinds are compared stratum by stratum, each stratum alike in all else, and averaged.
     rope : float
         Half-width of the region of practical equivalence, as a share.
+    names : sequence of str
+        Quantities to compare, all of them by default. Holm's adjustment counts these.
 
     Raises
     ------
@@ -416,15 +346,14 @@ def compare(result: PopulationResult, set_a: str, set_b: str, *, rope: float = R
     if not 0 < rope < 1:
         raise PopulationError(f"the region of practical equivalence must be a share between 0 and 1; got {rope:g}")
     a, b, strata = strata_of(result, set_a, set_b)
-    drafts = [_contrast(result, name, (a, b), strata, rope) for name in result.posteriors]
+    drafts = [_contrast(result, name, strata, rope) for name in (names or result.posteriors)]
     n_tests = sum(c.tests.welch_p is not None or c.tests.permutation_p is not None for c in drafts)
     tests = [c.tests.leading(n_tests) for c in drafts]
     adjusted = holm([p for _, p in tests])
     contrasts = tuple(
         replace(c, holm_test=name, holm_p=p) for c, (name, _), p in zip(drafts, tests, adjusted, strict=True)
     )
-    words = multiplicity_words(len(contrasts), len(strata), [c.holm_test for c in contrasts])
-    return Comparison(a, b, contrasts, len(strata), words)
+    return Comparison(a, b, contrasts, len(strata))
 
 
 def shift_of(result: PopulationResult, name: str, strata: Sequence[Stratum], prior: str) -> FloatArray:
@@ -433,20 +362,61 @@ def shift_of(result: PopulationResult, name: str, strata: Sequence[Stratum], pri
     return np.asarray(np.mean([mu[:, a].mean(axis=1) - mu[:, b].mean(axis=1) for a, b in strata], axis=0))
 
 
-def _contrast(
-    result: PopulationResult, name: str, sides: tuple[str, str], strata: Sequence[Stratum], rope: float
-) -> Contrast:
-    fit, q = result.fit(name), QUANTITIES[name]
+def _pairs(
+    result: PopulationResult, name: str, strata: Sequence[Stratum]
+) -> tuple[tuple[PairContrast, ...], list[Pair]]:
+    """Give what the devices of each stratum showed, and their values on the pooled scale."""
+    q = quantity(name)
 
-    def points(of_sets: list[int]) -> FloatArray:
-        values = np.concatenate([np.array(result.sets[i].points.get(name, ()), dtype=np.float64) for i in of_sets])
-        return np.asarray(values[np.isfinite(values)])
+    def side(of_sets: Sequence[int]) -> tuple[str, dict[str, float]]:
+        groups = [result.sets[i] for i in of_sets]
+        found = {
+            f"{g.name}, {device}" if len(groups) > 1 else device: point
+            for g in groups
+            for device, point in zip(g.devices, g.points.get(name, ()), strict=False)
+            if math.isfinite(point)
+        }
+        return " and ".join(g.name for g in groups), found
 
+    out, values = [], []
+    for stratum in strata:
+        (a, of_a), (b, of_b) = map(side, stratum)
+        both = np.array(list(of_a.values())), np.array(list(of_b.values()))
+        seen = float(q.natural(both[0].mean() - both[1].mean())) if of_a and of_b else None
+        natural = [{d: float(q.natural(x)) for d, x in found.items()} for found in (of_a, of_b)]
+        out.append(PairContrast(a, b, natural[0], natural[1], seen))
+        values.append(both)
+    return tuple(out), values
+
+
+def direction_of(
+    result: PopulationResult, name: str, strata: Sequence[Stratum], values: Sequence[Pair] | None = None
+) -> Direction:
+    """Say how far the direction of a difference is known; `values` are those of the devices, stratum by stratum."""
+    values = _pairs(result, name, strata)[1] if values is None else values
+    ends = [
+        np.quantile(shift_of(result, name, strata, label), (0.05, 0.5, 0.95))
+        for label in ("default", *result.other_priors)
+    ]
+    above = [low > 0 or high < 0 for low, _, high in ends]
+    if not all(above):
+        return Direction.ASSUMED if above[0] else Direction.OPEN
+    alone = classical(values, result.seed).leading(1)[1]
+    fewest = min(result.fit(name).n_devices[i] for stratum in strata for side in stratum for i in side)
+    if fewest < FEWEST or alone is None or alone > ALONE:
+        return Direction.TRIED
+    shown = sum(float(a.mean() - b.mean()) for a, b in values)
+    return Direction.SETTLED if shown * ends[0][1] > 0 else Direction.TRIED
+
+
+def _contrast(result: PopulationResult, name: str, strata: Sequence[Stratum], rope: float) -> Contrast:
+    fit, q = result.fit(name), quantity(name)
+    pairs, values = _pairs(result, name, strata)
+    tests = classical(values, result.seed)
+    shown = np.mean([a.mean() - b.mean() for a, b in values]) if all(a.size and b.size for a, b in values) else None
     shift = shift_of(result, name, strata, "default")
     band = band_of(q.natural(shift))
     others = {label: band_of(q.natural(shift_of(result, name, strata, label))) for label in result.other_priors}
-    none = 1.0 if q.logarithmic else 0.0
-    settled = {label: not x[0] < none < x[2] for label, x in {"default": band, **others}.items()}
     first, second = ([i for s in strata for i in s[side]] for side in (0, 1))
     n = (sum(fit.n_devices[i] for i in first), sum(fit.n_devices[i] for i in second))
     tau_a, tau_b = (np.exp(np.log(fit.tau[:, side]).mean(axis=1)) for side in (first, second))
@@ -464,7 +434,7 @@ def _contrast(
         for i in one
         for j in other
     ]
-    contrast = Contrast(
+    return Contrast(
         quantity=name,
         unit="1" if q.logarithmic else q.unit,
         kind="quotient" if q.logarithmic else "difference",
@@ -480,12 +450,14 @@ def _contrast(
         n_a=n[0],
         n_b=n[1],
         spread_factor=band_of(tau_a / tau_b),
-        tests=classical([(points(a), points(b)) for a, b in strata], result.seed),
+        tests=tests,
         holm_p=None,
         holm_test="",
         power_edge=assurance(edge, spreads, *n, strata=len(strata)),
         n_to_decide=devices_needed(edge, spreads, strata=len(strata)),
         other_priors={label: (x[0], x[2]) for label, x in others.items()},
-        sentence="",
+        direction=direction_of(result, name, strata, values),
+        fewest=min(fit.n_devices[i] for i in (*first, *second)),
+        pairs=pairs,
+        observed=None if shown is None else float(q.natural(shown)),
     )
-    return replace(contrast, sentence=sentence(contrast, sides, settled, rope))

@@ -105,11 +105,15 @@ PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) 
 
 
 def render_campaign(
-    folder: Path, population: PopulationResult | None = None, curves: Sequence[CurveContrast] = ()
+    folder: Path,
+    population: PopulationResult | None = None,
+    curves: Sequence[CurveContrast] = (),
+    forces: PopulationResult | None = None,
 ) -> Path:
     """Write ``report.html`` of a campaign; its population is read from the folder when that holds one.
 
-    `curves` are comparisons of curves of its sets. `ReportError` if the folder holds no readable ``campaign.json``.
+    `curves` are comparisons of curves of its sets, `forces` those that its devices made, pooled.
+    `ReportError` if the folder holds no readable ``campaign.json``.
     """
     record = read_campaign(folder)
     if population is None and has(PopulationRecord, folder):
@@ -124,7 +128,7 @@ def render_campaign(
         "warnings": record.warnings,
         "devices": devices,
         "done": done,
-        "population": population_content(population, intervals, motion, curves) if population else None,
+        "population": population_content(population, intervals, motion, curves, forces) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
         "physics": _physics(folder, record),
     }
@@ -145,13 +149,18 @@ def _physics(folder: Path, record: CampaignRecord) -> dict[str, Any] | None:
     return {"said": said, "table": found, "percent": percent, "pictures": drawn}
 
 
-def render_tables(folder: Path, population: PopulationResult, claims: Sequence[Claim] = ()) -> Path:
+def render_tables(
+    folder: Path,
+    population: PopulationResult,
+    claims: Sequence[Claim] = (),
+    forces: PopulationResult | None = None,
+) -> Path:
     """Write ``report.html`` of the published devices, with the paper's claims against its own numbers."""
     content = {
         "claims": claims,
         "colours": {Holding.YES: "holds", Holding.NO: "not"},
         "n_devices": sum(len(group.devices) for group in population.sets),
-        "population": population_content(population, {}, PUBLISHED_MOTION),
+        "population": population_content(population, {}, PUBLISHED_MOTION, forces=forces),
         "margins": MARGINS if (folder / MARGINS).exists() else "",
     }
     folder.mkdir(parents=True, exist_ok=True)

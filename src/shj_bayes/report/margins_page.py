@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.margins.codes.en15129 import kind_of
-from shj_bayes.margins.files import shown
+from shj_bayes.margins.files import degrees_words, shown
 from shj_bayes.margins.history import published_factors
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
@@ -110,14 +110,13 @@ def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     index = sheet.by_key
     rows = []
     for name in shown_sets(sheet):
-        cells, degrees, n = [], math.nan, counted(sheet, name, None)
+        cells, degrees, n, warning = [], math.nan, counted(sheet, name, None), ""
         for kind, _, _ in TESTED:
             pair = [shown(index, name, quantity, kind, side) for side in (LOW, HIGH)]
             cells.append(tuple(digits(m.value) if m else "-" for m in pair))
             if pair[0]:
-                degrees, n = pair[0].degrees, counted(sheet, name, pair[0])
-        nu = f"{degrees:.0f}" if math.isfinite(degrees) else "-"
-        rows.append({"name": name_of(name), "n": n, "nu": nu, "cells": cells})
+                degrees, n, warning = pair[0].degrees, counted(sheet, name, pair[0]), pair[0].warning
+        rows.append({"name": name_of(name), "n": n, "nu": degrees_words(degrees), "cells": cells, "warning": warning})
     return rows
 
 

@@ -1,6 +1,6 @@
 """The numbers of a campaign page: sets side by side, new devices, comparisons. Nothing is drawn here."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import combinations
 from typing import Any
@@ -9,6 +9,7 @@ import numpy as np
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
+from shj_bayes.population.compare import ALONE, FEWEST, LEVEL, MOST, Contrast, Direction, direction_of
 from shj_bayes.population.hierarchy import ANY_SET, DeviceSet, PopulationResult
 from shj_bayes.population.predict import (
     RUN_FORCES,
@@ -19,7 +20,7 @@ from shj_bayes.population.predict import (
     new_device_table,
     sets_suffice,
 )
-from shj_bayes.population.quantities import LEVELS, QUANTITIES
+from shj_bayes.population.quantities import ASSUMED, HIGHEST, LEVELS, QUANTITIES
 
 MEANING = {
     "Fy": "sliding force, first run",
@@ -30,7 +31,13 @@ MEANING = {
     "K": "initial stiffness",
     "gamma": "speed coefficient 1/dep",
     "beta": "sharpness of the knee",
+    "plateau": "mean plateau force as tested, first run",
+    HIGHEST: "largest force of all runs",
+    "plateau_2": "mean plateau force, second run",
+    "energy": "energy of a cycle, first run",
 }
+FORCES = ("plateau", HIGHEST, "plateau_2", "energy")
+"""What the devices make, compared before their parameters."""
 SHOWN = ("Fy", *RUN_FORCES, *RUN_FORCES.values(), "K", "gamma")
 MAX_MATRIX, MAX_PAIRS, MAX_LOOPS = 20, 12, 16
 NEVER = "a set never tested"
@@ -59,14 +66,6 @@ class SetBand:
         """Band that holds the band under every prior."""
         ends = [(self.band[0], self.band[2]), *self.others.values()]
         return min(low for low, _ in ends), max(high for _, high in ends)
-
-
-@dataclass(frozen=True)
-class Quotient:
-    """A typical device of one set over that of another: 5, 50, 95 %; settled when every prior gives the direction."""
-
-    band: Interval
-    settled: bool
 
 
 def name_of(set_name: str) -> str:
@@ -145,6 +144,98 @@ def pairs(result: PopulationResult) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(chosen, key=lambda pair: -min(size[pair[0]], size[pair[1]]))[:MAX_PAIRS])
 
 
+TRUSTED = 0.95
+TESTS = {"permutation": "the exact permutation", "Welch": "Welch's test"}
+
+
+def contrast_words(c: Contrast, side_a: str, side_b: str) -> str:
+    """Say how two sides differ in one quantity, what their devices showed, how sure that is, and what would decide."""
+    seen = "" if c.observed is None else f", observed {_amount(c, c.observed)}"
+    between = f"{_amount(c, c.q05)} to {_amount(c, c.q95)}"
+    quotient = f"is {_amount(c, c.q50)} times that of {side_b}"
+    size = quotient if c.kind == "quotient" else f"differs from {side_b} by {_amount(c, c.q50)}"
+    head = f"{side_a}: {c.quantity} ({MEANING.get(c.quantity, c.quantity)}) of a typical device"
+    text = f"{head} {size} (90 % interval {between}{seen}); with {c.n_a} and {c.n_b} devices {_verdict(c, between)}."
+    text = " ".join(filter(None, (text, _disagreement(c), _pair_by_pair(c))))
+    edge = f"{100 * (c.rope[1] - 1):.0f} %" if c.kind == "quotient" else f"{c.rope[1]:.3g} {c.unit}"
+    if c.probability_rope > TRUSTED:
+        return f"{text} They differ by less than {edge} with a probability of {c.probability_rope:.2f}."
+    if c.direction is Direction.SETTLED:
+        return text
+    count = f"about {c.n_to_decide}" if c.n_to_decide < MOST else f"more than {MOST}"
+    return (
+        f"{text} A sample of this size finds a true difference of {edge}, the smallest that matters here, with a "
+        f"power of {c.power_edge:.2f}; a power of 0.80 takes {count} devices a side (if sets spread nearly alike)."
+    )
+
+
+def _amount(c: Contrast, value: float) -> str:
+    """Write a quotient with as many digits, four at most, as tell the ends of its interval apart; a difference."""
+    if c.kind != "quotient":
+        return f"{value:+.3g} {c.unit}"
+    return f"{value:.{next((d for d in (2, 3) if round(c.q05, d) != round(c.q95, d)), 4)}f}"
+
+
+def _verdict(c: Contrast, between: str) -> str:
+    test, p = c.tests.leading(1)
+    told = f"{TESTS[test]} gives p = {p:.2g}" if p is not None else "they allow no test that could reach 0.05"
+    if c.direction is Direction.SETTLED:
+        return f"the direction is settled at 90 %, whatever is assumed of the spread ({told})"
+    if c.direction is Direction.ASSUMED:
+        left_open = (label for label, (low, high) in c.other_priors.items() if low < c.none < high)
+        against = ", ".join(ASSUMED.get(label, f"under the {label} prior") for label in left_open)
+        return f"the direction hangs on what is assumed of the spread (not settled {against})"
+    if c.direction is Direction.OPEN:
+        kind = "a factor of anything from" if c.kind == "quotient" else "anything from"
+        return f"the direction is not settled: {kind} {between} is compatible with them"
+    opposite = "they showed the opposite" if p is not None and p <= ALONE else told
+    why = "a set of one device tells nothing of its own spread" if c.fewest < FEWEST else opposite
+    return f"every assumption on the spread that was tried gives this direction, but these devices alone do not ({why})"
+
+
+def _disagreement(c: Contrast) -> str:
+    """Say why a test finds what the posterior leaves open; empty where they agree."""
+    test, p = c.tests.leading(1)
+    if p is None or p > LEVEL or c.observed is None or c.direction in (Direction.SETTLED, Direction.TRIED):
+        return ""
+    after = "" if c.holm_p is None else f", {c.holm_p:.2g} after Holm"
+    return (
+        f"Yet {TESTS[test]} finds a difference (p = {p:.2g}{after}): it takes these devices as they are. The posterior "
+        f"draws each set towards the others, the more so the fewer its devices (here from {c.fewest} on) and the more "
+        f"these scatter; of the observed {_amount(c, c.observed)} that leaves {_amount(c, c.q50)}."
+    )
+
+
+def _pair_by_pair(c: Contrast) -> str:
+    known = [(pair.observed, pair) for pair in c.pairs if pair.observed is not None]
+    if len(known) < 2 or c.observed is None:
+        return ""
+    turned = [(seen, p) for seen, p in known if (seen - c.none) * (c.observed - c.none) < 0]
+    if turned:
+        listed = ", ".join(f"{p.set_a} over {p.set_b} {_amount(c, seen)}" for seen, p in turned)
+        return f"The {len(known)} pairs do not agree in direction; against the mean of all: {listed}."
+    ends = (_amount(c, of(seen for seen, _ in known)) for of in (min, max))
+    return f"Pair by pair {' to '.join(ends)} was observed."
+
+
+def multiplicity_words(of_forces: Sequence[Contrast], of_parameters: Sequence[Contrast], n_strata: int) -> str:
+    """Say how many comparisons were made at once, by which test of each quantity, and how that is allowed for."""
+    over = f", each averaged over {n_strata} pairs of sets alike in all else" if n_strata > 1 else ""
+    counts = [f"{len(part)} {word}" for part, word in ((of_forces, "forces"), (of_parameters, "parameters")) if part]
+    said = {
+        "permutation": "on the exact permutation",
+        "Welch": "on Welch's test where so few devices cannot bring the permutation to 0.05 (its least p is beside it)",
+    }
+    tests = {c.holm_test for c in (*of_forces, *of_parameters)}
+    basis = " and ".join(words for name, words in said.items() if name in tests)
+    rest = [f"The p-values marked Holm allow for the number in each group; they rest {basis}."] if basis else []
+    rest += ["Where neither permutation nor Welch's test can reach 0.05 there is none."] if "" in tests else []
+    return (
+        f"{' and '.join(counts)} were compared{over}. {' '.join(rest)} The posterior draws the sets towards each "
+        "other by itself. Whoever picks among many pairs must divide once more."
+    )
+
+
 def curve_words(curve: CurveContrast) -> str:
     """Say how the force of two sets changes along a coordinate, value by value and all values together."""
     title, unit = coordinate_named(curve.coordinate).title, "" if curve.unit == "1" else f" {curve.unit}"
@@ -161,22 +252,22 @@ def curve_words(curve: CurveContrast) -> str:
     )
 
 
-def force_matrix(result: PopulationResult) -> list[list[Quotient | None]]:
-    """Sliding force of a typical device of the row's set over that of the column's; None on the diagonal.
+def force_matrix(result: PopulationResult) -> list[list[tuple[Interval, bool] | None]]:
+    """Force of a typical device of the row's set over that of the column's, and whether its direction is settled.
 
-    Empty when there are too many sets to show, or one.
+    The mean plateau force where the forces were pooled, else Fy. Empty when there are too many sets to show, or one.
     """
     n = len(result.sets)
-    if not 2 <= n <= MAX_MATRIX or "Fy" not in result.posteriors:
+    name = next((q for q in (FORCES[0], "Fy") if q in result.posteriors), "")
+    if not (2 <= n <= MAX_MATRIX and name):
         return []
-    levels = [result.posteriors["Fy"].mu, *(fits["Fy"].mu for fits in result.other_priors.values() if "Fy" in fits)]
+    mu = result.fit(name).mu
 
-    def quotient(i: int, j: int) -> Quotient:
-        low, middle, high = (float(v) for v in np.exp(np.quantile(levels[0][:, i] - levels[0][:, j], LEVELS)))
-        ends = [np.quantile(mu[:, i] - mu[:, j], (LEVELS[0], LEVELS[2])) for mu in levels]
-        return Quotient((low, middle, high), not any(a < 0 < b for a, b in ends))
+    def cell(i: int, j: int) -> tuple[Interval, bool]:
+        low, middle, high = (float(v) for v in np.exp(np.quantile(mu[:, i] - mu[:, j], LEVELS)))
+        return (low, middle, high), direction_of(result, name, [([i], [j])]) is Direction.SETTLED
 
-    return [[quotient(i, j) if i != j else None for j in range(n)] for i in range(n)]
+    return [[cell(i, j) if i != j else None for j in range(n)] for i in range(n)]
 
 
 def loop_bands(result: PopulationResult, amplitude_mm: float, peak_speed_mm_s: float) -> tuple[LoopBand, ...]:

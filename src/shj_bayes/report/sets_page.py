@@ -10,7 +10,7 @@ import numpy as np
 from shj_bayes.errors import ShjError
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
-from shj_bayes.population.compare import Comparison, compare
+from shj_bayes.population.compare import Direction, compare
 from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.predict import (
     RUN_FORCES,
@@ -107,13 +107,18 @@ def population_content(
     intervals: Mapping[tuple[str, str], Mapping[str, sets.Interval]],
     motion: tuple[float, float],
     curves: Sequence[CurveContrast] = (),
+    forces: PopulationResult | None = None,
 ) -> dict[str, Any]:
-    """Everything about the sets, plain values and pictures."""
+    """Everything about the sets, plain values and pictures; `forces` are those that the devices made, pooled."""
     # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
     from shj_bayes.report.sets_page import draw  # noqa: PLC0415
 
     bands = sets.set_bands(result, intervals)
     amplitude, speed = motion
+    if forces is not None and forces.set_names != result.set_names:
+        forces = None  # not every set gives them
+    names = [q for q in sets.FORCES if forces is not None and q in forces.posteriors]
+    names += [q for q in bands if q in result.posteriors]
     return {
         "quantities": [{"name": q, "meaning": sets.MEANING[q], "unit": rows[0].unit} for q, rows in bands.items()],
         "table": _table(bands),
@@ -122,8 +127,10 @@ def population_content(
         "wide": [how_wide(result, row.set_name) for row in bands.get("Fy", ())],
         "untested": "" if sets_suffice(len(result.sets)) else never_tested_words(len(result.sets)),
         "few": _few(result),
-        "matrix": sets.force_matrix(result),
-        "contrasts": [_contrast(compare(result, a, b)) for a, b in sets.pairs(result)],
+        "matrix": sets.force_matrix(forces or result),
+        "of_forces": forces is not None,
+        "compared": [{"name": q, "meaning": sets.MEANING[q]} for q in names],
+        "contrasts": [_contrast(a, b, forces, result) for a, b in sets.pairs(result)],
         "priors": [
             {"name": name, "source": prior.source, "r_hat": f"{fit.r_hat:.3f}", "ess": f"{fit.ess:.0f}"}
             for name, prior in result.priors.items()
@@ -178,16 +185,17 @@ def _few(result: PopulationResult) -> str:
     )
 
 
-def _contrast(comparison: Comparison) -> dict[str, Any]:
-    """One pair of sets: a cell for each quantity, and the sentence on the sliding force."""
-    cells = {}
-    for c in comparison.contrasts:
-        none, form = (1.0, ".2f") if c.kind == "quotient" else (0.0, "+.3g")
-        ends = [(c.q05, c.q95), *c.other_priors.values()]
+def _contrast(a: str, b: str, forces: PopulationResult | None, result: PopulationResult) -> dict[str, Any]:
+    """One pair of sets: a cell for each quantity, and the sentence on the force."""
+    cells, sentence = {}, ""
+    for c in (c for of in (forces, result) if of is not None for c in compare(of, a, b).contrasts):
+        form = ".2f" if c.kind == "quotient" else "+.3g"
         cells[c.quantity] = {
             "text": f"{c.q50:{form}}",
             "range": f"{c.q05:{form}} to {c.q95:{form}}",
-            "settled": not any(low < none < high for low, high in ends),
+            "observed": "" if c.observed is None else f"observed {c.observed:{form}}",
+            "settled": c.direction is Direction.SETTLED,
         }
-    sentence = next((c.sentence for c in comparison.contrasts if c.quantity == "Fy"), "")
-    return {"pair": f"{comparison.set_a} against {comparison.set_b}", "cells": cells, "sentence": sentence}
+        if c.quantity == (sets.FORCES[0] if forces is not None else "Fy"):
+            sentence = sets.contrast_words(c, a, b)
+    return {"pair": f"{a} against {b}", "cells": cells, "sentence": sentence}

@@ -169,10 +169,20 @@ def test_compare_prints_a_table_and_counts_its_tests(folder):
     done = run("compare", folder, "corroded", "uncorroded", "--rope", 15)
     assert done.exit_code == 0, done.output
     assert "P(same)" in done.output
-    assert "5 quantities were compared" in done.output
+    assert "4 forces and 5 parameters were compared" in done.output
     record = json.loads(run("compare", folder, "corroded", "uncorroded", "--json").output)
     assert record["contrasts"][0]["permutation_p"] is not None
     assert record["strata"] == 1
+    assert [c["quantity"] for c in record["contrasts"]][:5] == ["plateau", "highest", "plateau_2", "energy", "K"]
+    force = next(c for c in record["contrasts"] if c["quantity"] == "Fy")
+    assert force["observed"] == pytest.approx((70 * 75 / (90 * 95)) ** 0.5)
+    assert force["pairs"][0]["devices_b"] == pytest.approx({"1": 90.0, "2": 95.0})
+    stored = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
+    assert stored == record
+    devices = pd.read_csv(folder / "comparison-devices.csv")
+    assert len(devices) == 9 * 4
+    assert len(pd.read_excel(folder / "comparison.xlsx", sheet_name="Devices")) == len(devices)
+    assert len(pd.read_csv(folder / "comparison.csv")) == 9
     assert run("compare", folder, "corroded", LABEL).exit_code == 1
 
 
@@ -180,17 +190,17 @@ def test_both_sides_of_a_comparison_are_listed_in_a_table_whose_columns_stand_ap
     lines = run("compare", folder, "corroded", "uncorroded").output.splitlines()
     assert lines[:2] == ["a: corroded (Zinc 70 corroded)", "b: uncorroded (Zinc 70)"]
     head, *rows = [re.split(r" {2,}", line.strip()) for line in lines[2 : lines.index("")]]
-    assert len(rows) == 5
+    assert len(rows) == 9
     for row in rows:
         assert len(row) == len(head) + 1
-        assert re.fullmatch(r"[-.e\d]+ to [-.e\d]+", row[2])
+        assert re.fullmatch(r"[-.e\d]+ to [-.e\d]+", row[3])
     record = json.loads(run("compare", folder, "corroded", "uncorroded", "--json").output)
     assert record["members"] == {"a": ["Zinc 70 corroded"], "b": ["Zinc 70"]}
 
 
-def test_a_blasted_surface_is_not_coated():
-    assert [is_bare(words) for words in ("none", "sweep blasted", "Sweep-Blasted", "bare")] == [True] * 4
-    assert [is_bare(words) for words in ("zinc", "alkyd", "blasted and zinc")] == [False] * 3
+def test_a_blasted_surface_is_a_coating_as_in_the_paper():
+    assert [is_bare(words) for words in ("none", "Mill-Scale", "Uncoated", "bare", "")] == [True] * 5
+    assert [is_bare(words) for words in ("zinc", "sweep blasted", "Sweep-Blasted", "blasted")] == [False] * 4
 
 
 def test_a_folder_without_a_population_says_what_to_run(tmp_path):

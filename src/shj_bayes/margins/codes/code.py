@@ -8,10 +8,12 @@ from functools import cache
 from shj_bayes._util.imports import discovered
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import codes
-from shj_bayes.margins.basis import DesignBasis
+from shj_bayes.margins.basis import RANK, DesignBasis
 from shj_bayes.margins.row import FACTORS, Margin
-from shj_bayes.margins.spread import Sample, Spread, limit, remarks
+from shj_bayes.margins.spread import Sample, Spread, known, limit, remarks
+from shj_bayes.model.parameters import base_of
 from shj_bayes.options import MarginOptions
+from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.quantities import LOWEST
 from shj_bayes.population.quantities import quantity as described
 
@@ -27,6 +29,13 @@ class Given:
     devices: Mapping[str, int]  # tested devices behind each quantity
     basis: DesignBasis  # nominal force, bounds of the sliding force, ageing
     request: MarginOptions  # choices of the user
+
+    def ways(self, quantity: str) -> tuple[Spread, ...]:
+        """Ways to come by the spread of a quantity; first what the user states of the sliding force, of every run."""
+        stated, own = self.request.v_known, self.spreads[quantity]
+        if stated is None or base_of(quantity) not in RANK or self.set_name == ANY_SET:
+            return own  # how much sets differ is not stated
+        return (known(self.samples[quantity], stated, self.request.v_reason), *own)
 
     def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
         """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""
@@ -44,7 +53,14 @@ class Given:
         clause, purpose, missing = origin
         value, formula, inputs = limit(self.samples[quantity], way, factor, law, side)
         number = (math.nan if missing else value, described(quantity).unit, self.devices[quantity], way.degrees)
-        told = (clause, formula, f"{inputs}; spread: {way.origin}", purpose, missing or remarks(way, value))
+        told = (
+            clause,
+            formula,
+            f"{inputs}; spread: {way.origin}",
+            purpose,
+            missing or remarks(way, value),
+            way.warning,
+        )
         return Margin(self.set_name, quantity, method, kind, side, *number, *told)
 
 

@@ -20,8 +20,7 @@ from scipy import special
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.row import HIGH, LOW, TESTING, Margin
-from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, known, sd_of_log
-from shj_bayes.population.hierarchy import ANY_SET
+from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, sd_of_log
 
 CHARACTERISTIC = 0.05
 """Fractile of a characteristic value, Table D1."""
@@ -29,8 +28,12 @@ DESIGN = 0.001
 """Fractile of a design value taken straight from tests, Table D2 (alpha_R beta = 0.8 x 3.8 = 3.04)."""
 LEAST_VARIATION = 0.10
 """Least coefficient of variation where it is not known from elsewhere (D7.1)."""
-FORCE = ("least", "most", "plateau", "third")
-"""Quantities that a stated V of the sliding force is for: those of the first run."""
+PURPOSE = {
+    (CHARACTERISTIC, LOW): "lower characteristic value X_k, to be divided by gamma_m",
+    (CHARACTERISTIC, HIGH): "upper characteristic value X_k: never divided by gamma_m, which would lower it",
+    (DESIGN, LOW): "lower design value X_d straight from tests, no gamma_m to follow",
+    (DESIGN, HIGH): "upper design value X_d straight from tests, no gamma_m to follow",
+}
 FEWEST = {CHARACTERISTIC: 3, DESIGN: 4}
 """Fewest devices for which Tables D1 and D2 give a factor with the coefficient of variation unknown."""
 
@@ -67,16 +70,12 @@ def floored(way: Spread) -> Spread:
 
 def _rows(given: Given) -> Iterator[Margin]:
     """Characteristic and design values, low and high, normal and lognormal, for every way to come by the spread."""
-    request = given.request
-    for quantity, sample in given.samples.items():
-        ways = given.spreads[quantity]
-        if request.v_known is not None and quantity in FORCE and given.set_name != ANY_SET:
-            ways = (known(sample, request.v_known, request.v_reason), *ways)
-        for fractile, word, clause, purpose in (
-            (CHARACTERISTIC, "characteristic", "D7.2, Table D1", "characteristic value X_k, to be divided by gamma_m"),
-            (DESIGN, "design", "D7.3, Table D2", "design value X_d straight from tests, no gamma_m to follow"),
+    for quantity in given.samples:
+        for fractile, word, clause in (
+            (CHARACTERISTIC, "characteristic", "D7.2, Table D1"),
+            (DESIGN, "design", "D7.3, Table D2"),
         ):
-            for way in map(floored, ways):
+            for way in map(floored, given.ways(quantity)):
                 factor = (
                     factor_known(way.n_mean, fractile)
                     if math.isinf(way.degrees)
@@ -86,8 +85,8 @@ def _rows(given: Given) -> Iterator[Margin]:
                 missing = f"{clause} has no factor for n = {way.degrees + 1:.3g} with V unknown" if few else ""
                 for law, side in product((LOGNORMAL, NORMAL), (LOW, HIGH)):
                     head = (quantity, TESTING, f"EN 1990 {word}, {law}, {way.name}")
-                    meant = f"{'upper' if side == HIGH else 'lower'} {purpose}"
-                    yield given.limit(head, way, factor, law, side, (f"EN 1990 {clause}", meant, missing))
+                    origin = (f"EN 1990 {clause}", PURPOSE[fractile, side], missing)
+                    yield given.limit(head, way, factor, law, side, origin)
 
 
 def _check(n: float, degrees: float) -> None:

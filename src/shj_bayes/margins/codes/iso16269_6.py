@@ -48,6 +48,8 @@ def one_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     """
     nu = n - 1 if degrees is None else degrees
     _check(n, nu, coverage, confidence)
+    if math.isinf(nu):  # spread known
+        return float(special.ndtri(coverage) + special.ndtri(confidence) / math.sqrt(n))
     return float(special.nctdtrit(nu, special.ndtri(coverage) * math.sqrt(n), confidence) / math.sqrt(n))
 
 
@@ -60,6 +62,8 @@ def two_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     """
     nu = n - 1 if degrees is None else degrees
     _check(n, nu, coverage, confidence)
+    if math.isinf(nu):  # spread known: the mean alone is in error, and its share covered falls with the error
+        return float(_half_widths(np.array([special.ndtri(0.5 * (1.0 + confidence)) / math.sqrt(n)]), coverage)[0])
     z = np.abs(_NODES) / math.sqrt(n)
     half = _half_widths(z, coverage)
 
@@ -85,16 +89,16 @@ def _half_widths(z: FloatArray, coverage: float) -> FloatArray:
 def _rows(given: Given) -> Iterator[Margin]:
     """One- and two-sided limits: of the set's own devices, and with the variance common to all sets."""
     for quantity in given.samples:
-        for way, (coverage, confidence) in product(given.spreads[quantity], LIMITS):
+        for way, (coverage, confidence) in product(given.ways(quantity), LIMITS):
             several = ", several samples with a common variance" if way.name == COMMON else ""
             share, sure = 100 * coverage, 100 * confidence
             for form, factor_of, covered in (
-                ("one-sided", one_sided, "beyond it"),
-                ("two-sided", two_sided, "between both limits"),
+                ("one-sided", one_sided, {LOW: "above it", HIGH: "below it"}),
+                ("two-sided", two_sided, dict.fromkeys((LOW, HIGH), "between both limits")),
             ):
                 factor = factor_of(way.n_mean, coverage, confidence, degrees=way.degrees)
-                purpose = f"{share:.0f} % of devices lie {covered}, with a confidence of {sure:.0f} %"
                 for law, side in product((LOGNORMAL, NORMAL) if way.name == UNKNOWN else (LOGNORMAL,), (LOW, HIGH)):
+                    purpose = f"{share:.0f} % of devices lie {covered[side]}, with a confidence of {sure:.0f} %"
                     head = (quantity, TOLERANCE, f"tolerance {share:.0f}/{sure:.0f} {form}, {law}, {way.name}")
                     yield given.limit(head, way, factor, law, side, (f"{CLAUSE}, {form}{several}", purpose, ""))
 

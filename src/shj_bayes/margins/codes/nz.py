@@ -5,7 +5,7 @@ and phi_o = 1.40 are recalled from the literature on asymmetric friction connect
 Bisalloy 400 and harder); they could not be read again. Equivalents from tests stand beside them: the force delivered
 at the tested speed, phi the smallest plateau of the first and of the later runs, phi_o the largest force of all, over
 the nominal. Few devices say less than the practice that rests on many, so an equivalent on the unsafe side of it
-carries a warning.
+carries a warning; so does one on the other side, where the tests do not support practice.
 """
 
 from collections.abc import Iterator
@@ -26,10 +26,16 @@ def equivalent_factors(low: float, high: float, nominal: float) -> tuple[float, 
 
 
 def warning(value: float, side: str) -> str:
-    """Warn in the cell of an equivalent on the unsafe side of practice; empty on the safe side."""
-    if side == LOW:
-        return f"above {PRACTICE_PHI:.2f} of practice" if value > PRACTICE_PHI else ""
-    return f"below {PRACTICE_PHI_O:.2f} of practice" if value < PRACTICE_PHI_O else ""
+    """Say in the cell of an equivalent on which side of practice it lies.
+
+    On the unsafe side few devices promise more than practice does; on the other the tests do not support practice, so
+    that its value would be unsafe.
+    """
+    practice, word = (PRACTICE_PHI, "above") if side == LOW else (PRACTICE_PHI_O, "below")
+    if value == practice:
+        return ""
+    unsafe = (value > practice) is (side == LOW)
+    return f"{word} {practice:.2f} of practice" if unsafe else f"{practice:.2f} not supported"
 
 
 def _rows(given: Given) -> Iterator[Margin]:
