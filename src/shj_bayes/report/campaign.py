@@ -19,7 +19,7 @@ from shj_bayes.report.diagnosis_words import along_words, percent
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import PAGE, Picture, write_page
-from shj_bayes.report.sets_page import population_content, tested_motion
+from shj_bayes.report.sets_page import delivered, population_content, tested_motion
 from shj_bayes.results.campaign import (
     WITH_SET,
     CampaignRecord,
@@ -105,11 +105,15 @@ PUBLISHED_MOTION = (95.0, 10.0)  # largest amplitude (mm) and peak speed (mm/s) 
 
 
 def render_campaign(
-    folder: Path, population: PopulationResult | None = None, curves: Sequence[CurveContrast] = ()
+    folder: Path,
+    population: PopulationResult | None = None,
+    curves: Sequence[CurveContrast] = (),
+    margins: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write ``report.html`` of a campaign; its population is read from the folder when that holds one.
 
-    `curves` are comparisons of curves of its sets. `ReportError` if the folder holds no readable ``campaign.json``.
+    `curves` are comparisons of curves of its sets, `margins` the content of ``margins.json`` for the tests themselves.
+    `ReportError` if the folder holds no readable ``campaign.json``.
     """
     record = read_campaign(folder)
     if population is None and has(PopulationRecord, folder):
@@ -124,6 +128,8 @@ def render_campaign(
         "warnings": record.warnings,
         "devices": devices,
         "done": done,
+        "delivered": delivered(margins or {}),
+        "fastest": ((margins or {}).get("tested") or {}).get("fastest_mm_s"),
         "population": population_content(population, intervals, motion, curves) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
         "physics": _physics(folder, record),

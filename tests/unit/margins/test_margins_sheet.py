@@ -8,7 +8,7 @@ import openpyxl
 import pytest
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.basis import corroded_pairs, predictive_devices
+from shj_bayes.margins.basis import corroded_pairs, predictive_devices, quantile_and_error
 from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.export import bounds, draw_devices, loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
@@ -20,6 +20,8 @@ from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.device import PUBLISHED, RangeTested, common
 from shj_bayes.population.hierarchy import ANY_SET
+from shj_bayes.report.margins_page import told
+from shj_bayes.report.words import digits
 
 LABEL = "=cmd|'<b>"
 
@@ -295,3 +297,24 @@ def test_model_error_is_that_of_measured_over_predicted(trials, design):
     sheet = margins(design, own)
     b, scatter = (sheet.by_key["Zinc 70", "least", kind, MIDDLE].value for kind in ("model, b", "model, V_delta"))
     assert (b, scatter) == pytest.approx((1.0202, 0.06), abs=1e-4)
+
+
+def test_printed_digits_are_those_that_another_seed_gives_as_well(design, trials):
+    assert [digits(58.59, 0.6), digits(105.6, 1.2), digits(441.0, 60.0), digits(0.7512, 0.004)] == [
+        "59",
+        "106",
+        "400",
+        "0.750",
+    ]
+    assert [digits(93.64, 0.05), digits(93.64), digits(math.nan, 1.0)] == ["93.6", "93.6", "-"]
+    draws = np.random.default_rng(1).standard_normal((400, 2000))
+    made = np.array([quantile_and_error(one, 0.05) for one in draws])
+    # the error says how much the quantiles of other draws differ; 9 degrees of freedom each, 400 times
+    assert np.sqrt(np.mean(made[:, 1] ** 2)) == pytest.approx(made[:, 0].std(), rel=0.25)
+    other = pool(trials, replace(design, seed=99))
+    one, two = (margins(of, trials, MarginOptions(sets=("Zinc 70",))) for of in (design, other))
+    for a in one.rows:
+        if a.method in ("design", "new device", "factor") and a.monte_carlo_error:
+            b = two.by_key[a.key]
+            assert abs(a.value - b.value) < 6.0 * math.hypot(a.monte_carlo_error, b.monte_carlo_error), a.key
+            assert float(told(a)) == pytest.approx(a.value, abs=max(2.5 * a.monte_carlo_error, 0.006 * abs(a.value)))
