@@ -249,8 +249,7 @@ def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[L
                 low, high = min(ends[0][0], ends[1][0]), max(ends[0][1], ends[1][1])
                 grid = np.linspace(low, high, N_POINTS)
                 push, pull = (np.concatenate([_at(grid, *c[i], ends[i]) for c in cycles]) for i in (0, 1))
-                both = np.nan_to_num(push - pull)
-                energy = work_between(both, grid, (0, grid.size - 1))[:, 0]
+                energy = work_between(np.nan_to_num(push - pull), grid, (0, grid.size - 1))[:, 0]
                 bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0), band_of(energy))
                 head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
                 out.append(LoopBand(*head, *bands, len(own), law))

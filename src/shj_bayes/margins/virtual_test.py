@@ -279,7 +279,6 @@ def virtual_tests(
     return tuple(_result(*of_one, carried=asked is not None) for of_one in each)
 
 
-STROKE_SAMPLES = 40
 GROWING = np.linspace(0.02, 1.0, 50)
 """Amplitudes, as shares of the largest tested one, of which the smallest that slides fully is looked for."""
 
@@ -288,7 +287,7 @@ def smallest_stroke(specimen: Specimen) -> float:
     """Smallest amplitude that slides fully by the models of a device, mm; infinity where none does."""
     ends = specimen.ranges
     blocks = tuple(Block(a, ends["speed"] / (2.0 * np.pi * a), 1) for a in ends["position"] * GROWING)
-    time, motion = exact_motion(blocks, STROKE_SAMPLES * max(block.frequency_Hz for block in blocks))
+    time, motion = exact_motion(blocks, 40 * max(block.frequency_Hz for block in blocks))
     runs = specimen.driven_through(time, motion)
     found = [drive(belief.model, belief.typical, runs) for belief in specimen.beliefs]
     read = [[read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)] for forces in found]
