@@ -242,16 +242,16 @@ def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[L
     out = []
     for name in dict.fromkeys(test.set_name for test in tests):
         own = [test for test in tests if test.set_name == name]
-        for law in own[0].loops:
-            for run in range(min(len(test.loops[law]) for test in own)):
-                cycles = [test.loops[law][run] for test in own]
+        for law in max((tuple(test.loops) for test in own), key=len):  # a device that depends on nothing beyond has one
+            of_law = [test.loops.get(law) or next(iter(test.loops.values())) for test in own]
+            for run, cycles in enumerate(zip(*of_law, strict=False), start=1):
                 ends = [_shared([cycle[i][0] for cycle in cycles]) for i in (0, 1)]
                 low, high = min(ends[0][0], ends[1][0]), max(ends[0][1], ends[1][1])
                 grid = np.linspace(low, high, N_POINTS)
-                push, pull = (np.concatenate([_at(grid, *c[i], ends[i]) for c in cycles]) for i in (0, 1))
+                push, pull = (np.concatenate([_at(grid, c[i], ends[i]) for c in cycles]) for i in (0, 1))
                 energy = work_between(np.nan_to_num(push - pull), grid, (0, grid.size - 1))[:, 0]
                 bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0), band_of(energy))
-                head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
+                head = (name, run, 0.5 * (high - low), peak_speed_mm_s, grid)
                 out.append(LoopBand(*head, *bands, len(own), law))
     return tuple(out)
 
@@ -260,15 +260,15 @@ def _shared(branches: Sequence[FloatArray]) -> tuple[float, float]:
     return max(float(x.min()) for x in branches), min(float(x.max()) for x in branches)
 
 
-def _at(grid: FloatArray, x: FloatArray, force: FloatArray, ends: tuple[float, float]) -> FloatArray:
+def _at(grid: FloatArray, branch: tuple[FloatArray, FloatArray], ends: tuple[float, float]) -> FloatArray:
     """Force of every draw at the displacements of a grid; NaN outside the ends of the branch."""
+    x, force = branch
     order = np.argsort(x, kind="stable")
     at = np.stack([np.interp(grid, x[order], row[order]) for row in force])
     return np.where((grid >= ends[0] - SLIGHT_MM) & (grid <= ends[1] + SLIGHT_MM), at, np.nan)
 
 
-SLIGHT_MM = 1.0
-"""Beyond the ends of a branch so far is told with it: samples end short of a reversal."""
+SLIGHT_MM = 1.0  # told beyond the ends of a branch: samples end short of a reversal
 
 
 def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:

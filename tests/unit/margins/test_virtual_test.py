@@ -182,3 +182,10 @@ def test_the_widest_half_cycle_of_an_irregular_history_is_drawn_whole(tmp_path):
     assert (band.displacement_mm[push].min(), band.displacement_mm[push].max()) == pytest.approx((-20.0, 70.0), abs=1.5)
     assert (band.displacement_mm[pull].min(), band.displacement_mm[pull].max()) == pytest.approx((10.0, 70.0), abs=1.5)
     assert band.push[1][push].max() == pytest.approx(80.0, rel=0.01)
+
+
+def test_devices_that_do_not_depend_on_what_was_not_tested_are_drawn_beside_those_that_do():
+    devices = [specimen(belief((), gamma=gamma), name=f"g{gamma}") for gamma in (0.0, 0.01)]
+    trials = virtual_tests(devices, sine(60.0, 40.0, 3), extrapolate=True)
+    assert [len(trial.laws) for trial in trials] == [1, 3]
+    assert [band.law for band in loops(trials, 40.0)] == [law for law in trials[1].laws for _ in (1, 2)]
