@@ -27,7 +27,7 @@ FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 RESULTS = click.argument("folder", type=PATH, metavar="DIR")
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
 RESUMING = {"fit", "campaign", "demo"}  # go on where they were stopped
-UNIT = re.compile("_(mm|mm_s|kN|Hz)$")  # at the end of a name, that the flag has not
+UNIT = re.compile("_(mm|mm_s|kN|Hz|deg)$")  # at the end of a name, that the flag has not
 NAMED = 5  # failed devices that one line names
 
 

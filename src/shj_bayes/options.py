@@ -184,25 +184,35 @@ class MarginOptions:
     amplitude_mm: float | None = option(None, "Of a sine, in place of the tests themselves.", "MM")
     speed_mm_s: float | None = option(None, "Its peak speed; largest tested by default.", "MM/S")
     cycles: int | None = option(None, "Its cycles; 3 by default.", "N")
-    history: Path | None = option(
-        None, "Displacement (mm) over time (s), two columns, in place of the tests themselves.", "FILE"
+    slip: Path | None = option(
+        None, "Slip of the device (mm) over time (s), two columns, in place of the tests themselves.", "FILE"
     )
+    history: Path | None = option(None, "The same as --slip.", "FILE")
+    drift: Path | None = option(None, "Drift of a storey (mm) over time (s); slip follows by:", "FILE")
+    storey_height: float | None = option(None, "Slip = drift x lever arm / height; m, from 20 on mm.", "M")
+    lever_arm: float | None = option(None, "From the centre of rotation to the sliding plane; m or mm.", "M")
+    brace_angle_deg: float | None = option(None, "Or slip = drift x cos of the angle to the horizontal.", "DEG")
     extrapolate: bool = option(False, "Allow speed, travel and time beyond the tests: bounded laws.")
     nominal_kN: float | None = option(None, "Nominal sliding force; typical device by default.", "KN")
+    bolts: int | None = option(None, "Nominal force V_ss = bolts x surfaces x mu x clamping, in its place.", "N")
+    surfaces: int = option(2, "Sliding surfaces of V_ss.")
+    mu: float | None = option(None, "Coefficient of friction of V_ss.", "MU")
+    clamping_kN: float | None = option(None, "Clamping force (proof load) of one bolt, of V_ss.", "KN")
     importance: str = option("II", "Importance class of the structure (EN 15129).", choices=("I", "II", "III"))
     v_known: float | None = option(None, "Known coefficient of variation of the sliding force.", "V")
     v_reason: str = option("", "Where V is known from; printed beside the values.", "WORDS")
     sets: tuple[str, ...] = option((), "Draw up this set alone; may be given again.", "NAME", flag="--set")
 
     def __post_init__(self) -> None:
-        """Refuse a nominal force that is none, and a known spread without a reason."""
+        """Refuse a nominal force that is none, a drift without its slip, and a known spread without a reason."""
         for value, unit in ((self.amplitude_mm, "mm"), (self.speed_mm_s, "mm/s"), (self.cycles, "cycles")):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise PopulationError(f"amplitude, speed and cycles must be above zero; got {value:g} {unit}")
-        if self.history is not None and (self.amplitude_mm, self.speed_mm_s, self.cycles) != (None, None, None):
-            raise PopulationError("give a history or amplitude, speed and cycles of a sine, not both")
-        if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
-            raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
+        files = [path for path in (self.slip, self.history, self.drift) if path is not None]
+        if len(files) + ((self.amplitude_mm, self.speed_mm_s, self.cycles) != (None, None, None)) > 1:
+            raise PopulationError("give one history: a slip, a drift, or amplitude, speed and cycles of a sine")
+        self._check_drift()
+        self._check_nominal()
         if self.v_known is not None and not 0 < self.v_known < 1:
             raise PopulationError(f"a known coefficient of variation must lie between 0 and 1; got {self.v_known:g}")
         if (self.v_known is None) != (not self.v_reason.strip()):
@@ -210,6 +220,68 @@ class MarginOptions:
                 "a coefficient of variation taken as known needs the reason, and a reason needs the value: give "
                 '--v-known 0.06 --v-reason "factory control of 300 devices"; without both, V counts as unknown'
             )
+
+    def _check_drift(self) -> None:
+        turned = [value for value in (self.storey_height, self.lever_arm) if value is not None]
+        ways = bool(turned) + (self.brace_angle_deg is not None)
+        if ways != (self.drift is not None) or len(turned) == 1:
+            raise PopulationError(
+                "--drift goes with --storey-height and --lever-arm, or with --brace-angle alone: a device feels slip, "
+                "not drift; a history that is slip already is given by --slip"
+            )
+        angle = self.brace_angle_deg
+        if angle is not None and not 0 <= angle < MOST_BRACE_DEG:
+            raise PopulationError(f"a brace is at 0 to below {MOST_BRACE_DEG} degrees to the horizontal; got {angle:g}")
+        for value, (low, high), what in zip(turned, (HEIGHT_MM, ARM_MM), ("storey height", "lever arm"), strict=False):
+            if not low <= in_mm(value) <= high:
+                raise PopulationError(
+                    f"a {what} of {value:g}, read as {in_mm(value):g} mm; allowed is {low:g} to {high:g} mm, or "
+                    f"{low / 1000:g} to {high / 1000:g} m: below {LEAST_MM:g} a length counts as metres"
+                )
+
+    def _check_nominal(self) -> None:
+        parts = (self.bolts, self.mu, self.clamping_kN)
+        stated = [value for value in parts if value is not None]
+        if (stated or self.surfaces != 2) and (len(stated) < len(parts) or self.nominal_kN is not None):
+            raise PopulationError(
+                "V_ss needs --bolts, --mu and --clamping (kN of one bolt) together, and no --nominal beside them"
+            )
+        if not all(math.isfinite(x) and x > 0 for x in (*stated, self.surfaces)) or (self.mu or 0.0) >= MOST_MU:
+            raise PopulationError(f"numbers of V_ss must be above zero, and mu below {MOST_MU:g}")
+        if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
+            raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
+
+    @property
+    def slip_of_drift(self) -> tuple[float, str]:
+        """Slip of the device over drift of the storey, and how it was worked out; 1 for a history of slip."""
+        if self.brace_angle_deg is not None:
+            share = math.cos(math.radians(self.brace_angle_deg))
+            return share, f"slip = drift x cos {self.brace_angle_deg:g} deg = {share:.4g} x drift"
+        if self.storey_height is None or self.lever_arm is None:
+            return 1.0, ""
+        arm, height = in_mm(self.lever_arm), in_mm(self.storey_height)
+        said = f"slip = drift x lever arm / storey height = {arm:g} / {height:g} mm = {arm / height:.4g} x drift"
+        return arm / height, said
+
+    @property
+    def stated_nominal(self) -> tuple[float, str] | None:
+        """Nominal force that the user states, kN, and what it is; None where a typical device stands for it."""
+        if self.bolts is not None and self.mu is not None and self.clamping_kN is not None:
+            force = self.bolts * self.surfaces * self.mu * self.clamping_kN
+            said = f"{self.bolts} bolts x {self.surfaces} surfaces x mu {self.mu:g} x {self.clamping_kN:g} kN"
+            return force, f"V_ss = {said}"
+        return None if self.nominal_kN is None else (self.nominal_kN, "stated by the user")
+
+
+LEAST_MM = 20.0
+"""Lengths of a storey below it are metres: no storey is 20 mm high, and no arm 20 m long."""
+HEIGHT_MM, ARM_MM = (1000.0, 19_999.0), (20.0, 10_000.0)
+MOST_BRACE_DEG, MOST_MU = 90, 2.0
+
+
+def in_mm(length: float) -> float:
+    """Length of a storey in mm, stated in m or mm."""
+    return 1000.0 * length if length < LEAST_MM else length
 
 
 PLAIN = MarginOptions()

@@ -67,6 +67,26 @@ def test_devices_and_failures_are_counted(page: Page) -> None:
     assert "Nothing is said of a set that was never tested: 2 tested sets" in page.text
 
 
+def test_first_screen_shows_the_force_that_devices_deliver(campaign: Path, hostile_name: str, page: Page) -> None:
+    """Fy is the force at standstill: it stood there alone, 75 to 85 kN, where tests had measured 91 to 100."""
+    assert "sliding force of a new device at standstill (Fy)" in page.text
+    levels = {"plateau": (84.4, 93.4, 104.0), "plateau_2": (70.8, 80.3, 89.3)}
+    rows = [
+        {"set": "other", "quantity": q, "method": "new device", "side": side, "value": x, "monte_carlo_error": 0.4}
+        for q, values in levels.items()
+        for side, x in zip(("low", "middle", "high"), values, strict=True)
+    ]
+    record = {"margins": rows, "tested": {"fastest_mm_s": 10.24}}
+    told = Page(render_campaign(campaign, population((hostile_name, "other")), (), record)).text
+    card = told[told.index("other: force that a new device delivers") :]
+    assert (
+        card.index("84.5 to 104 kN")
+        < card.index("at the tested speed (up to 10.2 mm/s)")
+        < card.index("Fy, by the law")
+    )
+    assert "In the second run 71.0 to 89.5 kN" in card
+
+
 def test_campaign_without_a_population(campaign: Path) -> None:
     page = Page(render_campaign(campaign))
     check_safe(page)

@@ -47,7 +47,14 @@ from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_popula
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
 from shj_bayes.report.campaign_physics import statements
-from shj_bayes.report.margins_page import render_margins
+from shj_bayes.report.margins_page import (
+    NOMINAL,
+    band_words,
+    extrapolated_words,
+    holds_words,
+    render_margins,
+    told,
+)
 from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
@@ -88,7 +95,7 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     population = load_population(folder)
     design = design_margins(folder, progress=progress)
     curves, forces = compared_pairs(folder, population)
-    render_campaign(folder, population, curves, forces)
+    render_campaign(folder, population, curves, forces, design.record)
     record = {"population": to_json(record_of(population)), "margins": design.record, "curves": curve_records(curves)}
     return {"record": record, "lines": [band_text(population), "", design.text]}
 
@@ -303,6 +310,8 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     simulated = campaign is not None and campaign.simulated
     render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
+    boxed = f"EXTRAPOLATED. {known}" if (known := extrapolated_words(sheet)) else ""
+    notes += ["", boxed] if boxed else []
     lines = [margin_text(sheet, request.importance), "", *notes, "", *two_numbers(sheet)]
     return {"record": sheet_record(sheet), "text": "\n".join(lines)}
 
@@ -395,7 +404,7 @@ def _places(campaign: CampaignRecord, result: PopulationResult) -> list[tuple[st
 
 def margin_text(sheet: Sheet, importance: str) -> str:
     """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
-    table = design_table(sheet)
+    table, index = design_table(sheet), sheet.by_key
     lines = []
     for name in sheet.spoken:
         shown = "(all devices)" if name == ANY_SET else name
@@ -410,13 +419,16 @@ def margin_text(sheet: Sheet, importance: str) -> str:
             ends = [(line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan)) for head in CHOSEN[1:]]
             complete &= bool(np.isfinite(ends).all())
             pairs = [f"{digits(low)} to {digits(high)}" if math.isfinite(low + high) else "-" for low, high in ends]
-            band = "{} ({} to {})".format(*(digits(line[k]) for k in ("middle", "new device, low", "new device, high")))
+            low, middle, high = band_words(index, name, str(line["quantity"]))
+            band = f"{middle} ({low} to {high})"
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
             head, nu = f"{line['quantity']}{unit}", line.get(f"{CHOSEN[1]}, degrees of freedom", "-")
             lines.append(f"  {head:16}{band:>28}{pairs[0]:>22}{pairs[1]:>22}{pairs[2]:>22}{nu:>7}")
-        if not complete:
+        if sheet.withheld:
+            lines.append(f"  (-: {sheet.withheld})")
+        elif not complete:
             lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
-        lines += [f"  {text}" for text in _factor_lines(sheet, name, importance)]
+        lines += [] if sheet.withheld else [f"  {text}" for text in _factor_lines(sheet, name, importance)]
     if untested := sheet.untested:
         lines += ["", untested]
     return "\n".join(lines[1:])
@@ -425,7 +437,8 @@ def margin_text(sheet: Sheet, importance: str) -> str:
 def two_numbers(sheet: Sheet) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
     own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in sheet.spoken)
-    return ["Two numbers of each set, as tested (ageing is in the ASCE 7 and EN 15129 bounds alone):", *own]
+    head = f"Two numbers of each set, of the devices that were tested, {holds_words(sheet)}, in {sheet.history}"
+    return [f"{head} (ageing is in the ASCE 7 and EN 15129 bounds alone):", *own]
 
 
 def _behind(sheet: Sheet, name: str) -> str:
@@ -438,8 +451,9 @@ def _behind(sheet: Sheet, name: str) -> str:
 
 def first_words(sheet: Sheet, name: str) -> str:
     """Give the one number for drift and the one for capacity design of a set."""
-    own = {row.kind: row.value for row in sheet.rows if row.set_name == name}
-    return f"{DRIFT}: {digits(own[DRIFT])} kN; {CAPACITY}: {digits(own[CAPACITY])} kN"
+    own = {row.kind: row for row in sheet.rows if row.set_name == name}
+    said = f"{DRIFT}: {told(own[DRIFT])} kN; {CAPACITY}: {told(own[CAPACITY])} kN"
+    return f"{said} ({own[DRIFT].warning})" if own[DRIFT].warning else said
 
 
 def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
@@ -448,7 +462,7 @@ def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
     def value(kind: str) -> str:
         if kind not in own:
             return "-"
-        return digits(own[kind].value) + (f" ({own[kind].warning})" if own[kind].warning else "")
+        return told(own[kind]) + (f" ({own[kind].warning})" if own[kind].warning else "")
 
     return [
         f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "
@@ -458,4 +472,5 @@ def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
         f"phi {value('phi equivalent, first run')}, after a first earthquake "
         f"{value('phi equivalent, after a first earthquake')}, phi_o {value('phi_o equivalent')} "
         "(NZ practice 0.70 and 1.40)",
+        f"lambda, phi and phi_o are of the nominal {value(NOMINAL)} kN: {own[NOMINAL].formula}",
     ]

@@ -143,8 +143,9 @@ def design_margins(folder: Path, request: MarginOptions = PLAIN, *, progress: bo
         return drawn_up(folder, request, progress=progress)
 
     chosen = asdict(request)
-    if request.history is not None:
-        chosen["history"] = [str(request.history), file_digest(request.history)]
+    for name in ("slip", "history", "drift"):
+        if path := chosen[name]:
+            chosen[name] = [str(path), file_digest(path)]
     rests_on = [chosen, digests(folder, POPULATION), campaign_inputs(folder)]
     return CommandResult(**made(folder, "margins", rests_on, MARGINS, draw_up))
 

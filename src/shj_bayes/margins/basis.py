@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,6 +21,17 @@ SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 DEFAULT = "default"
 PredictiveDevices = Mapping[str, NewDevice]
 """New devices of one set by prior of the spread, the default first."""
+SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
+BATCHES = 10
+"""Parts of the draws, one behind the other, whose quantiles tell how well that of all draws is known."""
+Value = TypeVar("Value", float, tuple[float, float])
+
+
+def quantile_and_error(draws: FloatArray, level: float) -> tuple[float, float]:
+    """Quantile, and its standard error from the number of draws (batch means)."""
+    parts = draws[: draws.size // BATCHES * BATCHES].reshape(BATCHES, -1)
+    spread = np.std(np.quantile(parts, level, axis=1), ddof=1) if parts.size else 0.0
+    return float(np.quantile(draws, level)), float(spread / np.sqrt(BATCHES))
 
 
 def predictive_devices(result: PopulationResult, set_name: str) -> dict[str, NewDevice]:
@@ -57,7 +69,7 @@ def priors_that_count(labels: Sequence[str], own: int) -> tuple[str, ...]:
     return tuple(labels) if own <= FEW else (DEFAULT,)
 
 
-def least_favourable(by_prior: Mapping[str, float], side: str, own: int) -> float:
+def least_favourable(by_prior: Mapping[str, Value], side: str, own: int) -> Value:
     """Least favourable value of the priors that count; the default's for the middle."""
     values = [by_prior[label] for label in priors_that_count(tuple(by_prior), own)]
     return {LOW: min(values), HIGH: max(values)}.get(side, by_prior[DEFAULT])
@@ -148,7 +160,7 @@ class SlidingForceBounds:
         """What the force does in the test, of a typical device."""
         said = (
             f"smallest plateau {self.typical.low:.3f} and largest force {self.typical.high:.3f} of the third cycle of "
-            "the first run"
+            "the first run, at any speed from standstill to the highest tested"
         )
         return said + ("; no second run" if self.ratio is None else f"; second run / first {self.ratio:.3f}")
 
@@ -224,15 +236,31 @@ class DesignBasis:
 
     # nominal sliding force: that of the third cycle of the first run of a typical device, or as stated by the user
     nominal_kN: float
-    nominal_words: str  # which of the two
+    nominal_words: str  # what it is, with its speed
     force: SlidingForceBounds  # what new devices deliver
     age: Environment  # corrosion
+    errors: Mapping[str, float] = field(default_factory=dict)  # by side: Monte-Carlo error of a force, as a share
 
 
 def design_basis(
-    result: PopulationResult, set_name: str, devices: PredictiveDevices, nominal_kN: float | None
+    result: PopulationResult,
+    set_name: str,
+    devices: PredictiveDevices,
+    stated: tuple[float, str] | None,
+    third_mm_s: float,
 ) -> DesignBasis:
-    """Split what is known of a set into the parts that the codes multiply."""
+    """Split what is known of a set into the parts that the codes multiply.
+
+    `stated` is the nominal force of the user, kN, and what it is, `third_mm_s` the peak speed of the third cycle.
+    """
     force = sliding_force_bounds(devices, tested_devices(result, set_name))
-    nominal = (force.third, "typical device") if nominal_kN is None else (nominal_kN, "stated by the user")
-    return DesignBasis(*nominal, force, environment(result, set_name))
+    own = own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE))
+    speed = f"at {third_mm_s:.2g} mm/s" if np.isfinite(third_mm_s) else "at a speed that was not tested"
+    typical = f"third cycle of a typical device {speed}, first run"
+    nominal = (force.third, typical) if stated is None else stated
+    errors = {}
+    for side, name in ((LOW, LOWEST), (MIDDLE, THIRD_CYCLE), (HIGH, HIGHEST)):
+        ends = {label: quantile_and_error(device.draws[name], SIDES[side]) for label, device in devices.items()}
+        value, error = least_favourable(ends, side, own)
+        errors[side] = error / value if side != MIDDLE or stated is None else 0.0
+    return DesignBasis(*nominal, force, environment(result, set_name), errors)

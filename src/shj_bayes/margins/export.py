@@ -236,34 +236,48 @@ LOOPS_CSV = "loops.csv"
 
 
 def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[LoopBand, ...]:
-    """Draw the loop bands of every set, run by run; its widest cycle is cut to what all its devices went through."""
+    """Draw the loop bands of every set, run by run and law by law of what was not tested.
+
+    Each branch of the widest cycle is cut to what all devices of the set went through; beyond its end it is NaN.
+    """
     out = []
     for name in dict.fromkeys(test.set_name for test in tests):
         own = [test for test in tests if test.set_name == name]
-        for run in range(min(len(test.loops) for test in own)):
-            cycles = [test.loops[run] for test in own]
-            low = max(float(x.min()) for cycle in cycles for x, _ in cycle)
-            high = min(float(x.max()) for cycle in cycles for x, _ in cycle)
-            grid = np.linspace(low, high, N_POINTS)
-            push, pull = (np.concatenate([_at(grid, *cycle[i]) for cycle in cycles]) for i in (0, 1))
-            energy = work_between(push - pull, grid, (0, grid.size - 1))[:, 0]
-            bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0))
-            head = (name, run + 1, 0.5 * (high - low), peak_speed_mm_s, grid)
-            out.append(LoopBand(*head, *bands, band_of(energy), len(own)))
+        for law in max((tuple(test.loops) for test in own), key=len):  # a device that depends on nothing beyond has one
+            of_law = [test.loops.get(law) or next(iter(test.loops.values())) for test in own]
+            for run, cycles in enumerate(zip(*of_law, strict=False), start=1):
+                ends = [_shared([cycle[i][0] for cycle in cycles]) for i in (0, 1)]
+                low, high = min(ends[0][0], ends[1][0]), max(ends[0][1], ends[1][1])
+                grid = np.linspace(low, high, N_POINTS)
+                push, pull = (np.concatenate([_at(grid, c[i], ends[i]) for c in cycles]) for i in (0, 1))
+                energy = work_between(np.nan_to_num(push - pull), grid, (0, grid.size - 1))[:, 0]
+                bands = (np.quantile(push, LEVELS, axis=0), np.quantile(pull, LEVELS, axis=0), band_of(energy))
+                head = (name, run, 0.5 * (high - low), peak_speed_mm_s, grid)
+                out.append(LoopBand(*head, *bands, len(own), law))
     return tuple(out)
 
 
-def _at(grid: FloatArray, x: FloatArray, force: FloatArray) -> FloatArray:
-    """Force of every draw at the displacements of a grid."""
+def _shared(branches: Sequence[FloatArray]) -> tuple[float, float]:
+    return max(float(x.min()) for x in branches), min(float(x.max()) for x in branches)
+
+
+def _at(grid: FloatArray, branch: tuple[FloatArray, FloatArray], ends: tuple[float, float]) -> FloatArray:
+    """Force of every draw at the displacements of a grid; NaN outside the ends of the branch."""
+    x, force = branch
     order = np.argsort(x, kind="stable")
-    return np.stack([np.interp(grid, x[order], row[order]) for row in force])
+    at = np.stack([np.interp(grid, x[order], row[order]) for row in force])
+    return np.where((grid >= ends[0] - SLIGHT_MM) & (grid <= ends[1] + SLIGHT_MM), at, np.nan)
+
+
+SLIGHT_MM = 1.0  # told beyond the ends of a branch: samples end short of a reversal
 
 
 def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:
     """Write ``loops.csv``: one line per set, run and displacement; takes an old one away when there are no loops.
 
     Columns: set, n_devices, run, amplitude_mm, peak_speed_mm_s, displacement_mm, push_q05_kN, push_q50_kN,
-    push_q95_kN (while displacement grows), pull_q05_kN, pull_q50_kN, pull_q95_kN (while it falls).
+    push_q95_kN (while displacement grows), pull_q05_kN, pull_q50_kN, pull_q95_kN (while it falls), law (of what was not
+    tested; "tested" where all was). A branch is empty beyond its ends.
     """
     path = folder / LOOPS_CSV
     if not bands:
@@ -277,6 +291,7 @@ def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:
         for side, force in (("push", band.push), ("pull", band.pull)):
             for level, values in zip(("q05", "q50", "q95"), force, strict=True):
                 columns[f"{side}_{level}_kN"] = np.round(values, 4)
+        columns["law"] = band.law
         parts.append(pd.DataFrame(columns))
     write_text(path, pd.concat(parts).to_csv(index=False, lineterminator="\n"))
     return path

@@ -12,6 +12,7 @@ from shj_bayes.errors import PopulationError, plain_text
 from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
+from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import MarginOptions
@@ -134,6 +135,7 @@ class LoadingHistory:
     motion: Motion  # displacement from the middle of the stroke, speed and half-cycles
     words: str  # what it is
     found: tuple[str, ...] = ()  # what was found or assumed in reading it
+    of_drift: float = 1.0  # slip over the drift of the storey that it was made of; 1 for a slip
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,7 @@ class LoadCase:
     law: str  # "tested", or one of `LAWS` for what was not
     # further channels, by coordinate, and the values that they stand at; none where they are those of the test
     channels: tuple[tuple[str, float], ...] = ()
+    speed_mm_s: float | None = None  # peak speed of every stroke; None where it is that of the history
 
 
 def loading_history(request: MarginOptions, specimens: Sequence[Specimen]) -> LoadingHistory | None:
@@ -150,8 +153,9 @@ def loading_history(request: MarginOptions, specimens: Sequence[Specimen]) -> Lo
 
     The largest common amplitude and speed of the tested devices stand in for what was not stated.
     """
-    if request.history is not None:
-        return from_file(request.history)
+    path = request.slip or request.history or request.drift
+    if path is not None:
+        return from_file(path, *request.slip_of_drift)
     if (request.amplitude_mm, request.speed_mm_s, request.cycles) == (None, None, None):
         return None
     ranges = largest_ranges(specimens)
@@ -168,9 +172,10 @@ def sine(amplitude_mm: float, speed_mm_s: float, cycles: int) -> LoadingHistory:
     return LoadingHistory(time, motion, words)
 
 
-def from_file(path: Path) -> LoadingHistory:
-    """Read a displacement (mm) over time (s) as recordings are read; further columns are not.
+def from_file(path: Path, of_drift: float = 1.0, how: str = "") -> LoadingHistory:
+    """Read a slip (mm) over time (s) as recordings are read; further columns are not.
 
+    Of a drift so much (`of_drift`) is slip; `how` says how that was worked out.
     `RecordingError` where the file cannot be read as such, `PopulationError` where nothing moves or time does not grow.
     """
     time, x, findings = read_history(path)
@@ -179,6 +184,7 @@ def from_file(path: Path) -> LoadingHistory:
             f"{path.name}: a history needs time (s) that grows from row to row and displacement (mm) that changes; "
             f"read were {time.size} rows"
         )
+    x = of_drift * x
     curve = PchipInterpolator(time, x)
     n = int(min(max(np.abs(np.diff(x)).sum() / STEP_MM, 2000, time.size), 200_000))
     fine = np.unique(np.concatenate([time, np.linspace(time[0], time[-1], n)]))
@@ -188,26 +194,102 @@ def from_file(path: Path) -> LoadingHistory:
     direction = alternating(start.size - 1, 1 if moved[start[1] - 1] > moved[0] else -1)
     motion = Motion(moved, speed, start, moved[start[:-1]], direction)
     found = tuple(f"{path.name}: {finding.message}" for finding in findings)
-    return LoadingHistory(fine - fine[0], motion, f"the history of {plain_text(path.name)}", found)
+    head, tail = ("drift", f"{how}; ") if how else ("slip", "")
+    largest = f"slip up to {np.abs(moved).max():.3g} mm at up to {speed.max():.3g} mm/s"
+    words = f"the {head} of {plain_text(path.name)} ({tail}{largest})"
+    return LoadingHistory(fine - fine[0], motion, words, found, of_drift)
+
+
+def allowed(specimens: Sequence[Specimen], smallest_mm: float, of_drift: float) -> str:
+    """Say what strokes and speeds all devices allow; `smallest_mm` is the least that slides fully."""
+    ends = largest_ranges(specimens)
+    kinds = (("slip", 1.0), ("drift", of_drift))[: 1 + (of_drift != 1.0)]
+    return "these devices allow " + ", that is ".join(
+        f"a {what} of {min(smallest_mm, ends['position']) / share:.3g} to {ends['position'] / share:.3g} mm at up to "
+        f"{ends['speed'] / share:.3g} mm/s"
+        for what, share in kinds
+    )
+
+
+SPEEDS = (1e-3, 1.0 / 3.0, 2.0 / 3.0, 1.0)
+"""Peak speeds of all strokes that bounds are taken over, as shares of the largest tested one: from standstill on."""
+ALIKE_SPEED = 0.9
+"""Share of that speed from which on a stroke counts as made at it."""
+
+
+Cases = dict[LoadCase, tuple[History, ...]]
+
+
+def at_other_speeds(cases: Cases, specimen: Specimen, *, beyond: Mapping[str, float]) -> Cases:
+    """Give the same histories with every stroke at one peak speed; position, travel and time stay as they are.
+
+    Where no model has more than the law's straight line over speed its ends do.
+    """
+    if not any(depends(belief, specimen.histories[-1], "speed") for belief in specimen.beliefs):
+        return {}
+    bent = any(_over_speed(effect) for belief in specimen.beliefs for effect in belief.model.effects)
+    largest = specimen.ranges["speed"]
+    laws = {case.law for case in cases} if set(beyond) - {"speed"} else {next(iter(cases)).law}
+    out = {}
+    for case, runs in cases.items():
+        at_largest = all(_peaks(run)[1:-1].min(initial=np.inf) >= ALIKE_SPEED * largest for run in runs)
+        shares = SPEEDS if bent else (SPEEDS[0], SPEEDS[-1])
+        for speed in largest * np.array(shares[:-1] if at_largest and not beyond else shares):
+            if case.law in laws:
+                out[replace(case, speed_mm_s=float(speed))] = tuple(_at_speed(run, speed) for run in runs)
+    return out
+
+
+def _over_speed(effect: Effect) -> bool:
+    curve = curve_named(effect.id)
+    return "speed" in ((curve.coordinate,) if curve else (over for _, over in effect.acts))
+
+
+def _peaks(history: History) -> FloatArray:
+    """Peak speed of every half-cycle, mm/s."""
+    return np.asarray(np.maximum.reduceat(history.speed_mm_s, history.motion.start[:-1]))
+
+
+def _at_speed(history: History, speed_mm_s: float) -> History:
+    motion, peaks = history.motion, _peaks(history)
+    factor = speed_mm_s / np.maximum(peaks, 1e-6 * peaks.max())  # of a half-cycle that is none
+    return replace(history, motion=replace(motion, speed_mm_s=motion.speed_mm_s * factor[motion.half_cycle]))
 
 
 def load_cases(
-    asked: LoadingHistory | None, specimen: Specimen, *, extrapolate: bool
-) -> dict[LoadCase, tuple[History, ...]]:
+    asked: LoadingHistory | None, specimen: Specimen, *, extrapolate: bool, limits: Callable[[], str] = str
+) -> Cases:
     """Histories to drive a device through, for each law of what was not tested and each value of what is not known.
 
-    Without `asked` the device's own test. The typical one comes first. `PopulationError` if the history leaves what was
-    tested and extrapolation was not asked for.
+    Without `asked` the device's own test. The typical one comes first, those at other speeds last. `PopulationError`,
+    which ends with what the devices allow (`limits`), if the history leaves what was tested and extrapolation was not
+    asked for.
     """
     if asked is None:
-        return {LoadCase("tested"): specimen.histories}
+        own = {LoadCase("tested"): specimen.histories}
+        return own | at_other_speeds(own, specimen, beyond={})
     runs = specimen.driven_through(asked.time_s, asked.motion)
     beyond = _beyond(runs, specimen)
+    cases = _cases(asked, specimen, runs, beyond, limits, extrapolate=extrapolate)
+    return cases | at_other_speeds(cases, specimen, beyond=beyond)
+
+
+def _cases(
+    asked: LoadingHistory,
+    specimen: Specimen,
+    runs: Sequence[History],
+    beyond: dict[str, float],
+    limits: Callable[[], str],
+    *,
+    extrapolate: bool,
+) -> Cases:
+    """Histories at their own speed: one where all was tested, else one for each law of what was not."""
     name = f"{specimen.set_name}, {specimen.name}"
     if "position" in beyond:
         raise PopulationError(
             f"{asked.words} reaches a position of {beyond['position']:.4g} mm, which was not tested; {name} was tested "
-            f"up to {specimen.ranges['position']:.4g} mm. Nothing is said outside: the bolt may meet the slot"
+            f"up to {specimen.ranges['position']:.4g} mm. Nothing is said outside: the bolt may meet the slot. "
+            f"{limits().capitalize()}"
         )
     beyond = {k: v for k, v in beyond.items() if any(depends(b, specimen.histories[-1], k) for b in specimen.beliefs)}
     values = values_to_try(specimen)
@@ -220,7 +302,7 @@ def load_cases(
         raise PopulationError(
             f"{asked.words} reaches a {coordinate} of {reached:.4g} {unit}, which was not tested: {name} was tested up "
             f"to {tested:.4g} {unit}, and its force depends on it.{extra} With --extrapolate the spread of bounded "
-            "laws is given instead"
+            f"laws is given instead; {limits()}"
         )
     return {
         LoadCase(law, tuple(at.items())): tuple(_stretched(run.held(at), specimen, beyond, shape) for run in runs)

@@ -1,6 +1,6 @@
 """One margin: a number with its unit, where it comes from, and what it is for."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from shj_bayes.errors import PopulationError
 
@@ -34,6 +34,8 @@ class Margin:
     purpose: str
     note: str = ""  # what to mind
     warning: str = ""  # a few words that belong into the same cell as the value wherever it is shown; empty for none
+    # standard error of the value from the number of draws, in its unit
+    monte_carlo_error: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         """Refuse a number without origin."""

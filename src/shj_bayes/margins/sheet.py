@@ -21,10 +21,11 @@ from shj_bayes.margins.basis import (
     own_devices,
     predictive_devices,
     priors_that_count,
+    quantile_and_error,
 )
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
-from shj_bayes.margins.row import BANDS, DESIGN, FACTORS, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
+from shj_bayes.margins.row import BANDS, DESIGN, FACTORS, HIGH, LOW, MIDDLE, SPREAD, TESTING, TOLERANCE, Key, Margin
 from shj_bayes.margins.spread import (
     MORE,
     NOT_NORMAL,
@@ -41,19 +42,23 @@ from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, sets_suffice
-from shj_bayes.population.quantities import HIGHEST, LOWEST, MOST, THIRD_CYCLE, FloatArray
+from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, FloatArray
 from shj_bayes.population.quantities import quantity as described
 
 POOLED = "partially pooled model, decision 0004"
 OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
+EXTRAPOLATED = "extrapolated, not tested"
 
 
+LAWS_PART = 1.1
+"""Greatest over least force by the laws of what was not tested, from which on no code value is given."""
 PURPOSE = {
-    LOW: "lower bound: displacement and drift demand, slip at service loads",
+    LOW: "lower bound: displacement and drift demand",
     MIDDLE: "best estimate: first analysis",
     HIGH: "upper bound: forces on beam, column, welds and bolts",
 }
+SERVICE = {(LOW, q): ", slip at service loads" for q in (LOWEST, LEAST)}  # these hold at every speed
 DEGRADATION = "degradation"
 LOSS = {
     LOW: "least loss of sliding force to count on",
@@ -77,6 +82,8 @@ class Sheet:
     warnings: tuple[str, ...]  # what to mind, one sentence each
     diagnoses: tuple[str, ...] = ()  # what the diagnoses found, device by device
     tests: tuple[VirtualTestResult, ...] = field(repr=False, default=())  # the devices of the sets that it holds
+    withheld: str = ""  # why it gives no code values; empty where it does
+    fastest_mm_s: float = math.nan  # bounds hold for every peak speed of a stroke from standstill to this one
 
     @property
     def untested(self) -> str:
@@ -140,9 +147,14 @@ def margins(
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
     spoken = request.sets or ((*design.set_names, ANY_SET) if sets_suffice(n_sets) else design.set_names)
     own = tuple(test for test in tests if ANY_SET in spoken or test.set_name in spoken)
-    rows = tuple(_rows(design, own, request))
-    compared, contradictions = agreement([row for row in rows if row.set_name in spoken])
+    apart = max((test.laws_apart for test in own), default=1.0)
     laws = next((test.laws for test in own if len(test.laws) > 1), ())
+    withheld = f"withheld: the laws of what was not tested part by a factor of {apart:.2g}" if apart > LAWS_PART else ""
+    tested = math.nan if design.tested is None else design.tested.fastest_mm_s
+    fastest = tested if asked is None else max(tested, float(asked.motion.speed_mm_s.max()))
+    history = OWN_TEST if asked is None else asked.words
+    rows = tuple(_as_tested(row, history, withheld, laws) for row in _rows(design, own, request))
+    compared, contradictions = agreement([row for row in rows if row.set_name in spoken])
     followed = channel_words([test.channels for test in own], own_test=asked is None)
     read = () if asked is None else asked.found
     warnings = (
@@ -152,8 +164,20 @@ def margins(
         *followed,
         compared,
     )
-    history = OWN_TEST if asked is None else asked.words
-    return Sheet(rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own)
+    return Sheet(
+        rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own, withheld, fastest
+    )
+
+
+def _as_tested(row: Margin, history: str, withheld: str, laws: Sequence[str]) -> Margin:
+    """Say of the two numbers what history they are of and whether it was tested; hold code values back if laws part."""
+    if row.method == DESIGN:
+        row = replace(row, inputs=f"{history}; {row.inputs}")
+        purpose = f"to see how far laws may part ({', '.join(laws)}): no value for design"
+        return replace(row, purpose=purpose, warning=EXTRAPOLATED) if laws else row
+    if withheld and row.method in (TESTING, TOLERANCE, FACTORS):
+        return replace(row, value=math.nan, note=withheld, warning="")
+    return row
 
 
 def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request: MarginOptions) -> Iterator[Margin]:
@@ -162,7 +186,8 @@ def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request:
     wider = {q: spreading_more({name: s[q] for name, s in by_set.items() if q in s}) for q in result.posteriors}
     for name in request.sets or (*result.set_names, ANY_SET):
         devices = predictive_devices(result, name)
-        basis = design_basis(result, name, devices, request.nominal_kN)
+        thirds = [test.third_mm_s for test in tests if name in (ANY_SET, test.set_name)]
+        basis = design_basis(result, name, devices, request.stated_nominal, float(np.median(thirds or [math.nan])))
         given = _given(name, by_set, common, basis, request, {q for q, sets in wider.items() if name in sets})
         yield from _first(given)
         found = list(bands_of_set(result, name, devices, given.devices))
@@ -190,13 +215,13 @@ def bands_of_set(
         count = priors_that_count(tuple(devices), own)
         for side, level in SIDES.items():
             by_prior = {
-                label: float(np.quantile(1.0 - device.draws[source] if of_ratio else device.draws[source], level))
+                label: quantile_and_error(1.0 - device.draws[source] if of_ratio else device.draws[source], level)
                 for label, device in devices.items()
             }
-            listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, value in by_prior.items())
+            listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, (value, _) in by_prior.items())
+            value, error = least_favourable(by_prior, side, own)
             note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"
             head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side)
-            value = least_favourable(by_prior, side, own)
             notes = [note] if len(count) > 1 and side != MIDDLE else []
             if (held := forces.get((quantity, side), (value,))[0]) != value:
                 notes.append(f"by itself {value:.4g} {described(source).unit}, held within those of all runs")
@@ -205,9 +230,9 @@ def bands_of_set(
                 "predictive distribution, decision 0004",
                 f"{100 * level:.0f} % quantile over draws of set level and spread",
                 f"{devices[DEFAULT].draws[source].size} draws; {listed}",
-                (LOSS if of_ratio else PURPOSE)[side],
+                (LOSS if of_ratio else PURPOSE)[side] + SERVICE.get((side, base_of(source)), ""),
             )
-            yield Margin(*head, *number, *origin, "; ".join(notes))
+            yield Margin(*head, *number, *origin, "; ".join(notes), monte_carlo_error=error)
 
 
 def _first(given: Given) -> Iterator[Margin]:
@@ -215,13 +240,14 @@ def _first(given: Given) -> Iterator[Margin]:
     force = given.basis.force
     n = given.devices.get(LOWEST, 0)
     for kind, side, value, what in (
-        (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs of a new device (quantity lowest)"),
-        (CAPACITY, HIGH, force.high, "95 % of the largest force of all runs of a new device (quantity highest)"),
+        (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs (quantity lowest), at any speed"),
+        (CAPACITY, HIGH, force.high, "95 % of the largest force of all runs (quantity highest), at any speed"),
     ):
-        purpose = PURPOSE[side]
+        purpose = PURPOSE[side] + SERVICE.get((side, LOWEST), "")
         origin = ("predictive distribution, decision 0006", what, force.words, purpose)
         age = f"as tested: ageing is in the ASCE 7 and EN 15129 bounds alone ({given.basis.age.words})"
-        yield Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin, age)
+        row = Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin, age)
+        yield replace(row, monte_carlo_error=value * given.basis.errors[side])
 
 
 def _spreads(result: PopulationResult, name: str, tests: Sequence[VirtualTestResult]) -> Iterator[Margin]:

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, load_cases, measured_channels
+from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, allowed, load_cases, measured_channels
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Likelihood, Measurement, band_of
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 MIDDLE = 0.25
 """Share of the stroke on either side of mid-stroke over which the plateau force of a half-cycle is the mean."""
@@ -46,6 +46,7 @@ class Readings:
     direction: FloatArray  # shape (n_half,): +1 in push (displacement grows), -1 in pull
     travel_m: FloatArray  # shape (n_half,): cumulative sliding distance in the middle of the half-cycle
     complete: NDArray[np.bool_]  # shape (n_half,): whether it runs from one reversal to the next
+    peak_mm_s: FloatArray  # shape (n_half,): peak speed
     # shape (m, n_half): mean force over the middle half of the stroke, in the direction of motion
     plateau_kN: FloatArray
     # shape (m, n_half): force where that part begins: well below the plateau where the device does not slide yet
@@ -93,7 +94,8 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
         joined = slice(start[h], min(start[h + 1] + 1, x.size))
         out["work_kJ"][:, h] = trapezoid(force_kN[:, joined], x[joined], axis=1) / 1000.0
     complete = (np.arange(n) > 0) & (np.arange(n) < n - 1)
-    return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, *out.values())
+    peak = np.maximum.reduceat(motion.speed_mm_s, start[:-1])
+    return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, peak, *out.values())
 
 
 ALIKE = 0.01
@@ -122,14 +124,15 @@ TABLE = {
 
 def counted_from(readings: Sequence[Readings]) -> float:
     """Smallest amplitude from which on every half-cycle slides fully; infinity where none does, mm."""
+    found = (_sliding_from(readings, flat) for flat in (FLAT, UNEVEN))
+    return next((least for least in found if np.isfinite(least)), np.inf)
+
+
+def _sliding_from(readings: Sequence[Readings], flat: float) -> float:
     amplitude = np.concatenate([r.amplitude_mm[r.complete] for r in readings])
-    for flat in (FLAT, UNEVEN):
-        slides = np.concatenate([r.sliding(flat)[r.complete] for r in readings])
-        stuck = amplitude[~slides].max(initial=0.0)
-        able = amplitude[slides & (amplitude > stuck * (1.0 + ALIKE))]
-        if able.size:
-            return float(able.min())
-    return np.inf
+    slides = np.concatenate([r.sliding(flat)[r.complete] for r in readings])
+    stuck = amplitude[~slides].max(initial=0.0)
+    return float(amplitude[slides & (amplitude > stuck * (1.0 + ALIKE))].min(initial=np.inf))
 
 
 def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, FloatArray]:
@@ -137,13 +140,9 @@ def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, Floa
 
     Half-cycles count from an amplitude on; `PopulationError` if none of them slides fully.
     """
-    large = readings.amplitude_mm >= least_amplitude_mm * (1.0 - ALIKE)
-    counted = np.flatnonzero(readings.complete & large)
+    counted = _counted(readings, least_amplitude_mm)
     if not counted.size:
-        raise PopulationError(
-            "no half-cycle of this history slides fully, so no sliding force can be read off it; give one with larger "
-            "strokes"
-        )
+        raise PopulationError("no half-cycle slides fully, so no sliding force can be read off")
     plateau = readings.plateau_kN[:, counted]
     direction, travel = readings.direction[counted], readings.travel_m[counted]
     cycles = np.stack([plateau[:, i : i + 2].mean(axis=1) for i in range(0, counted.size, 2)], axis=1)
@@ -172,6 +171,12 @@ def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, Floa
         "damping": damping,
         "loss_per_m": -(log @ apart) / squares if squares > 0 else np.zeros(plateau.shape[0]),
     }
+
+
+def _counted(readings: Readings, least_amplitude_mm: float) -> NDArray[np.int64]:
+    """Half-cycles that count, from an amplitude on."""
+    large = readings.amplitude_mm >= least_amplitude_mm * (1.0 - ALIKE)
+    return np.flatnonzero(readings.complete & large)
 
 
 def _mean(values: FloatArray) -> FloatArray:
@@ -214,12 +219,14 @@ class VirtualTestResult:
     model_errors: Mapping[str, float]  # logarithm of measured over predicted, in its own test; empty without recordings
     # shape (n,): the same of the plateau force of each half-cycle that slides, predicted without it
     cycle_errors: FloatArray
-    # per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n)
-    loops: tuple[Loop, ...] = field(repr=False, default=())
+    # by law, per run the widest cycle, each branch as displacement, shape (n,), and force of the draws, shape (m, n)
+    loops: Mapping[str, tuple[Loop, ...]] = field(repr=False, default_factory=dict)
     laws: tuple[str, ...] = ("tested",)  # laws of what was not tested; "tested" alone where all was
     # whether the history is another one than that of its own test, so that the error of the model is carried over
     carried: bool = False
     channels: tuple[MeasuredChannel, ...] = ()  # further channels that its force follows
+    laws_apart: float = 1.0  # greatest over least of a bounding force by the laws of what was not tested
+    third_mm_s: float = np.nan  # peak speed of the third cycle of the first run, which the nominal force is of
 
     def __post_init__(self) -> None:
         """Refuse a value without a logarithm."""
@@ -249,10 +256,21 @@ def virtual_tests(
 
     `PopulationError` if the history leaves what was tested and is not to be extrapolated, or nothing slides in it.
     """
-    driven = [_driven(s, load_cases(asked, s, extrapolate=extrapolate)) for s in specimens]
+
+    def limits() -> str:
+        return allowed(specimens, max(map(smallest_stroke, specimens)), 1.0 if asked is None else asked.of_drift)
+
+    cases = [load_cases(asked, s, extrapolate=extrapolate, limits=limits) for s in specimens]
+    driven = [_driven(s, of_one, own=asked is None) for s, of_one in zip(specimens, cases, strict=True)]
     first = [next(iter(found.values()))[0] for found, _ in driven]
     common = max((a for a in map(counted_from, first) if np.isfinite(a)), default=np.inf)
     least = [_from(readings, common) for readings in first]
+    if asked is not None and not np.isfinite(least).all():
+        widest = max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for runs in first for r in runs)
+        raise PopulationError(
+            f"no half-cycle of {asked.words} slides fully in every device, so no sliding force can be read off it: the "
+            f"widest from reversal to reversal is {2.0 * widest:.3g} mm, an amplitude of {widest:.3g} mm; {limits()}"
+        )
     own, own_least = first, least
     if asked is not None:
         own = [own_readings(s) for s in specimens]
@@ -261,28 +279,46 @@ def virtual_tests(
     return tuple(_result(*of_one, carried=asked is not None) for of_one in each)
 
 
+GROWING = np.linspace(0.02, 1.0, 50)
+"""Amplitudes, as shares of the largest tested one, of which the smallest that slides fully is looked for."""
+
+
+def smallest_stroke(specimen: Specimen) -> float:
+    """Smallest amplitude that slides fully by the models of a device, mm; infinity where none does."""
+    ends = specimen.ranges
+    blocks = tuple(Block(a, ends["speed"] / (2.0 * np.pi * a), 1) for a in ends["position"] * GROWING)
+    time, motion = exact_motion(blocks, 40 * max(block.frequency_Hz for block in blocks))
+    runs = specimen.driven_through(time, motion)
+    found = [drive(belief.model, belief.typical, runs) for belief in specimen.beliefs]
+    read = [[read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)] for forces in found]
+    return max(_sliding_from(readings, UNEVEN) for readings in read)
+
+
 def _driven(
-    specimen: Specimen, histories: Mapping[LoadCase, tuple[History, ...]]
-) -> tuple[dict[LoadCase, list[Runs]], tuple[Loop, ...]]:
-    """Drive a device: readings by course and model, and the widest cycle of the best model."""
+    specimen: Specimen, histories: Mapping[LoadCase, tuple[History, ...]], *, own: bool
+) -> tuple[dict[LoadCase, list[Runs]], dict[str, tuple[Loop, ...]]]:
+    """Drive a device: readings by course and model, and by law the widest cycle of the best model."""
     found: dict[LoadCase, list[Runs]] = {}
-    loops: tuple[Loop, ...] = ()
+    loops: dict[str, tuple[Loop, ...]] = {}
     for course, runs in histories.items():
         found[course] = []
-        starts = specimen.start_force_kN if runs is specimen.histories else ()
+        starts = specimen.start_force_kN if own else ()
         for belief in specimen.beliefs:
             forces = drive(belief.model, belief.theta, runs, starts)
             found[course].append(tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)))
-            loops = loops or tuple(_widest(h, f) for h, f in zip(runs, forces, strict=True))
+            if course.law not in loops:
+                loops[course.law] = tuple(_widest(h, f) for h, f in zip(runs, forces, strict=True))
     return found, loops
 
 
 def _widest(history: History, force: FloatArray) -> Loop:
-    """Cut a complete cycle of the largest amplitude out of a run, with a quarter of the draws."""
+    """Cut the last cycle of the largest amplitude out of a run, whole, with a quarter of the draws."""
     motion = history.motion
-    stroke = np.abs(np.diff(motion.turning_mm))
-    wide = np.flatnonzero((stroke[:-1] >= 0.99 * stroke.max()) & (stroke[1:] >= 0.99 * stroke.max()))
-    first = int(wide[-1]) if wide.size else int(np.argmax(stroke))
+    stroke = np.abs(np.diff(np.append(motion.turning_mm, motion.displacement_mm[-1])))
+    # Of an irregular history the widest half-cycle, with the wider of those beside it.
+    holds = np.maximum(stroke[:-1], stroke[1:]) >= 0.99 * stroke.max()
+    pair = np.where(holds, stroke[:-1] + stroke[1:], 0.0)
+    first = int(np.flatnonzero(pair >= 0.99 * pair.max(initial=0.0))[-1]) if pair.size else 0
     branches = []
     for h in (first, min(first + 1, motion.n_half - 1)):
         part = slice(motion.start[h], motion.start[h + 1])
@@ -306,7 +342,7 @@ def _from(first: Runs, common: float) -> float:
 
 def _result(
     specimen: Specimen,
-    driven: tuple[Mapping[LoadCase, list[Runs]], tuple[Loop, ...]],
+    driven: tuple[Mapping[LoadCase, list[Runs]], Mapping[str, tuple[Loop, ...]]],
     least: float,
     own: Runs,
     own_least: float,
@@ -332,15 +368,23 @@ def _result(
         cycles, noise = _cycle_errors(measured, own, own_least, specimen.beliefs[0])
     n = max(cycles.size, 1)
     values, errors = {}, {}
+    laws = tuple(dict.fromkeys(course.law for course in by_course if course.speed_mm_s is None))
+    apart = 1.0
     belief = specimen.beliefs[0]
     shares = {"plateau": n, "energy": n, "ratio": n / 2, "third": 2}
     for q in by_course[next(iter(by_course))][0]:
-        typical = [[_middle_and_sd(model[q]) for model in models] for models in by_course.values()]
+        side = SIDE.get(base_of(q))
+        # Bounds hold for all speeds; what is typical is that of the history.
+        courses = {course: models for course, models in by_course.items() if side or course.speed_mm_s is None}
+        typical = [[_middle_and_sd(model[q]) for model in models] for models in courses.values()]
         best = [models[0] for models in typical]
         # In its own test that is the measured value, of which no model is unsure.
-        ours = 1.0 if carried else 0.0
-        brought = [(x * float(np.exp(gap[q])), ours * sd) for x, sd in best] if q in gap else []
-        side = SIDE.get(base_of(q))
+        ours = [1.0 if carried or course.speed_mm_s is not None else 0.0 for course in courses]
+        factor = float(np.exp(gap.get(q, 0.0)))
+        brought = [(x * factor, own * sd) for (x, sd), own in zip(best, ours, strict=True)] if q in gap else []
+        if q in (LOWEST, HIGHEST):
+            ends = [float(np.median(by_course[course][0][q])) for course in courses if course.speed_mm_s is None]
+            apart = max(apart, max(ends) / max(min(ends), 1e-9)) if len(laws) > 1 else 1.0
         if side:
             values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *brought])
         else:
@@ -350,9 +394,11 @@ def _result(
     stiffness = np.log(belief.theta[:, belief.model.index("K")])
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
     table = tuple(map(_summary, tables, seen))
-    laws = tuple(dict.fromkeys(course.law for course in found))
     told = (specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
-    return VirtualTestResult(*told, measured_channels(specimen))
+    (first, *_) = next(iter(found.values()))[0]
+    slides = _counted(first, least)
+    third = float(first.peak_mm_s[slides[min(2 * THIRD, slides.size - 1)]]) if len(laws) == 1 else np.nan
+    return VirtualTestResult(*told, measured_channels(specimen), apart, third)
 
 
 def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:

@@ -243,6 +243,7 @@ class LoopBand:
     pull: FloatArray = field(repr=False)
     energy_kN_mm: tuple[float, float, float]  # energy of one cycle at 5, 50 and 95 %, kN mm (equal to joule)
     n_devices: int  # tested devices of the set
+    law: str = "tested"  # of what was not tested
 
 
 def loop_band(device: NewDevice, *, amplitude_mm: float, peak_speed_mm_s: float = 10.0, run: int = 1) -> LoopBand:

@@ -19,7 +19,7 @@ from shj_bayes.report.diagnosis_words import along_words, percent
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import PAGE, Picture, write_page
-from shj_bayes.report.sets_page import population_content, tested_motion
+from shj_bayes.report.sets_page import delivered, population_content, tested_motion
 from shj_bayes.results.campaign import (
     WITH_SET,
     CampaignRecord,
@@ -109,10 +109,12 @@ def render_campaign(
     population: PopulationResult | None = None,
     curves: Sequence[CurveContrast] = (),
     forces: PopulationResult | None = None,
+    margins: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write ``report.html`` of a campaign; its population is read from the folder when that holds one.
 
-    `curves` are comparisons of curves of its sets, `forces` those that its devices made, pooled.
+    `curves` are comparisons of curves of its sets, `forces` those that its devices made, pooled, `margins` the content
+    of ``margins.json`` for the tests themselves.
     `ReportError` if the folder holds no readable ``campaign.json``.
     """
     record = read_campaign(folder)
@@ -128,6 +130,8 @@ def render_campaign(
         "warnings": record.warnings,
         "devices": devices,
         "done": done,
+        "delivered": delivered(margins or {}),
+        "fastest": ((margins or {}).get("tested") or {}).get("fastest_mm_s"),
         "population": population_content(population, intervals, motion, curves, forces) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
         "physics": _physics(folder, record),

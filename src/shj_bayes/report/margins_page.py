@@ -1,14 +1,14 @@
 """The page of the margins."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.files import degrees_words, shown
 from shj_bayes.margins.history import published_factors
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Margin
+from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import LoopBand
@@ -32,8 +32,9 @@ TESTED = (
     ("tolerance 95/95 one-sided, lognormal", "95/95", "ISO 16269-6"),
     ("tolerance 90/95 two-sided, lognormal", "90/95 both", "ISO 16269-6"),
 )
+NOMINAL = "nominal sliding force"
 FACTORS = (
-    "nominal sliding force",
+    NOMINAL,
     "lambda_spec,min",
     "lambda_spec,max",
     "lambda_test,min",
@@ -62,25 +63,35 @@ def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
     rows = []
     for name in shown_sets(sheet):
         own = {row.kind: row for row in sheet.rows if row.set_name == name}
-        bands = {}
-        for quantity, _, unit in BANDS:
-            keys = ((name, quantity, f"new device, {level} %", side) for level, side in ENDS)
-            found = [index[key].value * (100.0 if unit == "%" else 1.0) for key in keys if key in index]
-            if len(found) == len(ENDS):
-                bands[quantity] = found
+        bands = {
+            q: found for q, _, unit in BANDS if (found := band_words(index, name, q, 100.0 if unit == "%" else 1.0))
+        }
         typical = index.get((name, "least", "new device, 50 %", MIDDLE))
         rows.append(
             {
                 "name": name_of(name),
                 "n": counted(sheet, name, typical),
-                "drift": own[DRIFT].value,
-                "capacity": own[CAPACITY].value,
-                "phi_o": own[EQUIVALENTS[-1]].value,
+                "drift": told(own[DRIFT]),
+                "capacity": told(own[CAPACITY]),
+                "phi_o": told(own[EQUIVALENTS[-1]]),
+                "nominal": told(own[NOMINAL]),
+                "nominal_of": own[NOMINAL].formula,
                 "bands": bands,
                 "factors": [own.get(kind) for kind in factors],
             }
         )
     return rows
+
+
+def told(margin: Margin, factor: float = 1.0) -> str:
+    """Value of a margin, times a factor, with the digits that other draws give as well."""
+    return digits(margin.value * factor, margin.monte_carlo_error * factor)
+
+
+def band_words(index: Mapping[Key, Margin], name: str, quantity: str, factor: float = 1.0) -> list[str]:
+    """5, 50 and 95 % of a new device in one quantity; empty where there is none."""
+    keys = [(name, quantity, f"new device, {level} %", side) for level, side in ENDS]
+    return [told(index[key], factor) for key in keys] if all(key in index for key in keys) else []
 
 
 def spread_table(sheet: Sheet) -> dict[str, Any]:
@@ -177,9 +188,31 @@ def render_margins(
         "far": published_factors(FAR_SPEED),
         "coverage": ", ".join(f"{100 * c:.1f} % with {n}" for n, c in COVERAGE.items()),
         "sheet": sheet,
+        "told": told,
+        "extrapolated": extrapolated_words(sheet),
+        "holds": holds_words(sheet),
         "loops": _pictures(loops),
     }
     return write_page(folder, "margins.html", content)
+
+
+def extrapolated_words(sheet: Sheet) -> str:
+    """Say what to know of numbers that no test stands behind; empty where all was tested."""
+    if not sheet.extrapolated:
+        return ""
+    laws = next(test.laws for test in sheet.tests if len(test.laws) > 1)
+    said = (
+        "No device was tested in this. The two numbers are the outermost of laws that agree with the tests and stay "
+        f"bounded ({', '.join(laws)}); nobody knows which of them, if any, holds. They are no values for design: test "
+        "at that speed, travel or time."
+    )
+    return f"{said} Code values are {sheet.withheld}." if sheet.withheld else said
+
+
+def holds_words(sheet: Sheet) -> str:
+    """Say for which speeds the two numbers hold."""
+    fastest = sheet.fastest_mm_s
+    return f"at every speed from standstill to {f'{fastest:.3g} mm/s' if fastest > 0 else 'the highest tested'}"
 
 
 def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:

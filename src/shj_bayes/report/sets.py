@@ -23,10 +23,10 @@ from shj_bayes.population.predict import (
 from shj_bayes.population.quantities import ASSUMED, HIGHEST, LEVELS, QUANTITIES
 
 MEANING = {
-    "Fy": "sliding force, first run",
-    SECOND_RUN: "sliding force, second run",
+    "Fy": "sliding force at standstill, first run",
+    SECOND_RUN: "sliding force at standstill, second run",
     "ratio": "second run / first run",
-    **{force: f"sliding force, run {force[-1]}" for force in RUN_FORCES if force != SECOND_RUN},
+    **{force: f"sliding force at standstill, run {force[-1]}" for force in RUN_FORCES if force != SECOND_RUN},
     **{ratio: f"run {ratio[-1]} / first run" for ratio in RUN_FORCES.values() if ratio != "ratio"},
     "K": "initial stiffness",
     "gamma": "speed coefficient 1/dep",

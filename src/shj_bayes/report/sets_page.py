@@ -9,6 +9,7 @@ import numpy as np
 
 from shj_bayes.errors import ShjError
 from shj_bayes.margins.curves import CurveContrast
+from shj_bayes.margins.row import BANDS
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.population.compare import Direction, compare
 from shj_bayes.population.hierarchy import PopulationResult
@@ -28,10 +29,10 @@ from shj_bayes.report.page import Picture
 from shj_bayes.results.device import DeviceResult
 
 TITLES = {
-    "Fy": "Sliding force of the first run",
-    SECOND_RUN: "Sliding force of the second run",
+    "Fy": "Sliding force at standstill, first run",
+    SECOND_RUN: "Sliding force at standstill, second run",
     "ratio": "Second run over first run",
-    **{force: f"Sliding force of run {force[-1]}" for force in RUN_FORCES if force != SECOND_RUN},
+    **{force: f"Sliding force at standstill, run {force[-1]}" for force in RUN_FORCES if force != SECOND_RUN},
     **{ratio: f"Run {ratio[-1]} over first run" for ratio in RUN_FORCES.values() if ratio != "ratio"},
     "K": "Initial stiffness",
     "gamma": "Speed coefficient",
@@ -140,6 +141,19 @@ def population_content(
     }
 
 
+def delivered(record: Mapping[str, Any]) -> dict[str, dict[str, dict[str, str]]]:
+    """Plateau force of a new device in the tests, by set, quantity (plateau; plateau_2 of run 2) and side.
+
+    `record` is the content of ``margins.json``.
+    """
+    out: dict[str, dict[str, dict[str, str]]] = {}
+    for row in record.get("margins", ()):
+        if row["method"] == BANDS and row["quantity"] in ("plateau", "plateau_2"):
+            own = out.setdefault(row["set"], {}).setdefault(row["quantity"], {})
+            own[row["side"]] = words.digits(row["value"], row.get("monte_carlo_error", 0.0))
+    return out
+
+
 def tested_motion(folder: Path) -> tuple[float, float] | None:
     """Largest amplitude, mm, and peak speed, mm/s, of a fitted device; None where its files cannot be read."""
     try:
@@ -156,7 +170,8 @@ def _table(bands: Mapping[str, tuple[sets.SetBand, ...]]) -> list[dict[str, Any]
     rows: dict[str, dict[str, Any]] = {}
     for quantity, of_sets in bands.items():
         for band in of_sets:
-            row = rows.setdefault(band.set_name, {"name": band.name, "n": band.n_devices, "cells": {}})
+            head = {"set": band.set_name, "name": band.name, "n": band.n_devices, "cells": {}}
+            row = rows.setdefault(band.set_name, head)
             low, middle, high = band.band
             row["n"] = max(row["n"], band.n_devices)
             # Band of gamma as dep, short enough for a cell.

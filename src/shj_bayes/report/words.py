@@ -59,10 +59,18 @@ def short(value: float) -> str:
     return f"{value:.2e}"
 
 
-def digits(value: float) -> str:
-    """Three digits, whole numbers from 100 on; a dash where a number cannot be given."""
+def digits(value: float, error: float = 0.0) -> str:
+    """Three digits, whole numbers from 100 on; a dash where a number cannot be given.
+
+    Fewer where its standard error `error` does not tell them: steps of 1, 2 or 5 that are no smaller than it.
+    """
     if not math.isfinite(value):
         return "-"
+    if value and error > 10.0 ** (math.floor(math.log10(abs(value))) - 2):
+        place = math.floor(math.log10(error))
+        step = next(s for s in (1, 2, 5, 10) if s * 10.0**place >= error * (1 - 1e-9)) * 10.0**place
+        decimals = max(0, -place - (step >= 9.99 * 10.0**place))
+        return f"{round(value / step) * step:.{decimals}f}"
     if abs(value) >= 1e4:
         return f"{value:.1e}"
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"

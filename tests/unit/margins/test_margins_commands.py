@@ -13,13 +13,14 @@ from click.testing import CliRunner
 
 from shj_bayes.app.design import margin_text
 from shj_bayes.cli import main
+from shj_bayes.errors import PopulationError
 from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sheet import margins
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.compare import is_bare
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.results import write_population
-from shj_bayes.report.margins_page import counted, set_table
+from shj_bayes.report.margins_page import counted, set_table, told
 
 LABEL = "=cmd|'<b>"
 
@@ -225,7 +226,7 @@ def test_bounds_are_shown_for_the_class_that_was_asked_for(design, trials):
     third = MarginOptions(importance="III", sets=("Zinc 70",))
     sheet = margins(design, trials, third)
     bound = sheet.by_key["Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW]
-    assert f"EN 15129 {bound.value:.3g} to" in margin_text(sheet, "III")
+    assert f"EN 15129 {told(bound)} to" in margin_text(sheet, "III")
     assert "EN 15129 - to - kN" in margin_text(sheet, "I")
     factors = next(row["factors"] for row in set_table(sheet, "III") if row["name"] == "Zinc 70")
     assert factors[11] == bound
@@ -239,10 +240,141 @@ def test_a_history_of_ones_own_is_driven_through(folder, tmp_path):
     done = run("margins", folder, "--history", path)
     assert done.exit_code == 0, done.output
     record = json.loads((folder / "margins.json").read_text(encoding="utf-8"))
-    assert record["history"] == "the history of drift.csv"
+    assert record["history"] == "the slip of drift.csv (slip up to 60 mm at up to 9.43 mm/s)"
     assert run("margins", folder, "--history", path, "--cycles", 3).exit_code == 1
     path.write_text(path.read_text(encoding="utf-8") + "x,y\n" * 3, encoding="utf-8")
     done = run("margins", folder, "--history", path)
     assert "drift.csv: 3 lines below the numbers left out" in done.output
     path.write_text("nothing\n", encoding="utf-8")
     assert "two or more numbers" in run("margins", folder, "--history", path).output
+
+
+def numbers(folder):
+    record = json.loads((folder / "margins.json").read_text(encoding="utf-8"))
+    return {(m["set"], m["kind"]): m for m in record["margins"] if m["quantity"] == "force"}, record
+
+
+def drift_file(path, largest_mm, period_s, rows=600):
+    """Drift of a storey in metres, as a program writes it in much of Europe: semicolons and decimal commas."""
+    time = np.linspace(0.0, 120.0, rows)
+    drift = largest_mm / 1000.0 * np.sin(2 * np.pi * time / period_s)
+    lines = (f"{t:.4f};{x:.7f}".replace(".", ",") for t, x in zip(time, drift, strict=True))
+    path.write_text("\n".join(["time [s];drift [m]", *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_the_drift_of_a_storey_is_made_the_slip_of_the_device(folder, tmp_path):
+    """300 mm in a storey of 3.6 m with an arm of 600 mm are 50 mm; at 40 s a peak speed of 2 pi 50 / 40 = 7.85 mm/s."""
+    drift = drift_file(tmp_path / "storey.csv", 300.0, 40.0)
+    done = run("margins", folder, "--drift", drift, "--storey-height", 3600, "--lever-arm", 0.6)
+    assert done.exit_code == 0, done.output
+    said = "slip = drift x lever arm / storey height = 600 / 3600 mm = 0.1667 x drift; slip up to 50 mm at up to 7.8"
+    found, record = numbers(folder)
+    told_at = (done.output, record["history"], found["Zinc 70", "for drift and displacement"]["inputs"])
+    for text in (*told_at, (folder / "margins.html").read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")):
+        assert said in text
+    devices = pd.read_csv(folder / "margins-devices.csv")
+    slip = drift_file(tmp_path / "slip.csv", 50.0, 40.0)
+    assert run("margins", folder, "--slip", slip).exit_code == 0
+    assert devices["q50"].to_numpy() == pytest.approx(pd.read_csv(folder / "margins-devices.csv")["q50"], rel=1e-3)
+    brace = MarginOptions(drift=drift, brace_angle_deg=60.0)
+    assert brace.slip_of_drift == (pytest.approx(0.5), "slip = drift x cos 60 deg = 0.5 x drift")
+
+
+def test_a_drift_that_the_devices_do_not_allow_is_refused_with_what_they_do(folder, tmp_path):
+    """60 mm of drift are 10 mm of slip: too little to slide fully; read as slip they were 60 mm at 293 mm/s."""
+    arm = ("--storey-height", 3.6, "--lever-arm", 0.6)
+    done = run("margins", folder, "--drift", drift_file(tmp_path / "small.csv", 60.0, 40.0), *arm)
+    assert done.exit_code == 1
+    assert "an amplitude of 10 mm; these devices allow a slip of " in done.output
+    slip, drift = re.search(
+        r"a slip of ([\d.]+) to 95 mm .*a drift of (\d+) to 570 mm at up to 6", done.output
+    ).groups()
+    assert 12 < float(slip) < 40
+    assert float(drift) == pytest.approx(6 * float(slip), rel=0.01)
+    done = run("margins", folder, "--drift", drift_file(tmp_path / "large.csv", 600.0, 60.0), *arm)
+    assert "reaches a position of 100 mm" in done.output
+    assert f"These devices allow a slip of {slip} to 95 mm" in done.output
+    done = run("margins", folder, "--slip", drift_file(tmp_path / "fast.csv", 60.0, 2 * math.pi * 60 / 293, 6000))
+    assert "reaches a speed of 29" in done.output
+    assert f"these devices allow a slip of {slip} to 95 mm at up to 10" in done.output
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"drift": "d.csv"}, "not drift"),
+        ({"storey_height": 3.6, "lever_arm": 0.6}, "not drift"),
+        ({"drift": "d.csv", "storey_height": 3.6}, "not drift"),
+        ({"drift": "d.csv", "storey_height": 3.6, "lever_arm": 0.6, "brace_angle_deg": 30}, "not drift"),
+        ({"drift": "d.csv", "storey_height": 36, "lever_arm": 600}, "read as 36 mm; allowed is 1000 to 19999 mm"),
+        ({"drift": "d.csv", "brace_angle_deg": 90}, "below 90"),
+        ({"slip": "s.csv", "history": "h.csv"}, "give one history"),
+        ({"slip": "s.csv", "cycles": 3}, "give one history"),
+        ({"bolts": 2}, "--bolts, --mu and --clamping"),
+        ({"surfaces": 1}, "--bolts, --mu and --clamping"),
+        ({"bolts": 2, "mu": 0.2, "clamping_kN": 95, "nominal_kN": 80}, "no --nominal beside them"),
+        ({"bolts": 2, "mu": 21, "clamping_kN": 95}, "mu below 2"),
+        ({"bolts": 0, "mu": 0.2, "clamping_kN": 95}, "above zero"),
+    ],
+)
+def test_halves_of_a_conversion_or_a_nominal_force_are_refused(asked, words):
+    with pytest.raises(PopulationError, match=re.escape(words)):
+        MarginOptions(**asked)
+
+
+def test_the_two_numbers_hold_at_a_lower_speed_than_the_tested_one(folder):
+    """Corroded, the force grows with speed: 10 mm/s for dep = 60 and 90 mm/s make a seventh of it and a tenth."""
+    done = run("margins", folder)
+    assert "at every speed from standstill to 10.2 mm/s, in the test that each device went through (ageing" in done.output
+    tested, _ = numbers(folder)
+    assert run("margins", folder, "--amplitude", 95, "--speed", 1).exit_code == 0
+    slow, _ = numbers(folder)
+    for name in ("Zinc 70", "Zinc 70 corroded"):
+        for kind in ("for drift and displacement", "for capacity design"):
+            assert tested[name, kind]["value"] == pytest.approx(slow[name, kind]["value"], rel=0.07)
+    nominal = [found["Zinc 70 corroded", "nominal sliding force"]["value"] for found in (tested, slow)]
+    assert nominal[1] < 0.93 * nominal[0]  # of the history itself, with its speed in words
+    assert "third cycle of a typical device at 1 mm/s" in slow["Zinc 70", "nominal sliding force"]["formula"]
+    record = json.loads((folder / "margins.json").read_text(encoding="utf-8"))
+    service = {m["quantity"] for m in record["margins"] if "slip at service loads" in m["purpose"]}
+    assert service == {"force", "lowest", "least", "least_2"}  # not a plateau at the speed of one history
+
+
+def test_numbers_that_no_test_stands_behind_say_so_wherever_they_stand(folder):
+    done = run("margins", folder, "--speed", 300, "--extrapolate")
+    assert done.exit_code == 0, done.output
+    box = "No device was tested in this. The two numbers are the outermost of laws"
+    end = done.output[done.output.index("EXTRAPOLATED. " + box) :]
+    assert "Code values are withheld: the laws of what was not tested part by a factor of" in end
+    assert end.count("kN (extrapolated, not tested)") == 3
+    assert "phi_o" not in done.output
+    page = (folder / "margins.html").read_text(encoding="utf-8")
+    assert page.index(box) < page.index("capacity design (kN)")
+    assert "95 % of new devices stay above it" not in page
+    assert "Nothing here holds outside" not in page
+    found, record = numbers(folder)
+    codes = [m for m in record["margins"] if m["method"] in ("EN 1990", "tolerance", "factor")]
+    assert {m["value"] for m in codes} == {None}
+    assert all("withheld: the laws" in m["note"] for m in codes)
+    assert "slip at service loads" not in found["Zinc 70", "for drift and displacement"]["purpose"]
+    loops = pd.read_csv(folder / "loops.csv")
+    assert set(loops["law"]) == {"held", "saturating", "logarithmic"}
+    middle = loops[(loops["set"] == "Zinc 70") & (loops["run"] == 2) & (loops["displacement_mm"].abs() < 20)]
+    least = middle.groupby("law")["push_q50_kN"].max()
+    assert least["logarithmic"] < 0.7 * least["held"]
+
+
+def test_every_factor_has_its_nominal_force_beside_it(folder):
+    """V_ss = 2 bolts x 2 surfaces x 0.21 x 95 kN = 79.8 kN."""
+    done = run("margins", folder, "--set", "Zinc 70", "--bolts", 2, "--mu", 0.21, "--clamping", 95)
+    assert done.exit_code == 0, done.output
+    said = "V_ss = 2 bolts x 2 surfaces x mu 0.21 x 95 kN"
+    assert f"lambda, phi and phi_o are of the nominal 79.8 kN: {said}" in done.output
+    assert said in (folder / "margins.html").read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    found, _ = numbers(folder)
+    capacity, phi_o = (found["Zinc 70", kind] for kind in ("for capacity design", "phi_o equivalent"))
+    assert phi_o["value"] == pytest.approx(capacity["value"] / 79.8)
+    assert said in phi_o["inputs"]
+    done = run("margins", folder, "--set", "Zinc 70")
+    assert "kN: third cycle of a typical device at 10 mm/s, first run" in done.output

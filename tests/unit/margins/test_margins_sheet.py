@@ -9,7 +9,7 @@ import pytest
 
 from shj_bayes.app.design import two_numbers
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.basis import corroded_pairs, predictive_devices
+from shj_bayes.margins.basis import corroded_pairs, predictive_devices, quantile_and_error
 from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.export import bounds, draw_devices, loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
@@ -23,6 +23,8 @@ from shj_bayes.options import MarginOptions
 from shj_bayes.population.device import PUBLISHED, RangeTested, common
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.report.margins_page import testing_table as values_by_testing
+from shj_bayes.report.margins_page import told
+from shj_bayes.report.words import digits
 
 LABEL = "=cmd|'<b>"
 
@@ -369,4 +371,25 @@ def test_what_is_not_in_the_two_numbers_is_said_beside_them(sheet):
     for kind, side in ((DRIFT, LOW), (CAPACITY, HIGH)):
         note = sheet.by_key["Zinc 70", "force", kind, side].note
         assert "ageing is in the ASCE 7 and EN 15129 bounds alone (Zinc 70 corroded over Zinc 70" in note
-    assert two_numbers(sheet)[0].endswith("as tested (ageing is in the ASCE 7 and EN 15129 bounds alone):")
+    assert two_numbers(sheet)[0].endswith("(ageing is in the ASCE 7 and EN 15129 bounds alone):")
+
+
+def test_printed_digits_are_those_that_another_seed_gives_as_well(design, trials):
+    assert [digits(58.59, 0.6), digits(105.6, 1.2), digits(441.0, 60.0), digits(0.7512, 0.004)] == [
+        "59",
+        "106",
+        "400",
+        "0.750",
+    ]
+    assert [digits(93.64, 0.05), digits(93.64), digits(math.nan, 1.0)] == ["93.6", "93.6", "-"]
+    draws = np.random.default_rng(1).standard_normal((400, 2000))
+    made = np.array([quantile_and_error(one, 0.05) for one in draws])
+    # the error says how much the quantiles of other draws differ; 9 degrees of freedom each, 400 times
+    assert np.sqrt(np.mean(made[:, 1] ** 2)) == pytest.approx(made[:, 0].std(), rel=0.25)
+    other = pool(trials, replace(design, seed=99))
+    one, two = (margins(of, trials, MarginOptions(sets=("Zinc 70",))) for of in (design, other))
+    for a in one.rows:
+        if a.method in ("design", "new device", "factor") and a.monte_carlo_error:
+            b = two.by_key[a.key]
+            assert abs(a.value - b.value) < 6.0 * math.hypot(a.monte_carlo_error, b.monte_carlo_error), a.key
+            assert float(told(a)) == pytest.approx(a.value, abs=max(2.5 * a.monte_carlo_error, 0.006 * abs(a.value)))

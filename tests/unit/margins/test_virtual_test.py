@@ -1,12 +1,14 @@
 """A device with wear through its virtual test: what is read off, what it depends on; no diagnosis makes it unsafe."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.history import depends, sine
+from shj_bayes.margins.export import loops
+from shj_bayes.margins.history import depends, from_file, load_cases, sine
 from shj_bayes.margins.sheet import pool
 from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off, virtual_tests
@@ -145,3 +147,45 @@ def test_another_motion_keeps_the_scales_of_the_devices_own_test():
         for name in SCALES:
             assert getattr(history, name) == getattr(device.histories[-1], name), name
         assert history.tested_m > np.ptp(history.travel_m)
+
+
+def test_bounds_are_taken_over_all_speeds_and_what_is_typical_is_not():
+    """Fy 80 kN at rest gains 0.02 s/mm x 10 mm/s = 20 % at the peak of a stroke; the second run has 0.95 of both."""
+    law = belief((), gamma=0.02)
+    device = replace(specimen(law), measured_kN=())
+    (trial,) = virtual_tests([device], None)
+    assert trial.values["lowest"] == pytest.approx(0.95 * 80.0, rel=0.01)
+    assert trial.values["highest"] == pytest.approx(1.2 * 80.0, rel=0.01)
+    assert trial.values["plateau"] == pytest.approx(1.19 * 80.0, rel=0.01)
+    assert trial.third_mm_s == pytest.approx(10.0, rel=0.03)
+    (slow,) = virtual_tests([device], sine(60.0, 0.1, 3))
+    for q in ("lowest", "highest"):
+        assert slow.values[q] == pytest.approx(trial.values[q], rel=0.02)
+    assert slow.values["plateau"] == pytest.approx(80.0, rel=0.01)
+    flat = replace(device, beliefs=(belief(()),))
+    assert [case.speed_mm_s for case in load_cases(None, flat, extrapolate=False)] == [None]
+    bent = replace(device, beliefs=(belief(["stribeck"], **{"stribeck.size": 0.2, "stribeck.speed": 3.0}),))
+    assert len(load_cases(None, bent, extrapolate=False)) == 4  # its least need not be at an end
+
+
+def test_the_widest_half_cycle_of_an_irregular_history_is_drawn_whole(tmp_path):
+    """From -20 to 70 mm is the widest; back it goes to 10 mm only."""
+    ends = [0.0, 15.0, -20.0, 70.0, 10.0, 35.0, -5.0, 20.0]
+    steps = [np.linspace(a, b, 60, endpoint=False) for a, b in pairwise(ends)]
+    x = np.concatenate([*steps, [ends[-1]]])
+    time = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)) / 6.0)])
+    path = tmp_path / "quake.csv"
+    path.write_text("time,slip\n" + "\n".join(f"{t},{d}" for t, d in zip(time, x, strict=True)), encoding="utf-8")
+    trials = virtual_tests([specimen(belief(()))], from_file(path))
+    band = loops(trials, 6.0)[0]
+    push, pull = (np.isfinite(side[1]) for side in (band.push, band.pull))
+    assert (band.displacement_mm[push].min(), band.displacement_mm[push].max()) == pytest.approx((-20.0, 70.0), abs=1.5)
+    assert (band.displacement_mm[pull].min(), band.displacement_mm[pull].max()) == pytest.approx((10.0, 70.0), abs=1.5)
+    assert band.push[1][push].max() == pytest.approx(80.0, rel=0.01)
+
+
+def test_devices_that_do_not_depend_on_what_was_not_tested_are_drawn_beside_those_that_do():
+    devices = [specimen(belief((), gamma=gamma), name=f"g{gamma}") for gamma in (0.0, 0.01)]
+    trials = virtual_tests(devices, sine(60.0, 40.0, 3), extrapolate=True)
+    assert [len(trial.laws) for trial in trials] == [1, 3]
+    assert [band.law for band in loops(trials, 40.0)] == [law for law in trials[1].laws for _ in (1, 2)]

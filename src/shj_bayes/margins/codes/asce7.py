@@ -50,8 +50,7 @@ def testing(force: SlidingForceBounds) -> Bounds:
 
 def _rows(given: Given) -> Iterator[Margin]:
     basis, nominal = given.basis, given.basis.nominal_kN
-    formula, inputs = "50 % of a new device, third cycle of the first run", f"nominal {nominal:.4g} kN"
-    origin = ("ASCE 7, NZ practice", formula, f"{inputs} ({basis.nominal_words})", "what the factors below multiply")
+    origin = ("ASCE 7, NZ practice", basis.nominal_words, f"{nominal:.4g} kN", "what the factors below multiply")
     yield given.of_force("nominal sliding force", MIDDLE, nominal, "kN", origin)
     spec, test = specification(basis.force, nominal), testing(basis.force)
     total = modification(basis.age.measured, test, spec)
@@ -86,7 +85,7 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
         (f"lambda_{word} with the floor for dampers", final, f"{floor} {limit:g}",
          ("1", f"{both:.3f}", f"{bound}-bound analysis"), f"{CLAUSE}.5"),
         (f"ASCE 7 {bound} bound force", final * nominal, f"lambda_{word} x nominal",
-         ("kN", f"{final:.3f} x {nominal:.4g} kN", f"{bound}-bound analysis"), CLAUSE),
+         ("kN", f"{final:.3f} x {nominal:.4g} kN ({basis.nominal_words})", f"{bound}-bound analysis"), CLAUSE),
     )  # fmt: skip
     for kind, value, formula, (unit, inputs, purpose), clause in rows:
         yield given.of_force(kind, side, value, unit, (clause, formula, inputs, purpose))

@@ -40,7 +40,9 @@ class Given:
     def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
         """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""
         n = self.devices.get(LOWEST, 0)
-        return Margin(self.set_name, "force", FACTORS, kind, side, value, unit, n, math.nan, *origin)
+        error = abs(value) * self.basis.errors.get(side, 0.0)
+        number = (value, unit, n, math.nan)
+        return Margin(self.set_name, "force", FACTORS, kind, side, *number, *origin, monte_carlo_error=error)
 
     def limit(
         self, head: tuple[str, str, str], way: Spread, factor: float, law: str, side: str, origin: tuple[str, str, str]

@@ -3,9 +3,9 @@
 V_ss = n_b n_s mu N_tf; phi V_ss is dependable, phi_o V_ss is what beam, column and welds are designed for. phi = 0.70
 and phi_o = 1.40 are recalled from the literature on asymmetric friction connections of 2012 to 2014 (shims of
 Bisalloy 400 and harder); they could not be read again. Equivalents from tests stand beside them: the force delivered
-at the tested speed, phi the smallest plateau of the first and of the later runs, phi_o the largest force of all, over
-the nominal. Few devices say less than the practice that rests on many, so an equivalent on the unsafe side of it
-carries a warning; so does one on the other side, where the tests do not support practice.
+at any speed up to the highest tested, phi the smallest plateau of the first and of the later runs, phi_o the largest
+force of all, over the nominal. Few devices say less than the practice that rests on many, so an equivalent on the
+unsafe side of it carries a warning; so does one on the other side, where the tests do not support practice.
 """
 
 from collections.abc import Iterator
@@ -50,7 +50,7 @@ def _rows(given: Given) -> Iterator[Margin]:
     found.append(("phi_o equivalent", HIGH, phi_o, force.high, purpose))
     for kind, side, value, force_kN, purpose in found:
         formula = f"{'5' if side == LOW else '95'} % of the delivered force / nominal"
-        inputs = f"{force_kN:.4g} kN, nominal {nominal:.4g} kN; {force.words}"
+        inputs = f"{force_kN:.4g} kN, nominal {nominal:.4g} kN ({basis.nominal_words}); {force.words}"
         note = f"practice for hardened shims: phi {PRACTICE_PHI:.2f}, phi_o {PRACTICE_PHI_O:.2f}"
         origin = ("NZ practice for sliding hinge joints", formula, inputs, purpose, note, warning(value, side))
         yield given.of_force(kind, side, value, "1", origin)

@@ -93,13 +93,14 @@ def span(rows: Sequence[SetBand]) -> tuple[float, float]:
 
 
 def loop(parts: Sequence[LoopBand]) -> str:
-    """Band of the loop of a new device of one set, one colour for each run."""
+    """Band of the loop of a new device of one set, one colour for each run, and each law of what was not tested."""
     figure, axes = sheet(NARROW, 3.4, measured=False)
     for band, colour in zip(parts, SERIES, strict=False):
+        which = "median and 90 %" if band.law == "tested" else band.law
         for force in (band.push, band.pull):
             axes.fill_between(band.displacement_mm, force[0], force[2], color=colour, alpha=0.25, linewidth=0)
             axes.plot(band.displacement_mm, force[1], color=colour, linewidth=1.4)
-        axes.plot([], [], color=colour, label=f"run {band.run}, median and 90 %")
+        axes.plot([], [], color=colour, label=f"run {band.run}, {which}")
     label(axes, "displacement (mm)", "force (kN)")
     legend(axes, 2)
     return svg(figure)
